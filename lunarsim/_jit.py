@@ -1,0 +1,44 @@
+"""One place that says how kernels are compiled.
+
+Every kernel is cached beside its module, so the compilation is paid once a machine. NaN must
+survive (it means no data), so `fastmath` is limited to flags that keep NaN and infinities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_FAST_FLAGS = {"contract", "reassoc", "nsz", "arcp"}
+
+
+def kernel(*, parallel: bool = False, fast: bool = False) -> Callable[[F], F]:
+    """Return a decorator that compiles a function with Numba.
+
+    Parameters
+    ----------
+    parallel
+        Spread `numba.prange` loops over threads. Kernels write each output element from one
+        iteration alone, so the bits do not depend on the number of threads.
+    fast
+        Let the compiler reassociate sums and fuse multiply-adds, which it needs to vectorise.
+    """
+
+    def decorate(function: F) -> F:
+        compiled = numba.njit(
+            cache=True,
+            nogil=True,
+            error_model="numpy",
+            parallel=parallel,
+            fastmath=_FAST_FLAGS if fast else False,
+        )(function)
+        return cast(F, compiled)
+
+    return decorate
+
+
+prange = numba.prange

@@ -1,0 +1,161 @@
+"""Frames and quaternions: every convention, stated once.
+
+ENU
+    Local Cartesian frame fixed to the ground: x east, y north, z up, metres. Its origin is the
+    centre of the terrain at the terrain's mean elevation. Gravity is ``(0, 0, -g)``.
+Body
+    Fixed to the lander, origin at the centre of mass, z along the thrust (up through the
+    vehicle when it stands), x forward, y left.
+Sensor
+    z along the boresight, x right, y down, as image coordinates run.
+Quaternion
+    Scalar last ``(x, y, z, w)``, rotates body vectors into ENU, as `scipy.spatial.transform`.
+    ``q`` and ``-q`` are the same attitude; functions return either.
+Angles
+    Radians in code. Degrees only in scenario fields and printed figures whose names end in
+    ``_deg``. Azimuth is clockwise from north, elevation up from the horizon.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def normalised(v: ArrayLike) -> Array:
+    """Return `v` (..., n) scaled to unit length along the last axis.
+
+    Raises
+    ------
+    ValueError
+        If a vector has zero length.
+    """
+    v = np.asarray(v, dtype=np.float64)
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    if np.any(length == 0.0):
+        raise ValueError("cannot normalise a vector of zero length")
+    return np.asarray(v / length)
+
+
+def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
+    """Return the product ``p q`` (rotate by q, then by p), each (..., 4) scalar last."""
+    p = np.asarray(p, dtype=np.float64)
+    q = np.asarray(q, dtype=np.float64)
+    px, py, pz, pw = np.moveaxis(p, -1, 0)
+    qx, qy, qz, qw = np.moveaxis(q, -1, 0)
+    return np.stack(
+        (
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+            pw * qw - px * qx - py * qy - pz * qz,
+        ),
+        axis=-1,
+    )
+
+
+def quat_conjugate(q: ArrayLike) -> Array:
+    """Return the inverse rotation of the unit quaternion `q` (..., 4)."""
+    return np.asarray(q, dtype=np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def quat_to_matrix(q: ArrayLike) -> Array:
+    """Return the direction cosine matrix (..., 3, 3), body to ENU, of unit quaternions."""
+    x, y, z, w = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
+    """Rotate body vectors `v` (..., 3) into ENU by unit quaternions `q` (..., 4)."""
+    return np.einsum("...ij,...j->...i", quat_to_matrix(q), np.asarray(v, dtype=np.float64))
+
+
+def quat_from_rotation_vector(phi: ArrayLike) -> Array:
+    """Return the unit quaternion of a rotation vector (..., 3), rad."""
+    phi = np.asarray(phi, dtype=np.float64)
+    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    # sinc keeps the small-angle limit exact.
+    vector = 0.5 * phi * np.sinc(angle / (2.0 * np.pi))
+    return np.concatenate((vector, np.cos(0.5 * angle)), axis=-1)
+
+
+def quat_to_rotation_vector(q: ArrayLike) -> Array:
+    """Return the shortest rotation vector (..., 3), rad, of unit quaternions."""
+    q = np.asarray(q, dtype=np.float64)
+    q = np.where(q[..., 3:] < 0.0, -q, q)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., 3:])
+    scale = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 2.0)
+    return np.asarray(q[..., :3] * scale)
+
+
+def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
+    """Return the angle (rad) of the rotation between attitudes `p` and `q` (..., 4)."""
+    return np.linalg.norm(quat_to_rotation_vector(quat_multiply(quat_conjugate(p), q)), axis=-1)
+
+
+def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
+    """Return the quaternion (4,) whose body z is along `direction` and body x near `heading`.
+
+    Parameters
+    ----------
+    direction
+        Thrust direction in ENU (3,), any length but zero.
+    heading
+        Azimuth of body x, clockwise from north (rad).
+    """
+    z = normalised(direction)
+    forward = np.array([np.sin(heading), np.cos(heading), 0.0])
+    y = np.cross(z, forward)
+    if np.linalg.norm(y) < 1e-9:  # thrust along the heading: any roll will do
+        y = np.cross(z, [0.0, 0.0, 1.0])
+    y = normalised(y)
+    return matrix_to_quat(np.column_stack((np.cross(y, z), y, z)))
+
+
+def matrix_to_quat(m: ArrayLike) -> Array:
+    """Return the unit quaternion (4,) of a rotation matrix (3, 3), body to ENU."""
+    m = np.asarray(m, dtype=np.float64)
+    # Shepperd's method: divide by the largest component.
+    diagonal = np.array([m[0, 0], m[1, 1], m[2, 2], np.trace(m)])
+    k = int(np.argmax(diagonal))
+    q = np.empty(4)
+    if k == 3:
+        q[:] = (m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + diagonal[3])
+    else:
+        i, j, n = k, (k + 1) % 3, (k + 2) % 3
+        q[i] = 1.0 - diagonal[3] + 2.0 * m[i, i]
+        q[j] = m[j, i] + m[i, j]
+        q[n] = m[n, i] + m[i, n]
+        q[3] = m[n, j] - m[j, n]
+    return normalised(q)
+
+
+def heading_of(q: ArrayLike) -> float:
+    """Return the azimuth (rad, clockwise from north) of body x projected on the ground."""
+    x = quat_rotate(q, [1.0, 0.0, 0.0])
+    return float(np.arctan2(x[0], x[1]))
+
+
+def direction_from_angles(azimuth: float, elevation: float) -> Array:
+    """Return the ENU unit vector (3,) at an azimuth from north and elevation (rad)."""
+    c = np.cos(elevation)
+    return np.array([c * np.sin(azimuth), c * np.cos(azimuth), np.sin(elevation)])
+
+
+def sensor_axes(boresight: ArrayLike) -> Array:
+    """Return the rotation (3, 3), sensor to ENU, of a sensor that looks along `boresight`.
+
+    Image x stays level; for a boresight straight down image x is east and image y south.
+    """
+    z = normalised(boresight)
+    up = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
+    x = normalised(np.cross(z, up))
+    return np.column_stack((x, np.cross(z, x), z))

@@ -1,0 +1,28 @@
+"""The ground: measured or procedural relief with rocks on it, and every question asked of it."""
+
+from lunarsim.terrain.dtm import DtmInfo, load_dtm, read_info
+from lunarsim.terrain.heightfield import Heightfield
+from lunarsim.terrain.relief import fractal_relief
+from lunarsim.terrain.rocks import (
+    RockField,
+    golombek_cover,
+    golombek_number,
+    place_rocks,
+    sample_diameters,
+)
+from lunarsim.terrain.terrain import RayHits, Terrain
+
+__all__ = [
+    "DtmInfo",
+    "Heightfield",
+    "RayHits",
+    "RockField",
+    "Terrain",
+    "fractal_relief",
+    "golombek_cover",
+    "golombek_number",
+    "load_dtm",
+    "place_rocks",
+    "read_info",
+    "sample_diameters",
+]

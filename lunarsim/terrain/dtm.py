@@ -1,0 +1,155 @@
+"""Measured digital terrain models: GeoTIFF and PDS images, read by rasterio."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.terrain.heightfield import Heightfield
+
+# Float rasters from PDS mark missing posts by huge negative numbers, not always declared.
+_MISSING_BELOW = -1e30
+
+
+@dataclass(frozen=True)
+class DtmInfo:
+    """What a raster file says of itself, before its elevations are used.
+
+    Attributes
+    ----------
+    path, driver, rows, cols
+        The file and its raster.
+    posting
+        Distance between posts, m, or None where the file names no metric frame.
+    frame
+        Coordinate reference in words.
+    no_data_share
+        Share of posts without an elevation.
+    z_range
+        Least and greatest elevation, m.
+    """
+
+    path: Path
+    driver: str
+    rows: int
+    cols: int
+    posting: float | None
+    frame: str
+    no_data_share: float
+    z_range: tuple[float, float]
+
+
+def _open(path: Path) -> rasterio.io.DatasetReader:
+    if not path.is_file():
+        raise InputError("terrain.path", str(path), "an existing GeoTIFF or PDS .IMG file")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            return rasterio.open(path)
+        except RasterioIOError as error:
+            raise InputError(
+                "terrain.path", str(path), f"a raster that GDAL can read ({error})"
+            ) from error
+
+
+def _metric_posting(source: rasterio.io.DatasetReader) -> tuple[float | None, str]:
+    """Return the posting in metres (None without a metric frame) and the frame in words."""
+    transform = source.transform
+    if transform.is_identity:
+        return None, "none"
+    if source.crs is None:
+        return None, "a transform without a coordinate reference"
+    if not source.crs.is_projected:
+        return None, f"geographic, degrees ({source.crs.to_string()[:60]})"
+    factor = float(source.crs.linear_units_factor[1])
+    dx, dy = abs(transform.a) * factor, abs(transform.e) * factor
+    if transform.b != 0.0 or transform.d != 0.0 or abs(dx - dy) > 1e-6 * dx:
+        return None, "rotated or with unequal postings"
+    name = source.crs.to_wkt().split('"')[1] if '"' in source.crs.to_wkt() else "projected"
+    return dx, name
+
+
+def _elevations(source: rasterio.io.DatasetReader) -> NDArray[np.float32]:
+    z = source.read(1, masked=True).astype(np.float32).filled(np.nan)
+    z[~np.isfinite(z) | (z < _MISSING_BELOW)] = np.nan
+    return z
+
+
+def read_info(path: str | Path) -> DtmInfo:
+    """Return what a raster says of itself.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not a raster.
+    """
+    with _open(Path(path)) as source:
+        posting, frame = _metric_posting(source)
+        z = _elevations(source)
+        known = np.isfinite(z)
+        low, high = (float(z[known].min()), float(z[known].max())) if known.any() else (np.nan,) * 2
+        return DtmInfo(
+            Path(path),
+            source.driver,
+            source.height,
+            source.width,
+            posting,
+            frame,
+            1.0 - float(known.mean()),
+            (low, high),
+        )
+
+
+def load_dtm(path: str | Path, *, posting: float | None = None) -> Heightfield:
+    """Load a measured terrain into a local ENU frame.
+
+    The frame's origin is the centre of the raster at its mean elevation; rows are flipped so
+    that row 0 is the southernmost.
+
+    Parameters
+    ----------
+    path
+        A GeoTIFF, a PDS .IMG, or any single-band raster that GDAL reads.
+    posting
+        Distance between posts (m) for a file without a metric frame; must be left out
+        otherwise.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no raster, has no metric frame and no `posting` is given, or
+        holds no elevation at all.
+    """
+    path = Path(path)
+    with _open(path) as source:
+        found, frame = _metric_posting(source)
+        if found is None and posting is None:
+            raise InputError(
+                "terrain.path",
+                str(path),
+                f"a raster in a north-up metric frame (its frame: {frame}); "
+                "give terrain.dtm_posting_m if you know the distance between its posts",
+            )
+        if found is not None and posting is not None and abs(found - posting) > 1e-3 * found:
+            raise InputError(
+                "terrain.dtm_posting_m", posting, f"left out: the file says {found:.4g} m"
+            )
+        z = _elevations(source)[::-1]
+    if not np.isfinite(z).any():
+        raise InputError("terrain.path", str(path), "a raster with at least one elevation")
+    if min(z.shape) < 2:
+        raise InputError("terrain.path", str(path), f"at least 2 x 2 posts, not {z.shape}")
+    step = found if found is not None else posting
+    assert step is not None
+    rows, cols = z.shape
+    grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
+    centred = z - np.float32(np.nanmean(z.astype(np.float64)))
+    return Heightfield(grid, np.ascontiguousarray(centred, dtype=np.float32))

@@ -1,0 +1,96 @@
+"""Relief as a triangulated grid of posts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+
+
+@dataclass(frozen=True)
+class Heightfield:
+    """Elevations at the cell centres of a grid; between them the surface is two triangles.
+
+    The diagonal of the square between four posts runs from south-west to north-east. This is
+    the surface that every sensor sees, so ray casting, rendering and queries agree exactly.
+
+    Attributes
+    ----------
+    grid
+        Places the posts.
+    z
+        Elevation (rows, cols), float32, m; NaN where nothing is known.
+    """
+
+    grid: Grid
+    z: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if self.z.shape != self.grid.shape:
+            raise InputError("heightfield.z", self.z.shape, f"shape {self.grid.shape}")
+        if min(self.z.shape) < 2:
+            raise InputError("heightfield.z", self.z.shape, "at least 2 x 2 posts")
+        if np.any(np.isinf(self.z)):
+            raise InputError("heightfield.z", "inf", "finite elevations, NaN for no data")
+        if not np.any(np.isfinite(self.z)):
+            raise InputError("heightfield.z", "all no-data", "at least one measured post")
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, east, south, north limits of the surface (its outermost posts), m."""
+        g = self.grid
+        return (
+            g.x0,
+            g.x0 + (g.cols - 1) * g.posting,
+            g.y0,
+            g.y0 + (g.rows - 1) * g.posting,
+        )
+
+    @property
+    def z_range(self) -> tuple[float, float]:
+        """Least and greatest elevation, m."""
+        return float(np.nanmin(self.z)), float(np.nanmax(self.z))
+
+    def scaled(self, factor: float) -> Heightfield:
+        """Return the relief times `factor`: c of Eq. 20 of the Gaussian DEM paper."""
+        return Heightfield(self.grid, (self.z * np.float32(factor)).astype(np.float32))
+
+    def refined(self, posting: float) -> Heightfield:
+        """Return the relief at a posting no coarser than `posting`, by cubic spline.
+
+        The new posting divides the old one, so the measured posts stay posts and keep their
+        elevations. A post next to no-data is no-data, since the spline would invent it.
+        """
+        factor = max(1, int(np.ceil(self.grid.posting / posting - 1e-9)))
+        if factor == 1:
+            return self
+        rows, cols = self.grid.shape
+        fine = Grid(
+            self.grid.x0,
+            self.grid.y0,
+            self.grid.posting / factor,
+            (rows - 1) * factor + 1,
+            (cols - 1) * factor + 1,
+        )
+        known = np.isfinite(self.z)
+        filled = self.z.astype(np.float64)
+        if not known.all():
+            nearest = ndimage.distance_transform_edt(
+                ~known, return_distances=False, return_indices=True
+            )
+            filled = filled[tuple(nearest)]
+        coefficients = ndimage.spline_filter(filled, order=3, mode="mirror")
+        axes = np.meshgrid(
+            np.arange(fine.rows) / factor, np.arange(fine.cols) / factor, indexing="ij"
+        )
+        z = ndimage.map_coordinates(coefficients, axes, order=3, mode="mirror", prefilter=False)
+        z[::factor, ::factor] = filled  # the spline passes here; this removes its rounding
+        if not known.all():
+            unknown = ndimage.map_coordinates((~known).astype(np.float64), axes, order=1) > 0.0
+            z[unknown] = np.nan
+        return Heightfield(fine, z.astype(np.float32))

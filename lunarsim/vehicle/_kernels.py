@@ -1,0 +1,141 @@
+"""Compiled rigid-body motion.
+
+State vector y (15,): position, velocity (ENU), quaternion (scalar last), body rate, mass, thrust.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+
+@kernel()
+def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet):  # type: ignore[no-untyped-def]
+    """Write dy/dt; see `Dynamics` for the equations."""
+    qx = y[6]
+    qy = y[7]
+    qz = y[8]
+    qw = y[9]
+    wx = y[10]
+    wy = y[11]
+    wz = y[12]
+    acceleration = y[14] / y[13]
+    out[0] = y[3]
+    out[1] = y[4]
+    out[2] = y[5]
+    # Thrust along body z: the third column of the direction cosine matrix.
+    out[3] = acceleration * 2.0 * (qx * qz + qw * qy)
+    out[4] = acceleration * 2.0 * (qy * qz - qw * qx)
+    out[5] = acceleration * (1.0 - 2.0 * (qx * qx + qy * qy)) - gravity
+    out[6] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    out[7] = 0.5 * (qw * wy + qz * wx - qx * wz)
+    out[8] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    out[9] = -0.5 * (qx * wx + qy * wy + qz * wz)
+    full = (y[13] - dry) / (wet - dry)
+    ix = i_dry[0] + full * (i_wet[0] - i_dry[0])
+    iy = i_dry[1] + full * (i_wet[1] - i_dry[1])
+    iz = i_dry[2] + full * (i_wet[2] - i_dry[2])
+    out[10] = (torque[0] - (iz - iy) * wy * wz) / ix
+    out[11] = (torque[1] - (ix - iz) * wz * wx) / iy
+    out[12] = (torque[2] - (iy - ix) * wx * wy) / iz
+    out[13] = -y[14] / exhaust
+    out[14] = (thrust_command - y[14]) / lag if lag > 0.0 else 0.0
+
+
+@kernel()
+def rk4_step(y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work):  # type: ignore[no-untyped-def]
+    """Advance y by one classical Runge-Kutta step in place; `work` is scratch (5, 15)."""
+    args = (thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet)
+    if lag == 0.0:
+        y[14] = thrust_command
+    derivative(y, work[0], *args)
+    for s in range(15):
+        work[4, s] = y[s] + 0.5 * dt * work[0, s]
+    derivative(work[4], work[1], *args)
+    for s in range(15):
+        work[4, s] = y[s] + 0.5 * dt * work[1, s]
+    derivative(work[4], work[2], *args)
+    for s in range(15):
+        work[4, s] = y[s] + dt * work[2, s]
+    derivative(work[4], work[3], *args)
+    for s in range(15):
+        y[s] += dt / 6.0 * (work[0, s] + 2.0 * (work[1, s] + work[2, s]) + work[3, s])
+    norm = np.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
+    for s in range(6, 10):
+        y[s] /= norm
+
+
+@kernel()
+def attitude_error(q, target, out):  # type: ignore[no-untyped-def]
+    """Write the rotation vector (body axes) that turns attitude q into `target`; return its length."""
+    # conj(q) * target
+    x = q[3] * target[0] - q[0] * target[3] - q[1] * target[2] + q[2] * target[1]
+    y = q[3] * target[1] - q[1] * target[3] - q[2] * target[0] + q[0] * target[2]
+    z = q[3] * target[2] - q[2] * target[3] - q[0] * target[1] + q[1] * target[0]
+    w = q[3] * target[3] + q[0] * target[0] + q[1] * target[1] + q[2] * target[2]
+    if w < 0.0:
+        x, y, z, w = -x, -y, -z, -w
+    s = np.sqrt(x * x + y * y + z * z)
+    angle = 2.0 * np.arctan2(s, w)
+    scale = angle / s if s > 1e-12 else 2.0
+    out[0] = scale * x
+    out[1] = scale * y
+    out[2] = scale * z
+    return angle
+
+
+@kernel()
+def advance(
+    y, steps, dt, thrust_command, target, mode, rate_limit, frequency, damping, torque_max,
+    gravity, exhaust, lag, dry, wet, i_dry, i_wet,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Advance y by `steps` steps under a held command; return every state (steps, 15).
+
+    `mode` 0 slews the attitude along the great circle at no more than `rate_limit`; mode 1
+    applies proportional-derivative torques within `torque_max`.
+    """
+    history = np.empty((steps, 15))
+    work = np.empty((5, 15))
+    torque = np.zeros(3)
+    phi = np.empty(3)
+    q = np.empty(4)
+    for n in range(steps):
+        command = thrust_command
+        if y[13] <= dry:  # tanks empty
+            command = 0.0
+            y[14] = 0.0
+        angle = attitude_error(y[6:10], target, phi)
+        if mode == 0:
+            turn = min(angle, rate_limit * dt)
+            share = turn / angle if angle > 1e-12 else 0.0
+            half = 0.5 * turn
+            sinc = 0.5 * share * (np.sin(half) / half if half > 1e-9 else 1.0)
+            rx = phi[0] * sinc
+            ry = phi[1] * sinc
+            rz = phi[2] * sinc
+            rw = np.cos(half)
+            q[0] = y[9] * rx + y[6] * rw + y[7] * rz - y[8] * ry
+            q[1] = y[9] * ry - y[6] * rz + y[7] * rw + y[8] * rx
+            q[2] = y[9] * rz + y[6] * ry - y[7] * rx + y[8] * rw
+            q[3] = y[9] * rw - y[6] * rx - y[7] * ry - y[8] * rz
+            for s in range(3):
+                y[10 + s] = 0.0
+            rk4_step(y, dt, command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work)
+            for s in range(4):
+                y[6 + s] = q[s]
+            for s in range(3):
+                y[10 + s] = share * phi[s] / dt
+        else:
+            full = (y[13] - dry) / (wet - dry)
+            for s in range(3):
+                inertia = i_dry[s] + full * (i_wet[s] - i_dry[s])
+                # Large errors saturate the rate asked for, not only the torque.
+                wanted = min(max(frequency / (2.0 * damping) * phi[s], -rate_limit), rate_limit)
+                t = inertia * 2.0 * damping * frequency * (wanted - y[10 + s])
+                torque[s] = min(max(t, -torque_max[s]), torque_max[s])
+            rk4_step(y, dt, command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work)
+        if y[13] < dry:
+            y[13] = dry
+        history[n] = y
+    return history

@@ -1,0 +1,221 @@
+"""Touchdown: where the pads stand on the true ground, and whether the lander survives it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.frames import quat_rotate, quat_to_matrix
+from lunarsim.vehicle.lander import Lander
+from lunarsim.vehicle.state import State
+
+Array = NDArray[np.float64]
+
+# Spacing of the points at which the ground under pads and belly is looked up, m.
+_SAMPLE = 0.04
+
+
+class Ground(Protocol):
+    """Anything that knows the elevation of the ground."""
+
+    def elevation(self, xy: ArrayLike) -> Array:
+        """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
+        ...
+
+
+@dataclass(frozen=True)
+class Touchdown:
+    """What happened when the first pad touched.
+
+    Attributes
+    ----------
+    position
+        Centre of mass, ENU (3,), m.
+    heading
+        Azimuth of body x, rad.
+    vertical_speed, horizontal_speed
+        m/s, down and over the ground.
+    tilt, rate
+        Of the body at contact, rad and rad/s.
+    slope
+        Steepest admissible support plane, rad.
+    roughness
+        Highest ground above an admissible support plane inside the legs' polygon, m.
+    tip_margin
+        1 - (energy of the fall over the downhill legs) / (energy needed to tip over); negative
+        means that it tips.
+    """
+
+    position: Array
+    heading: float
+    vertical_speed: float
+    horizontal_speed: float
+    tilt: float
+    rate: float
+    slope: float
+    roughness: float
+    tip_margin: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Safe or not, and which limits failed.
+
+    Attributes
+    ----------
+    safe
+        True when no limit failed.
+    failed
+        Names of the failed limits, in the order they were checked.
+    touchdown
+        The touchdown, or None when there was none (time or propellant ran out).
+    """
+
+    safe: bool
+    failed: tuple[str, ...]
+    touchdown: Touchdown | None
+
+
+def support_planes(legs: Array) -> list[Array]:
+    """Return the planes on which a lander can stand, each ``(z0, dz/dx, dz/dy)``.
+
+    A three-legged lander stands on its three pads. A rigid four-legged one stands on the higher
+    of its two diagonals and either of the other two legs: both planes are admissible.
+
+    Parameters
+    ----------
+    legs
+        Points under the pads in order around the lander (3 or 4, 3), m.
+    """
+    if len(legs) == 3:
+        triples = [(0, 1, 2)]
+    elif legs[0, 2] + legs[2, 2] >= legs[1, 2] + legs[3, 2]:
+        triples = [(0, 1, 2), (0, 2, 3)]
+    else:
+        triples = [(0, 1, 3), (1, 2, 3)]
+    planes = []
+    for triple in triples:
+        points = legs[list(triple)]
+        design = np.column_stack((np.ones(3), points[:, :2]))
+        planes.append(np.linalg.solve(design, points[:, 2]))
+    return planes
+
+
+def _disc(radius: float) -> Array:
+    """Return points (n, 2) that fill a disc, centre and rim included."""
+    n = int(np.ceil(radius / _SAMPLE))
+    axis = np.linspace(-radius, radius, 2 * n + 1)
+    xy = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    angle = np.linspace(0.0, 2.0 * np.pi, max(8, 4 * n), endpoint=False)
+    rim = radius * np.column_stack((np.cos(angle), np.sin(angle)))
+    return np.concatenate((xy[np.hypot(xy[:, 0], xy[:, 1]) < radius], rim))
+
+
+def pad_contacts(lander: Lander, state: State, ground: Ground) -> Array:
+    """Return the points (legs, 3) on which the pads would rest: highest ground under each pad."""
+    centres = state.position + quat_rotate(state.attitude, lander.pads)
+    spots = centres[:, None, :2] + _disc(0.5 * lander.pad_diameter)
+    return np.column_stack((centres[:, :2], ground.elevation(spots).max(axis=1)))
+
+
+def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
+    """Tell which points (n, 2) lie in a convex counter-clockwise polygon (m, 2)."""
+    inside = np.ones(len(points), dtype=np.bool_)
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        cross = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
+        inside &= cross >= 0.0
+    return inside
+
+
+def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, float]:
+    """Return slope (rad) and roughness (m) of the ground under a standing lander.
+
+    Eqs. 8 and 9 of the Gaussian DEM paper, the worse over the admissible support planes.
+    """
+    low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
+    axes = [np.arange(a, b + _SAMPLE, _SAMPLE) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    points = points[_inside_polygon(points, legs[:, :2])]
+    z = ground.elevation(points)
+    slope = roughness = 0.0
+    for z0, gx, gy in support_planes(legs):
+        stretch = np.hypot(1.0, np.hypot(gx, gy))
+        slope = max(slope, float(np.arccos(1.0 / stretch)))
+        height = (z - z0 - points @ np.array([gx, gy])) / stretch
+        roughness = max(roughness, float(height.max(initial=0.0)))
+    return slope, roughness
+
+
+def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity: float) -> float:
+    """Return 1 - E / E_tip for the fall over the edge of the legs that is easiest to pass.
+
+    The lander strikes the edge and pivots about it: angular momentum about the edge is kept,
+    kinetic energy about it must not lift the centre of mass over the edge. The ground's slope
+    counts as leaning towards every edge, which is the worst case.
+    """
+    polygon = legs[:, :2] - state.position[:2]
+    full = (state.mass - lander.dry_mass) / lander.propellant_mass
+    inertia = np.asarray(lander.inertia_dry) + full * (
+        np.asarray(lander.inertia_full) - np.asarray(lander.inertia_dry)
+    )
+    margin = np.inf
+    for i, j in combinations(range(lander.legs), 2):
+        if (j - i) % lander.legs not in (1, lander.legs - 1):
+            continue  # a diagonal, no edge
+        edge = polygon[j] - polygon[i]
+        normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
+        arm = float(normal @ polygon[i])
+        if arm < 0.0:
+            normal, arm = -normal, -arm
+        lean = np.arctan2(arm, lander.com_height) - slope
+        if lean <= 0.0:
+            return -np.inf
+        length = np.hypot(arm, lander.com_height)
+        barrier = state.mass * gravity * length * (1.0 - np.cos(lean))
+        about_edge = max(inertia[0], inertia[1]) + state.mass * length**2
+        momentum = state.mass * max(0.0, float(normal @ state.velocity[:2])) * lander.com_height
+        margin = min(margin, 1.0 - 0.5 * momentum**2 / about_edge / barrier)
+    return float(margin)
+
+
+def judge_touchdown(lander: Lander, state: State, ground: Ground, gravity: float) -> Verdict:
+    """Judge the touchdown of `state` on the true ground.
+
+    Limits are checked in this order: ``off-map`` (ground unknown), ``vertical-speed``,
+    ``horizontal-speed``, ``tilt``, ``rate``, ``slope``, ``roughness``, ``belly`` (ground above
+    the belly's clearance), ``tip-over``.
+    """
+    legs = pad_contacts(lander, state, ground)
+    up = quat_to_matrix(state.attitude)[2, 2]
+    known = bool(np.isfinite(legs).all())
+    slope, roughness = ground_fit(lander, legs, ground) if known else (np.nan, np.nan)
+    forward = quat_rotate(state.attitude, [1.0, 0.0, 0.0])
+    known = known and bool(np.isfinite(roughness))
+    touchdown = Touchdown(
+        position=state.position,
+        heading=float(np.arctan2(forward[0], forward[1])),
+        vertical_speed=float(-state.velocity[2]),
+        horizontal_speed=float(np.hypot(*state.velocity[:2])),
+        tilt=float(np.arccos(np.clip(up, -1.0, 1.0))),
+        rate=float(np.linalg.norm(state.rate)),
+        slope=slope,
+        roughness=roughness,
+        tip_margin=tip_margin(lander, state, legs, slope, gravity) if known else np.nan,
+    )
+    checks = {
+        "off-map": not known,
+        "vertical-speed": touchdown.vertical_speed > lander.vertical_speed_limit,
+        "horizontal-speed": touchdown.horizontal_speed > lander.horizontal_speed_limit,
+        "tilt": touchdown.tilt > lander.tilt_limit,
+        "rate": touchdown.rate > lander.rate_limit,
+        "slope": slope >= lander.slope_limit,
+        "roughness": roughness >= lander.roughness_limit,
+        "belly": roughness >= lander.belly_clearance,
+        "tip-over": touchdown.tip_margin < 0.0,
+    }
+    failed = tuple(name for name, bad in checks.items() if bad)
+    return Verdict(not failed, failed, touchdown)
