@@ -1,0 +1,54 @@
+"""The last metres: straight down at a constant speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.guidance.law import Target
+from lunarsim.navigation.estimate import Estimate
+
+
+@dataclass(frozen=True)
+class VerticalDescent:
+    """Hold the descent speed and stay above the target (section IV.B of the shadow EKF paper).
+
+    Attributes
+    ----------
+    gravity
+        Downward acceleration, m/s^2.
+    speed
+        Descent speed, m/s.
+    frequency, damping
+        Of the horizontal position loop, rad/s.
+    speed_gain
+        Of the vertical speed loop, 1/s.
+    lean
+        Greatest lean of the thrust from the vertical, rad: the lander must arrive upright.
+    """
+
+    gravity: float
+    speed: float = 2.0
+    frequency: float = 0.7
+    damping: float = 1.0
+    speed_gain: float = 1.5
+    lean: float = np.deg2rad(4.0)
+
+    def command(
+        self, estimate: Estimate, target: Target, time: float
+    ) -> NDArray[np.float64]:
+        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        offset = estimate.position[:2] - target.position[:2]
+        sideways = (
+            -(self.frequency**2) * offset
+            - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
+        )
+        up = self.gravity + self.speed_gain * (-self.speed - float(estimate.velocity[2]))
+        up = max(up, 0.3 * self.gravity)
+        limit = up * np.tan(self.lean)
+        size = float(np.hypot(*sideways))
+        if size > limit:
+            sideways *= limit / size
+        return np.array([sideways[0], sideways[1], up])

@@ -1,0 +1,17 @@
+"""Gaussian digital elevation map: mean and variance of the elevation in every cell.
+
+Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomous Safe Landing".
+"""
+
+from lunarsim.hazards.gaussian_dem.conventional import ConventionalDem, conventional_dem
+from lunarsim.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
+from lunarsim.hazards.gaussian_dem.mapper import GaussianDemMapper
+
+__all__ = [
+    "ConventionalDem",
+    "GaussianDem",
+    "GaussianDemMapper",
+    "conventional_dem",
+    "fuse",
+    "gaussian_dem",
+]

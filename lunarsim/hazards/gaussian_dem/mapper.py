@@ -1,0 +1,60 @@
+"""The Gaussian DEM mapper: LiDAR scans in, `HazardMap` out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
+from lunarsim.hazards.hazard_map import HazardMap
+from lunarsim.hazards.safety import stochastic_safety
+from lunarsim.navigation.estimate import Estimate
+from lunarsim.sensors.lidar import LidarScan
+from lunarsim.vehicle.lander import Lander
+
+
+class GaussianDemMapper:
+    """Fuses flash LiDAR scans into a Gaussian DEM and judges it by Eqs. 15 to 17.
+
+    Parameters
+    ----------
+    grid
+        The cells of the map, in the estimated ENU frame.
+    lander
+        Geometry and limits.
+    sigma_f, length_scale
+        Hyper-parameters of the random field, m.
+    """
+
+    def __init__(
+        self, grid: Grid, lander: Lander, *, sigma_f: float = 0.5, length_scale: float = 30.0
+    ) -> None:
+        self.grid = grid
+        self.lander = lander
+        self.sigma_f = sigma_f
+        self.length_scale = length_scale
+        self.dem: GaussianDem | None = None
+        self._map = HazardMap.unobserved(grid)
+
+    def update(self, measurement: LidarScan, estimate: Estimate) -> None:
+        """Add a scan taken at the estimated pose; a scan without returns changes nothing."""
+        points = measurement.points(estimate.position, estimate.attitude)
+        if not np.isfinite(points).all(axis=1).any():
+            return
+        scan = gaussian_dem(
+            points,
+            self.grid,
+            sigma_f=self.sigma_f,
+            length_scale=self.length_scale,
+            sigma_eps=max(float(np.nanmedian(measurement.sigma)), 1e-4),
+        )
+        self.dem = scan if self.dem is None else fuse(self.dem, scan)
+        seen = np.where(self.dem.observed, self.dem.mean, np.float32(np.nan))
+        safety = stochastic_safety(seen, self.dem.variance, self.grid, self.lander)
+        self._map = HazardMap(
+            self.grid, safety.p_safe, safety.observed, self.dem.mean, self.dem.variance
+        )
+
+    def hazard_map(self) -> HazardMap:
+        """Return the map as it stands."""
+        return self._map

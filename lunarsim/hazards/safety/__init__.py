@@ -1,0 +1,22 @@
+"""From elevation to landing safety: footprints, the exact test, the conservative test.
+
+Every test answers for a lander centred on a cell, at every heading.
+"""
+
+from lunarsim.hazards.safety.conservative import (
+    StochasticSafety,
+    conservative_safety,
+    stochastic_safety,
+)
+from lunarsim.hazards.safety.exact import SafetyMap, exact_safety
+from lunarsim.hazards.safety.footprint import Footprint, footprint_of
+
+__all__ = [
+    "Footprint",
+    "SafetyMap",
+    "StochasticSafety",
+    "conservative_safety",
+    "exact_safety",
+    "footprint_of",
+    "stochastic_safety",
+]

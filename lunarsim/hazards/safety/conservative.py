@@ -1,0 +1,123 @@
+"""The conservative test and its stochastic form: height differences instead of planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.hazards.safety import _kernels as k
+from lunarsim.hazards.safety.exact import SafetyMap, check_raster, known_ground
+from lunarsim.hazards.safety.footprint import footprint_of
+from lunarsim.vehicle.lander import Lander
+
+FloatMap = NDArray[np.float32]
+BoolMap = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class StochasticSafety:
+    """Probabilities that a lander centred on each cell is safe.
+
+    Attributes
+    ----------
+    grid
+        Places the cells.
+    p_slope, p_roughness
+        Probability that the slope, the roughness, is under its limit (rows, cols).
+    p_safe
+        Their product (rows, cols); 0 where not observed.
+    observed
+        False where the footprint leaves the map or covers unknown ground (rows, cols).
+    """
+
+    grid: Grid
+    p_slope: FloatMap
+    p_roughness: FloatMap
+    p_safe: FloatMap
+    observed: BoolMap
+
+
+def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> SafetyMap:
+    """Bound slope and roughness from above by height differences (Eqs. 10 and 11).
+
+    ``sin(slope) = (max_L z - min_L z) / h0`` and ``roughness = max_U z - min_L z``. A cell
+    called safe is safe by `exact_safety` (Proposition III.1).
+
+    Parameters and errors are those of `exact_safety`.
+    """
+    footprint = footprint_of(lander, grid.posting)
+    z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
+    reach = footprint.reach
+    leg_max = k.run_maxima(z, footprint.leg_runs, reach)
+    leg_min = -k.run_maxima(-z, footprint.leg_runs, reach)
+    body_max = k.run_maxima(z, footprint.body_runs, reach)
+    sine = (leg_max - leg_min) / np.float32(footprint.least_height)
+    # The theorem needs a height difference under h0; steeper ground is simply unsafe.
+    slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
+    slope = slope.astype(np.float32)
+    roughness = body_max - leg_min
+    slope[~observed] = np.nan
+    roughness[~observed] = np.nan
+    with np.errstate(invalid="ignore"):
+        safe = (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
+    return SafetyMap(grid, slope, roughness, safe & observed, observed)
+
+
+def stochastic_safety(
+    mean: ArrayLike,
+    variance: ArrayLike,
+    grid: Grid,
+    lander: Lander,
+    *,
+    slope_bound: Literal["sin", "tan"] = "sin",
+) -> StochasticSafety:
+    """Evaluate the conservative test on a Gaussian DEM (Eqs. 15 to 17).
+
+    Maxima and minima of the heights are taken as Gaussians fitted to the extremes of the
+    3-sigma bounds; slope and roughness follow from differences of two such Gaussians.
+
+    Parameters
+    ----------
+    mean, variance
+        Elevation (rows, cols), m and m^2; NaN for unknown.
+    grid, lander
+        As in `exact_safety`.
+    slope_bound
+        ``"sin"`` as Eq. 11, which carries the guarantee, or ``"tan"`` as Eq. 17 is printed.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, the grid is smaller than the footprint, or a variance is negative.
+    """
+    footprint = footprint_of(lander, grid.posting)
+    raw = check_raster("mean", mean, grid, footprint)
+    spread = check_raster("variance", variance, grid, footprint)
+    if np.any(spread < 0.0):
+        raise ValueError(f"variance = {float(np.nanmin(spread))}: must not be negative")
+    z, observed = known_ground(np.where(np.isfinite(spread), raw, np.float32(np.nan)), footprint)
+    band = 3.0 * np.sqrt(np.where(np.isfinite(spread), spread, np.float32(0.0)))
+    high, low = z + band, z - band
+    reach = footprint.reach
+    p_slope = np.zeros(grid.shape, np.float32)
+    p_rough = np.zeros(grid.shape, np.float32)
+    ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
+    k.probability(
+        k.run_maxima(high, footprint.leg_runs, reach),
+        k.run_maxima(low, footprint.leg_runs, reach),
+        -k.run_maxima(-high, footprint.leg_runs, reach),
+        -k.run_maxima(-low, footprint.leg_runs, reach),
+        k.run_maxima(high, footprint.body_runs, reach),
+        k.run_maxima(low, footprint.body_runs, reach),
+        footprint.least_height * ratio,
+        lander.roughness_limit,
+        p_slope,
+        p_rough,
+    )
+    p_slope[~observed] = 0.0
+    p_rough[~observed] = 0.0
+    return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, observed)

@@ -1,0 +1,157 @@
+"""The lander's footprint as exact sets of cells.
+
+Legs are rounded to cells; a heading matters only through the cells its legs fall in, so the
+continuum of headings is a finite list. The conservative test's guarantee (Proposition III.1 of
+the Gaussian DEM paper) then holds exactly on the grid: the sets below contain whatever the exact
+test looks at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.vehicle.lander import Lander
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Cells that a lander touches or covers, relative to the cell of its centre.
+
+    Offsets are (row, column): rows to the north, columns to the east.
+
+    Attributes
+    ----------
+    legs
+        Cells of the legs, counter-clockwise, for every distinct heading (headings, legs, 2).
+    pad
+        Cells under one pad (n, 2).
+    inside
+        Cells of the polygon of the legs for every heading, as runs
+        ``(heading, row, first column, length)`` (n, 4).
+    leg_runs, body_runs
+        The sets L (all that any pad touches) and U (all that any polygon covers) as runs
+        ``(row, first column, length)`` (n, 3).
+    least_height
+        h0: least height of any triangle of legs, m.
+    reach
+        Largest offset in any direction, cells.
+    """
+
+    legs: IntArray
+    pad: IntArray
+    inside: IntArray
+    leg_runs: IntArray
+    body_runs: IntArray
+    least_height: float
+    reach: int
+
+
+def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
+    angle = heading + 2.0 * np.pi * np.arange(legs) / legs
+    # A hair outwards, then half-way cases round away from the centre at every heading alike.
+    xy = radius * (1.0 + 1e-12) * np.column_stack((np.sin(angle), np.cos(angle)))
+    return np.asarray(np.sign(xy) * np.floor(np.abs(xy) + 0.5), dtype=np.int64)
+
+
+def _distinct_headings(legs: int, radius: float) -> IntArray:
+    """Return the leg cells of every distinct heading (headings, legs, 2); radius in cells."""
+    turn = 2.0 * np.pi / legs
+    halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
+    halves = halves[halves <= radius] / radius
+    crossings = np.concatenate((np.arcsin(halves), np.arccos(halves)))
+    crossings = np.concatenate([s * crossings + k * np.pi for s in (1, -1) for k in range(3)])
+    breaks = np.unique(np.round(np.mod(crossings, turn), 12))
+    breaks = np.concatenate((breaks, [breaks[0] + turn])) if breaks.size else np.array([0.0, turn])
+    middles = 0.5 * (breaks[1:] + breaks[:-1])
+    cells = np.stack([_leg_cells(legs, radius, heading) for heading in middles])
+    return np.unique(cells, axis=0)
+
+
+def _polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
+    """Return the runs (row, first column, length) of the cells in or on a convex polygon."""
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    rows, cols = np.meshgrid(
+        np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="ij"
+    )
+    inside = np.ones(rows.shape, dtype=np.bool_)
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        # Counter-clockwise in (east, north) = (column, row): the inside is on the left.
+        inside &= (b[1] - a[1]) * (rows - a[0]) - (b[0] - a[0]) * (cols - a[1]) >= 0
+    return _runs_of(inside, int(low[0]), int(low[1]))
+
+
+def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, int, int]]:
+    runs = []
+    for i, line in enumerate(mask):
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
+        runs += [(row0 + i, col0 + int(a), int(b - a)) for a, b in edges.reshape(-1, 2)]
+    return runs
+
+
+def _triangle_height(points: NDArray[np.float64]) -> float:
+    a, b, c = points
+    area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    longest = max(np.hypot(*(b - a)), np.hypot(*(c - b)), np.hypot(*(a - c)))
+    return float(area2 / longest) if longest > 0.0 else 0.0
+
+
+@lru_cache(maxsize=32)
+def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
+    radius = leg_radius / posting
+    if radius < 1.0:
+        raise ValueError(
+            f"posting = {posting} m: must be finer than the leg radius of {leg_radius} m"
+        )
+    cells = _distinct_headings(legs, radius)
+    n = int(np.floor(pad_radius / posting + 1e-9))
+    rows, cols = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
+    disc = rows**2 + cols**2 <= (pad_radius / posting + 1e-9) ** 2
+    pad = np.column_stack((rows[disc], cols[disc])).astype(np.int64)
+
+    reach = int(np.abs(cells).max()) + n
+    side = 2 * reach + 1
+    leg_mask = np.zeros((side, side), np.bool_)
+    body_mask = np.zeros((side, side), np.bool_)
+    inside = []
+    for heading, polygon in enumerate(cells):
+        for leg in polygon:
+            spots = leg + pad + reach
+            leg_mask[spots[:, 0], spots[:, 1]] = True
+        for row, col, length in _polygon_runs(polygon):
+            inside.append((heading, row, col, length))
+            body_mask[row + reach, col + reach : col + reach + length] = True
+    least = min(
+        _triangle_height(polygon[list(triple)].astype(np.float64))
+        for polygon in cells
+        for triple in combinations(range(legs), 3)
+    )
+    return Footprint(
+        cells,
+        pad,
+        np.array(inside, dtype=np.int64),
+        np.array(_runs_of(leg_mask, -reach, -reach), dtype=np.int64),
+        np.array(_runs_of(body_mask, -reach, -reach), dtype=np.int64),
+        least * posting,
+        reach,
+    )
+
+
+def footprint_of(lander: Lander, posting: float) -> Footprint:
+    """Return the footprint of `lander` on a grid of the given posting (m).
+
+    Raises
+    ------
+    ValueError
+        If the posting is too coarse for the legs to fall in different cells.
+    """
+    footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
+    if footprint.least_height <= 0.0:
+        raise ValueError(f"posting = {posting} m: too coarse, three legs fall on one line")
+    return footprint

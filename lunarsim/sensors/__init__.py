@@ -1,0 +1,5 @@
+"""Sensors: each turns the true world and state into a measurement with its own noise figures."""
+
+from lunarsim.sensors.lidar import FlashLidar, LidarScan
+
+__all__ = ["FlashLidar", "LidarScan"]

@@ -1,0 +1,114 @@
+"""Flash LiDAR: one range for every pixel of a detector, all at one instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
+from lunarsim.vehicle.state import State
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LidarScan:
+    """One flash.
+
+    Attributes
+    ----------
+    time
+        s.
+    range
+        Measured range of each pixel (rows * cols,), m; NaN for no return.
+    direction
+        Unit vectors of the pixels, sensor frame (rows * cols, 3).
+    mount
+        Rotation (3, 3), sensor to body, read from the gimbal.
+    sigma
+        Standard deviation of each range (rows * cols,), m.
+    shape
+        Rows and columns of the detector.
+    """
+
+    time: float
+    range: Array
+    direction: Array
+    mount: Array
+    sigma: Array
+    shape: tuple[int, int]
+
+    def points(self, position: Array, attitude: Array) -> Array:
+        """Return the returns (rows * cols, 3) in ENU as seen from a pose; NaN for no return."""
+        rotation = quat_to_matrix(attitude) @ self.mount
+        return np.asarray(position + self.range[:, None] * (self.direction @ rotation.T))
+
+
+@dataclass(frozen=True)
+class FlashLidar:
+    """A flash LiDAR with a pin-hole detector (pixels even in the tangent of the angle).
+
+    Defaults are those of section IV.B of the Gaussian DEM paper: 256 x 256 pixels that cover
+    100 x 100 m from 500 m straight above, noise along each ray with 3 sigma = 5 cm at 500 m,
+    growing in proportion to range.
+
+    Attributes
+    ----------
+    rows, cols
+        Detector size, pixels.
+    half_width
+        Tangent of half the field of view, both axes.
+    noise_ratio
+        Standard deviation of the range over the range.
+    max_range
+        Longest range that gives a return, m.
+    """
+
+    rows: int = 256
+    cols: int = 256
+    half_width: float = 0.1
+    noise_ratio: float = 0.05 / 3.0 / 500.0
+    max_range: float = 2000.0
+
+    def __post_init__(self) -> None:
+        if self.rows < 2 or self.cols < 2:
+            raise InputError("lidar.pixels", (self.rows, self.cols), "at least 2 x 2")
+        if not 0.0 < self.half_width < 2.0:
+            raise InputError("lidar.half_width", self.half_width, "between 0 and 2")
+        if not 0.0 <= self.noise_ratio < 0.1:
+            raise InputError("lidar.noise_ratio", self.noise_ratio, "from 0 to 0.1")
+        if not self.max_range > 0.0:
+            raise InputError("lidar.max_range", self.max_range, "a positive length")
+
+    def directions(self) -> Array:
+        """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""
+        u = ((np.arange(self.cols) + 0.5) / self.cols * 2.0 - 1.0) * self.half_width
+        v = ((np.arange(self.rows) + 0.5) / self.rows * 2.0 - 1.0) * self.half_width
+        uu, vv = np.meshgrid(u, v)
+        rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1).reshape(-1, 3)
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def measure(
+        self, world: World, state: State, time: float, rng: np.random.Generator, mount: Array
+    ) -> LidarScan:
+        """Flash once.
+
+        Parameters
+        ----------
+        world, state, time
+            The truth now.
+        rng
+            Source of the range noise.
+        mount
+            Rotation (3, 3), sensor to body, that the gimbal holds.
+        """
+        direction = self.directions()
+        rotation = quat_to_matrix(state.attitude) @ mount
+        hits = world.terrain.cast(state.position, direction @ rotation.T, self.max_range)
+        sigma = self.noise_ratio * hits.range
+        measured = hits.range + sigma * rng.standard_normal(hits.range.size)
+        return LidarScan(time, measured, direction, mount, sigma, (self.rows, self.cols))
