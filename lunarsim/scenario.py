@@ -1,0 +1,295 @@
+"""The scenario: everything that a study fixes, as typed sections of one TOML file.
+
+Fields carry their unit in their name: ``_m``, ``_s``, ``_kg``, ``_n``, ``_deg``, ``_m_s``. Unknown
+keys, wrong types and impossible values are refused with the field, the value and what is right.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from lunarsim.errors import InputError, suggestion
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector2 = tuple[Finite, Finite]
+Vector3 = tuple[Finite, Finite, Finite]
+
+
+class Section(BaseModel):
+    """A table of the file: strict about keys and types, immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class TerrainSection(Section):
+    """The relief."""
+
+    kind: Literal["dtm", "fractal"] = Field("fractal", description="measured or procedural")
+    path: Path | None = Field(None, description="raster, relative to the scenario file (dtm)")
+    dtm_posting_m: Positive | None = Field(None, description="for a raster without metric frame")
+    relief_scale: NonNegative = Field(1.0, description="c of Eq. 20 of the Gaussian DEM paper")
+    posting_m: Positive = Field(0.25, description="working posting of the relief")
+    size_m: Positive = Field(160.0, description="side of the square (fractal)")
+    hurst: float = Field(0.85, gt=0.0, lt=1.0, description="Hurst exponent (fractal)")
+    rms_slope_deg: float = Field(2.5, ge=0.0, lt=45.0, description="at 1 m baseline (fractal)")
+
+    @model_validator(mode="after")
+    def _path_with_dtm(self) -> TerrainSection:
+        if (self.kind == "dtm") != (self.path is not None):
+            raise ValueError("terrain.path: give it for kind = 'dtm', leave it out otherwise")
+        return self
+
+
+class RocksSection(Section):
+    """Rocks by the Golombek law, drawn anew for every flight."""
+
+    cover: float = Field(0.05, ge=0.0, le=0.2, description="fraction k of ground under rocks")
+    min_diameter_m: Positive = 0.15
+    max_diameter_m: Positive = 3.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> RocksSection:
+        if self.min_diameter_m >= self.max_diameter_m:
+            raise ValueError("rocks.min_diameter_m: must be less than rocks.max_diameter_m")
+        return self
+
+
+class LanderSection(Section):
+    """The vehicle; defaults are those of `lunarsim.vehicle.Lander`."""
+
+    dry_mass_kg: Positive = 1100.0
+    propellant_kg: Positive = 400.0
+    inertia_dry_kg_m2: tuple[Positive, Positive, Positive] = (1100.0, 1100.0, 1300.0)
+    inertia_full_kg_m2: tuple[Positive, Positive, Positive] = (1400.0, 1400.0, 1600.0)
+    thrust_min_n: NonNegative = 600.0
+    thrust_max_n: Positive = 6000.0
+    specific_impulse_s: Positive = 311.0
+    thrust_lag_s: NonNegative = 0.1
+    torque_max_n_m: tuple[Positive, Positive, Positive] = (250.0, 250.0, 120.0)
+    legs: Literal[3, 4] = 4
+    leg_radius_m: Positive = 2.35
+    pad_diameter_m: Positive = 0.3
+    com_height_m: Positive = 1.6
+    belly_clearance_m: Positive = 0.25
+    slope_limit_deg: float = Field(10.0, gt=0.0, lt=45.0)
+    roughness_limit_m: Positive = 0.25
+    vertical_speed_limit_m_s: Positive = 3.0
+    horizontal_speed_limit_m_s: Positive = 1.0
+    tilt_limit_deg: float = Field(6.0, gt=0.0, lt=90.0)
+    rate_limit_deg_s: Positive = 6.0
+
+
+class StartSection(Section):
+    """Where a flight begins, relative to the ground at its target."""
+
+    position_m: Vector3 = (-600.0, 0.0, 500.0)
+    velocity_m_s: Vector3 = (28.0, 0.0, -18.0)
+    heading_deg: Finite = Field(90.0, description="azimuth of body x, held through the flight")
+    position_sigma_m: NonNegative = 10.0
+    velocity_sigma_m_s: NonNegative = 0.5
+
+
+class TargetSection(Section):
+    """The landing site before any divert."""
+
+    position_m: Vector2 = (0.0, 0.0)
+    scatter_m: Vector2 = Field((0.0, 0.0), description="half sides of a uniform scatter, E and N")
+
+
+class GuidanceSection(Section):
+    """Approach by the Apollo law, then straight down."""
+
+    attitude: Literal["pd", "slerp"] = "pd"
+    slew_limit_deg_s: Positive = 15.0
+    max_tilt_deg: float = Field(55.0, gt=0.0, lt=85.0)
+    glideslope_deg: float = Field(8.0, ge=0.0, lt=80.0)
+    reserve_kg: NonNegative = 15.0
+    time_to_go_s: Positive | None = Field(None, description="left out: the cheapest admissible")
+    vertical_altitude_m: Positive = 10.0
+    vertical_speed_m_s: Positive = 2.0
+
+
+class LidarSection(Section):
+    """Flash LiDAR on a gimbal that points at the site."""
+
+    pixels: tuple[int, int] = Field((256, 256), description="rows and columns")
+    half_width: float = Field(0.1, gt=0.0, lt=2.0, description="tangent of half the field of view")
+    noise_3sigma_m: NonNegative = Field(0.05, description="along the ray at 500 m; grows with range")
+    max_range_m: Positive = 2000.0
+    boresight: Literal["site", "nadir"] = "site"
+    scan_altitudes_m: tuple[Positive, ...] = (350.0, 160.0)
+
+
+class MapperSection(Section):
+    """The hazard mapper."""
+
+    kind: Literal["gaussian-dem"] = "gaussian-dem"
+    posting_m: Positive = 0.2
+    size_m: Positive = 100.0
+    sigma_f_m: Positive = 0.5
+    length_scale_m: Positive = 30.0
+
+
+class NavigationSection(Section):
+    """Error budget of navigation, 1 sigma an axis."""
+
+    position_bias_m: NonNegative = 5.0
+    position_drift_m: NonNegative = 0.1
+    drift_time_s: Positive = 60.0
+    velocity_m_s: NonNegative = 0.02
+    attitude_deg: NonNegative = 0.03
+
+
+class DecisionsSection(Section):
+    """When the policy is asked, and what it chooses from."""
+
+    first_altitude_m: Positive = 400.0
+    last_altitude_m: Positive = 50.0
+    interval_s: Positive = 1.0
+    candidates: int = Field(16, ge=1, le=256)
+    separation_m: Positive = 3.0
+    touchdown_sigma_m: NonNegative = Field(0.3, description="expected miss on the map, an axis")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> DecisionsSection:
+        if self.last_altitude_m >= self.first_altitude_m:
+            raise ValueError("decisions.last_altitude_m: must be less than first_altitude_m")
+        return self
+
+
+class SimulationSection(Section):
+    """The clock."""
+
+    step_s: Positive = 0.01
+    cycle_s: Positive = 0.1
+    max_time_s: Positive = 300.0
+
+    @model_validator(mode="after")
+    def _whole_steps(self) -> SimulationSection:
+        steps = self.cycle_s / self.step_s
+        if steps < 1.0 or abs(steps - round(steps)) > 1e-6:
+            raise ValueError("simulation.cycle_s: must be a whole number of simulation.step_s")
+        return self
+
+
+class Scenario(Section):
+    """One study: world, vehicle, sensors, guidance, decisions."""
+
+    name: str = Field("unnamed", min_length=1)
+    description: str = ""
+    gravity_m_s2: Positive = 1.622
+    terrain: TerrainSection = TerrainSection()
+    rocks: RocksSection = RocksSection()
+    lander: LanderSection = LanderSection()
+    start: StartSection = StartSection()
+    target: TargetSection = TargetSection()
+    guidance: GuidanceSection = GuidanceSection()
+    lidar: LidarSection = LidarSection()
+    mapper: MapperSection = MapperSection()
+    navigation: NavigationSection = NavigationSection()
+    decisions: DecisionsSection = DecisionsSection()
+    simulation: SimulationSection = SimulationSection()
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Scenario:
+        """Build a scenario from plain tables.
+
+        Raises
+        ------
+        InputError
+            Naming the first field that is wrong.
+        """
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise _input_error(cls, error) from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scenario:
+        """Read a TOML file; relative paths in it start from its folder.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, is no TOML, or a field is wrong.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError("scenario", str(path), "an existing TOML file")
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError("scenario", str(path), f"a TOML file ({error})") from None
+        scenario = cls.from_dict(data)
+        if scenario.terrain.path is not None:
+            absolute = (path.parent / scenario.terrain.path).resolve()
+            terrain = scenario.terrain.model_copy(update={"path": absolute})
+            scenario = scenario.model_copy(update={"terrain": terrain})
+        return scenario
+
+    def to_toml(self) -> str:
+        """Return the scenario as TOML, defaults included."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+    def save(self, path: str | Path) -> None:
+        """Write the scenario as TOML, defaults included."""
+        Path(path).write_text(self.to_toml(), encoding="utf-8")
+
+
+def _known_keys(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
+    """Return the keys allowed in the table at `location`."""
+    for step in location:
+        annotation = model.model_fields[step].annotation if step in model.model_fields else None
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            return []
+        model = annotation
+    return list(model.model_fields)
+
+
+def _input_error(model: type[BaseModel], error: ValidationError) -> InputError:
+    """Return the first validation error as an `InputError`."""
+    first = error.errors(include_url=False)[0]
+    location = tuple(first["loc"])
+    field = ".".join(str(part) for part in location) or "scenario"
+    if first["type"] == "extra_forbidden":
+        keys = _known_keys(model, location[:-1])
+        return InputError(field, first["input"], "unknown key; " + suggestion(str(location[-1]), keys))
+    message = str(first["msg"]).removeprefix("Value error, ")
+    if first["type"] == "value_error" and ": " in message:
+        name, expected = message.split(": ", 1)
+        key = name.rpartition(".")[2]
+        given = first["input"]
+        value = given.get(key) if isinstance(given, dict) else getattr(given, key, None)
+        return InputError(name, value, expected)
+    expected = message[0].lower() + message[1:]
+    unit = _unit_of(field)
+    if unit and first["type"].endswith(("_type", "_parsing")):
+        expected += f", a plain number in {unit}"
+    return InputError(field, first["input"], expected)
+
+
+_UNITS = {
+    "_kg_m2": "kg m^2",
+    "_m_s2": "m/s^2",
+    "_m_s": "m/s",
+    "_deg_s": "deg/s",
+    "_n_m": "N m",
+    "_m2": "m^2",
+    "_kg": "kg",
+    "_deg": "degrees",
+    "_n": "newtons",
+    "_m": "metres",
+    "_s": "seconds",
+}
+
+
+def _unit_of(field: str) -> str | None:
+    name = next((p for p in reversed(field.split(".")) if not p.isdigit()), field)
+    return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), None)
