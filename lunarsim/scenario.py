@@ -72,7 +72,7 @@ class LanderSection(Section):
     thrust_max_n: Positive = 6000.0
     specific_impulse_s: Positive = 311.0
     thrust_lag_s: NonNegative = 0.1
-    torque_max_n_m: tuple[Positive, Positive, Positive] = (250.0, 250.0, 120.0)
+    torque_max_n_m: tuple[Positive, Positive, Positive] = (600.0, 600.0, 300.0)
     legs: Literal[3, 4] = 4
     leg_radius_m: Positive = 2.35
     pad_diameter_m: Positive = 0.3
@@ -108,7 +108,7 @@ class GuidanceSection(Section):
 
     attitude: Literal["pd", "slerp"] = "pd"
     slew_limit_deg_s: Positive = 15.0
-    max_tilt_deg: float = Field(55.0, gt=0.0, lt=85.0)
+    max_tilt_deg: float = Field(40.0, gt=0.0, lt=85.0)
     glideslope_deg: float = Field(8.0, ge=0.0, lt=80.0)
     reserve_kg: NonNegative = 15.0
     time_to_go_s: Positive | None = Field(None, description="left out: the cheapest admissible")

@@ -79,20 +79,39 @@ def terminal_polynomial(
 class ApolloGuidance:
     """The polynomial law with a clock: it is to arrive at `arrival`.
 
+    The vehicle answers a command with a lag, so the boundary value problem is solved from
+    where the lander will be a `lead` from now. The acceleration until then is that of the
+    commands so far through a first-order lag. Near the target the gains would grow without
+    bound; below `least_time_to_go` the last polynomial is flown out open loop.
+
     Parameters
     ----------
     gravity
         Downward acceleration, m/s^2.
     arrival
         Time at which the target is to be reached, s.
+    lead
+        Lag of attitude and engine that is made up for, s.
     least_time_to_go
-        The gains grow without bound as the target nears; below this time-to-go they are held, s.
+        Below this time-to-go the loop is open, s.
     """
 
-    def __init__(self, gravity: float, arrival: float, *, least_time_to_go: float = 2.0) -> None:
-        self.gravity = gravity
+    def __init__(
+        self,
+        gravity: float,
+        arrival: float,
+        *,
+        lead: float = 0.0,
+        least_time_to_go: float = 1.5,
+    ) -> None:
+        self.gravity = np.array([0.0, 0.0, -gravity])
         self.arrival = arrival
+        self.lead = lead
         self.least_time_to_go = least_time_to_go
+        self._lagged = np.zeros(3)
+        self._command = np.zeros(3)
+        self._time: float | None = None
+        self._last: tuple[float, PolynomialTrajectory] | None = None
 
     def time_to_go(self, time: float) -> float:
         """Return the time left to the target, s."""
@@ -100,6 +119,25 @@ class ApolloGuidance:
 
     def command(self, estimate: Estimate, target: Target, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
-        left = max(self.time_to_go(time), self.least_time_to_go)
-        trajectory = terminal_polynomial(estimate.position, estimate.velocity, target, left)
-        return trajectory.c[0] + np.array([0.0, 0.0, self.gravity])
+        self._follow(time)
+        left = self.time_to_go(time) - self.lead
+        if left >= self.least_time_to_go or self._last is None:
+            a, lead = self._lagged, self.lead
+            position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
+            velocity = estimate.velocity + lead * a
+            left = max(left, self.least_time_to_go)
+            trajectory = terminal_polynomial(position, velocity, target, left)
+            self._last = (time, trajectory)
+            self._command = trajectory.c[0]
+        else:
+            since, trajectory = self._last
+            elapsed = min(time - since, trajectory.time_to_go)
+            self._command = trajectory.at(elapsed)[2]
+        return self._command - self.gravity
+
+    def _follow(self, time: float) -> None:
+        """Let the modelled acceleration follow the last command up to `time`."""
+        if self.lead > 0.0 and self._time is not None:
+            keep = np.exp(-(time - self._time) / self.lead)
+            self._lagged = self._command + keep * (self._lagged - self._command)
+        self._time = time

@@ -33,10 +33,10 @@ class DivertLimits:
         Share of the thrust range kept back at either end for feedback.
     """
 
-    max_tilt: float = np.deg2rad(55.0)
+    max_tilt: float = np.deg2rad(40.0)
     glideslope: float = np.deg2rad(8.0)
     reserve: float = 15.0
-    throttle_margin: float = 0.05
+    throttle_margin: float = 0.08
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,11 @@ class Simulation:
         self.vertical = VerticalDescent(
             scenario.gravity_m_s2, scenario.guidance.vertical_speed_m_s
         )
-        self.guidance = ApolloGuidance(scenario.gravity_m_s2, self._first_arrival())
+        self.guidance = ApolloGuidance(
+            scenario.gravity_m_s2,
+            self._first_arrival(),
+            lead=self.dynamics.response_time,
+        )
         self.phase = APPROACH
         self.verdict: Verdict | None = None
         self.recorder = Recorder()
@@ -349,7 +353,8 @@ class Simulation:
             thrust = self.guidance.command(self.estimate, target, self.time)
             tilt = self.limits.max_tilt
         else:
-            thrust = self.vertical.command(self.estimate, Target(self.site), self.time)
+            landed = self.site + np.array([0.0, 0.0, self.lander.com_height])
+            thrust = self.vertical.command(self.estimate, Target(landed), self.time)
             tilt = self.vertical.lean
         return thrust_to_command(thrust, self.estimate.mass, self.lander, self._heading, tilt)
 

@@ -73,6 +73,12 @@ class Dynamics:
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"dynamics.{name}", value, "a positive number")
 
+    @property
+    def response_time(self) -> float:
+        """Lag (s) with which the thrust vector follows a slowly changing command."""
+        attitude = 2.0 * self.damping / self.frequency if self.attitude_mode == "pd" else 0.0
+        return attitude + self.lander.thrust_lag
+
     def advance(self, state: State, command: Command, steps: int) -> NDArray[np.float64]:
         """Return the state vectors (steps, 15) after each step under a held command."""
         lander = self.lander

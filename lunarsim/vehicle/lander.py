@@ -57,7 +57,7 @@ class Lander:
     thrust_max: float = 6000.0
     specific_impulse: float = 311.0
     thrust_lag: float = 0.1
-    torque_max: tuple[float, float, float] = (250.0, 250.0, 120.0)
+    torque_max: tuple[float, float, float] = (600.0, 600.0, 300.0)
     legs: int = 4
     leg_radius: float = 2.35
     pad_diameter: float = 0.3

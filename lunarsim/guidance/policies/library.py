@@ -54,7 +54,9 @@ class Safest:
         c = observation.candidates
         if not c.reachable.any():
             return Decision.keep("no site within reach")
-        best = int(np.argmax(np.where(c.reachable, c.p_safe, -1.0)))
+        # Among sites that are safe beyond telling apart the nearest wins.
+        score = np.where(c.reachable, _log_odds(c.p_safe) - 1e-3 * c.distance, -np.inf)
+        best = int(np.argmax(score))
         if _log_odds(c.p_safe[best]) < _log_odds(observation.site_p_safe) + self.gain:
             return Decision.keep("no safer site")
         return _fly_to(observation, best, "safest site")
@@ -118,8 +120,11 @@ class FuelAware:
 
 
 def _log_odds(p: np.ndarray | float) -> np.ndarray:
-    """Return log(p / (1 - p)), NaN (unknown) counting as unsafe; cut at one in a million."""
-    p = np.clip(np.nan_to_num(np.asarray(p, dtype=np.float64), nan=0.0), 1e-6, 1.0 - 1e-6)
+    """Return log(p / (1 - p)), NaN (unknown) counting as unsafe.
+
+    Cut at 1e-6 and 0.999: beyond that the map's own model errors matter more than its figures.
+    """
+    p = np.clip(np.nan_to_num(np.asarray(p, dtype=np.float64), nan=0.0), 1e-6, 0.999)
     return np.asarray(np.log(p / (1.0 - p)))
 
 
