@@ -10,6 +10,8 @@ A flight is saved as one folder:
     The last hazard map, NetCDF-4 with coordinates and units (xarray).
 ``scans.parquet``
     LiDAR returns in the estimated frame, thinned.
+``candidates.parquet``
+    Sites that the policy chose from at the last decision.
 """
 
 from __future__ import annotations
@@ -73,6 +75,8 @@ class Flight:
         Estimated minus true position when the map was last drawn (3,), m.
     scans
         LiDAR returns, estimated ENU and scan time (n, 4), thinned.
+    candidates
+        Sites at the last decision: estimated ENU, p_safe, propellant (n, 5).
     """
 
     scenario: str
@@ -85,6 +89,7 @@ class Flight:
     hazard_map: HazardMap | None = None
     map_error: Array = field(default_factory=lambda: np.zeros(3))
     scans: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    candidates: Array = field(default_factory=lambda: np.zeros((0, 5)))
 
     @property
     def positions(self) -> Array:
@@ -115,10 +120,13 @@ class Flight:
         table = pa.table({name: self.trajectory[name] for name in COLUMNS})
         units = {f"unit:{name}": unit for name, unit in COLUMNS.items()}
         pq.write_table(table.replace_schema_metadata(units), folder / "trajectory.parquet")
-        scans = pa.table(
-            {name: self.scans[:, i].astype(np.float32) for i, name in enumerate(("x", "y", "z", "time"))}
-        )
-        pq.write_table(scans, folder / "scans.parquet")
+        for name, columns in (
+            ("scans", ("x", "y", "z", "time")),
+            ("candidates", ("x", "y", "z", "p_safe", "propellant")),
+        ):
+            data = getattr(self, name).astype(np.float32)
+            cloud = pa.table({column: data[:, i] for i, column in enumerate(columns)})
+            pq.write_table(cloud, folder / f"{name}.parquet")
         if self.hazard_map is not None:
             _save_map(self.hazard_map, self.map_error, folder / "hazard_map.nc")
         record = {

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.guidance.policies.contract import Decision
+from lunarsim.guidance.policies.contract import Candidates, Decision
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.sensors.lidar import LidarScan
 from lunarsim.simulation.flight import COLUMNS
@@ -27,6 +27,7 @@ class Recorder:
         self._scans: list[Array] = []
         self.events: list[dict[str, Any]] = []
         self.decisions: list[dict[str, Any]] = []
+        self.candidates = np.zeros((0, 5))
 
     def row(
         self, time: float, state: State, estimate: Estimate, site: Array, time_to_go: float, phase: int
@@ -59,6 +60,12 @@ class Recorder:
                 "reason": decision.reason,
                 **decision.details,
             }
+        )
+
+    def choice(self, candidates: Candidates) -> None:
+        """Keep the sites that the policy chooses from, in place of the last ones."""
+        self.candidates = np.column_stack(
+            (candidates.position, candidates.p_safe, candidates.propellant)
         )
 
     def scan(self, scan: LidarScan, estimate: Estimate) -> None:

@@ -9,7 +9,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_rotate, quat_to_matrix, sensor_axes
 from lunarsim.guidance.apollo import ApolloGuidance
 from lunarsim.guidance.attitude import thrust_to_command
-from lunarsim.guidance.divert import divert_cost
+from lunarsim.guidance.divert import DivertCost, divert_cost
 from lunarsim.guidance.law import Target
 from lunarsim.guidance.policies.contract import Candidates, Decision, Observation, RetargetingPolicy
 from lunarsim.guidance.policies.library import TRUTH_ORACLE, make_policy
@@ -18,13 +18,14 @@ from lunarsim.guidance.sites import candidate_sites
 from lunarsim.guidance.vertical import VerticalDescent
 from lunarsim.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.navigation.error_model import NavigationErrorModel
+from lunarsim.navigation.estimate import Estimate
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import build
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.recorder import Recorder
 from lunarsim.simulation.truth import Truth
-from lunarsim.vehicle import State, Verdict, judge_touchdown, pad_contacts
+from lunarsim.vehicle import Command, State, Verdict, judge_touchdown, pad_contacts
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
@@ -104,7 +105,7 @@ class Simulation:
         self.verdict: Verdict | None = None
         self.recorder = Recorder()
         self.map_error = np.zeros(3)
-        self.first_map_estimate = None
+        self.first_map_estimate: Estimate | None = None
         self._pending_scans = sorted(scenario.lidar.scan_altitudes_m, reverse=True)
         self._next_decision = 0.0
         self._aim: tuple[HazardMap, FloatMap] | None = None
@@ -166,7 +167,7 @@ class Simulation:
         fixed = self.scenario.guidance.time_to_go_s
         if fixed is not None:
             return fixed
-        time_to_go = self._cost_of(self.site[None, :]).time_to_go[0]
+        time_to_go = self.cost_of(self.site[None, :]).time_to_go[0]
         if not np.isfinite(time_to_go):
             raise InputError(
                 "start.position_m",
@@ -226,7 +227,8 @@ class Simulation:
             and self.time >= self._next_decision - 1e-9
         )
 
-    def _cost_of(self, sites: Array):  # type: ignore[no-untyped-def]
+    def cost_of(self, sites: Array) -> DivertCost:
+        """Return what it costs to fly from here to each of the sites (n, 3), estimated ENU."""
         return divert_cost(
             self.estimate,
             sites + np.array([0.0, 0.0, self._approach_height]),
@@ -255,6 +257,7 @@ class Simulation:
             approach_height=self._approach_height,
             limits=self.limits,
         )
+        self.recorder.choice(candidates)
         row, col = (int(v) for v in hazard_map.grid.cell(self.site[:2]))
         inside = bool(hazard_map.grid.contains(self.site[:2]))
         seen = inside and bool(hazard_map.observed[row, col])
@@ -265,7 +268,7 @@ class Simulation:
             candidates=candidates,
             site=self.site,
             site_p_safe=float(aim[row, col]) if seen else float("nan"),
-            site_propellant=float(self._cost_of(self.site[None, :]).propellant[0]),
+            site_propellant=float(self.cost_of(self.site[None, :]).propellant[0]),
             time_to_go=self.guidance.time_to_go(self.time),
             propellant=self.estimate.mass - self.lander.dry_mass,
         )
@@ -278,7 +281,7 @@ class Simulation:
         if decision.site is None:
             return True
         site = np.asarray(decision.site, dtype=np.float64)
-        time_to_go = float(self._cost_of(site[None, :]).time_to_go[0])
+        time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
         if not np.isfinite(time_to_go):
             self.recorder.event(self.time, "divert-refused", site=site, reason="out of reach")
             return False
@@ -339,7 +342,7 @@ class Simulation:
         elif self.time >= self.scenario.simulation.max_time_s:
             self._end(Verdict(False, ("time-limit",), None))
 
-    def _command(self):  # type: ignore[no-untyped-def]
+    def _command(self) -> Command:
         approach_end = self.site + np.array([0.0, 0.0, self._approach_height])
         if self.phase == APPROACH and (
             self.altitude <= self.scenario.guidance.vertical_altitude_m
@@ -409,4 +412,5 @@ class Simulation:
             hazard_map=self.mapper.hazard_map() if self.mapper.dem is not None else None,
             map_error=self.map_error,
             scans=self.recorder.scans,
+            candidates=self.recorder.candidates,
         )

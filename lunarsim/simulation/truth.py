@@ -23,10 +23,13 @@ class Truth:
         Exact safety map, in the true ENU frame.
     elevation
         True elevation on its grid (rows, cols), m.
+    lander
+        The lander it was evaluated for.
     """
 
     safety: SafetyMap
     elevation: NDArray[np.float32]
+    lander: Lander
 
     @classmethod
     def of(cls, world: World, lander: Lander, posting: float) -> Truth:
@@ -36,7 +39,7 @@ class Truth:
             (0.5 * (west + east), 0.5 * (south + north)), east - west, posting, north - south
         )
         elevation = world.terrain.raster(grid)
-        return cls(exact_safety(elevation, grid, lander), elevation)
+        return cls(exact_safety(elevation, grid, lander), elevation, lander)
 
     def safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
         """Tell which true points (..., 2) are exactly safe (nearest cell); False off the map."""
@@ -46,10 +49,24 @@ class Truth:
         safe = self.safety.safe[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
         return np.asarray(inside & safe)
 
-    def safe_share(self, half_sides: tuple[float, float], centre: tuple[float, float]) -> float:
-        """Return the share of exactly safe cells in a rectangle around `centre` (m)."""
+    def safe_share(
+        self, centre: ArrayLike, half_sides: ArrayLike, heading: float | None = None
+    ) -> float:
+        """Return the share of exactly safe cells in a rectangle.
+
+        Parameters
+        ----------
+        centre, half_sides
+            East and north (2,), m.
+        heading
+            Azimuth of body x (rad) for the share at that heading alone.
+        """
         grid = self.safety.grid
-        inside = (np.abs(grid.x - centre[0]) <= half_sides[0])[None, :] & (
-            np.abs(grid.y - centre[1]) <= half_sides[1]
+        safe = self.safety.safe
+        if heading is not None:
+            safe = exact_safety(self.elevation, grid, self.lander, heading=heading).safe
+        centre, half_sides = np.asarray(centre), np.asarray(half_sides)
+        inside = (np.abs(grid.x - centre[0]) <= half_sides[0] + 0.5 * grid.posting)[None, :] & (
+            np.abs(grid.y - centre[1]) <= half_sides[1] + 0.5 * grid.posting
         )[:, None]
-        return float(self.safety.safe[inside].mean()) if inside.any() else float("nan")
+        return float(safe[inside].mean()) if inside.any() else float("nan")

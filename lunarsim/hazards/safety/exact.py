@@ -66,7 +66,9 @@ def known_ground(z: FloatMap, footprint: Footprint) -> tuple[FloatMap, BoolMap]:
     return z, observed
 
 
-def exact_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> SafetyMap:
+def exact_safety(
+    elevation: ArrayLike, grid: Grid, lander: Lander, *, heading: float | None = None
+) -> SafetyMap:
     """Evaluate Definition III.1 of the Gaussian DEM paper on a grid.
 
     At each heading the pads rest on the highest ground under them; slope (Eq. 8) and roughness
@@ -81,6 +83,8 @@ def exact_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> SafetyMap:
         Places the elevation.
     lander
         Geometry and limits.
+    heading
+        Azimuth of body x (rad) to evaluate one heading only; left out, all of them.
 
     Raises
     ------
@@ -97,10 +101,14 @@ def exact_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> SafetyMap:
     tangent = np.zeros(grid.shape, np.float32)
     roughness = np.zeros(grid.shape, np.float32)
     first_run = np.searchsorted(footprint.inside[:, 0], np.arange(len(footprint.legs) + 1))
+    legs = footprint.legs
+    if heading is not None:
+        only = footprint.nearest_heading(lander, grid.posting, heading)
+        legs, first_run = legs[only : only + 1], first_run[only : only + 2]
     k.exact(
         z,
         feet,
-        footprint.legs,
+        legs,
         footprint.inside,
         first_run,
         footprint.reach,

@@ -52,6 +52,20 @@ class Footprint:
     least_height: float
     reach: int
 
+    def nearest_heading(self, lander: Lander, posting: float, heading: float) -> int:
+        """Return the index of the distinct heading nearest to an azimuth of body x (rad)."""
+        pads = lander.pads[:, :2]
+        turn = np.pi / 2 - heading  # azimuth to angle from east
+        c, s = np.cos(turn), np.sin(turn)
+        east = (c * pads[:, 0] - s * pads[:, 1]) / posting
+        north = (s * pads[:, 0] + c * pads[:, 1]) / posting
+        wanted = np.column_stack((north, east))
+        misfit = [
+            min(float(np.abs(np.roll(cells, n, axis=0) - wanted).sum()) for n in range(lander.legs))
+            for cells in self.legs
+        ]
+        return int(np.argmin(misfit))
+
 
 def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
     angle = heading + 2.0 * np.pi * np.arange(legs) / legs

@@ -1,0 +1,254 @@
+"""Fly several policies over the same worlds and write what came of it.
+
+Flight i of every policy has the same world, start, sensor noise and navigation errors: they all
+derive from the root seed and i alone, so any number of processes gives the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import lunarsim
+from lunarsim.campaign.evaluate import evaluate
+from lunarsim.errors import InputError, suggestion
+from lunarsim.guidance.policies.library import policy_names
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation, Truth, build_world, lander_of
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class CompareResult:
+    """What a comparison gave.
+
+    Attributes
+    ----------
+    rows
+        One dictionary a flight and policy, by flight, then policy.
+    seconds
+        Wall-clock seconds of each flight, by policy.
+    safe_share, safe_share_at_heading
+        Mean share of exactly safe ground where targets are drawn: at every heading, and at the
+        heading that is flown.
+    complete
+        False when the run was interrupted.
+    """
+
+    rows: list[dict[str, Any]]
+    seconds: dict[str, list[float]]
+    safe_share: float
+    safe_share_at_heading: float
+    complete: bool
+
+
+@dataclass(frozen=True)
+class _Task:
+    scenario: Scenario
+    policies: tuple[str, ...]
+    root: int
+    flight: int
+    out: Path | None
+    figures: bool
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    flight: int
+    rows: list[dict[str, Any]]
+    seconds: dict[str, float]
+    shares: tuple[float, float]
+
+
+def _fly_all(task: _Task) -> _Outcome:
+    """Fly one index under every policy."""
+    scenario = task.scenario
+    seed = flight_seed(task.root, task.flight)
+    world = build_world(scenario, Streams(seed))
+    truth = Truth.of(world, lander_of(scenario), scenario.mapper.posting_m)
+    # Scatter half sides of zero still mean a spot: look at a footprint's width around it.
+    half = np.maximum(scenario.target.scatter_m, 2.0)
+    centre = scenario.target.position_m
+    shares = (
+        truth.safe_share(centre, half),
+        truth.safe_share(centre, half, np.deg2rad(scenario.start.heading_deg)),
+    )
+    rows, seconds = [], {}
+    for policy in task.policies:
+        began = time.perf_counter()
+        simulation = Simulation(scenario, seed, policy, world=world, truth=truth)
+        flight = simulation.run()
+        seconds[policy] = time.perf_counter() - began
+        rows.append({"flight": task.flight, **evaluate(simulation, flight)})
+        if task.out is not None:
+            flight.save(task.out / "flights" / policy / f"{task.flight:05d}")
+            if task.figures:
+                from lunarsim.viz import draw_flight  # noqa: PLC0415  (matplotlib is slow to load)
+
+                draw_flight(simulation, flight, task.out / "figures" / policy)
+    return _Outcome(task.flight, rows, seconds, shares)
+
+
+def _one_thread() -> None:
+    """Keep a worker to one thread: the processes share the cores."""
+    numba.set_num_threads(1)
+
+
+def _outcomes(tasks: Sequence[_Task], jobs: int) -> Iterator[_Outcome]:
+    """Yield outcomes as they come."""
+    if jobs == 1:
+        yield from map(_fly_all, tasks)
+        return
+    # OpenGL contexts and Numba's thread pools do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread)
+    try:
+        waiting: set[Future[_Outcome]] = set()
+        queue = iter(tasks)
+        for task in queue:
+            waiting.add(pool.submit(_fly_all, task))
+            if len(waiting) >= 2 * jobs:
+                break
+        while waiting:
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+            for task in queue:
+                waiting.add(pool.submit(_fly_all, task))
+                if len(waiting) >= 2 * jobs:
+                    break
+        pool.shutdown()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+def check_request(policies: Sequence[str], flights: int, jobs: int) -> None:
+    """Raise `InputError` for a request that cannot be met."""
+    known = policy_names()
+    for name in policies:
+        if name not in known:
+            raise InputError("--policies", name, suggestion(name, known))
+    if not policies:
+        raise InputError("--policies", "", "at least one of: " + ", ".join(known))
+    if len(set(policies)) < len(policies):
+        raise InputError("--policies", ",".join(policies), "each policy once")
+    if flights < 1:
+        raise InputError("--flights", flights, "at least 1")
+    if jobs < 1:
+        raise InputError("--jobs", jobs, "at least 1")
+
+
+def check_folder(out: Path) -> None:
+    """Raise `InputError` if `out` cannot take results."""
+    if out.exists() and not out.is_dir():
+        raise InputError("--out", str(out), "a folder, not a file")
+    if out.exists() and any(out.iterdir()):
+        raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
+
+
+def compare(
+    scenario: Scenario,
+    policies: Sequence[str],
+    *,
+    flights: int,
+    seed: int,
+    jobs: int = 1,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    figures: bool = True,
+) -> CompareResult:
+    """Fly `flights` flights under each policy.
+
+    Parameters
+    ----------
+    scenario
+        The study.
+    policies
+        Names of policies.
+    flights, seed, jobs
+        Flights a policy, root seed, processes.
+    out
+        Folder for ``results.parquet``, ``summary.json``, ``scenario.toml``, ``flights/`` and
+        ``figures/``; nothing is written when left out. The results table is written last and
+        whole; an interrupt writes the flights that are finished.
+    progress
+        Called with the number of flights finished since the last call.
+    figures
+        Draw the first flight of each policy and the comparison.
+
+    Raises
+    ------
+    InputError
+        If the scenario, the request or the folder will not do; nothing has been written then.
+    """
+    check_request(policies, flights, jobs)
+    if out is not None:
+        check_folder(out)
+    # Fail before anything is written: this builds the first flight's world and start.
+    Simulation(scenario, flight_seed(seed, 0), "no-divert")
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        scenario.save(out / "scenario.toml")
+    tasks = [
+        _Task(scenario, tuple(policies), seed, i, out, figures and i == 0) for i in range(flights)
+    ]
+    done: list[_Outcome] = []
+    complete = False
+    try:
+        for outcome in _outcomes(tasks, min(jobs, flights)):
+            done.append(outcome)
+            if progress is not None:
+                progress(len(policies))
+        complete = True
+    except KeyboardInterrupt:
+        pass
+    done.sort(key=lambda outcome: outcome.flight)
+    result = CompareResult(
+        rows=[row for outcome in done for row in outcome.rows],
+        seconds={p: [outcome.seconds[p] for outcome in done] for p in policies},
+        safe_share=_mean([outcome.shares[0] for outcome in done]),
+        safe_share_at_heading=_mean([outcome.shares[1] for outcome in done]),
+        complete=complete,
+    )
+    if out is not None and result.rows:
+        _write(result, out, scenario, seed)
+        if figures:
+            from lunarsim.viz import draw_comparison  # noqa: PLC0415
+
+            draw_comparison(result.rows, scenario, out / "figures" / "comparison.png")
+    return result
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _write(result: CompareResult, out: Path, scenario: Scenario, seed: int) -> None:
+    """Write the results so that no reader ever sees half a file."""
+    temporary = out / ".results.parquet.part"
+    pq.write_table(pa.Table.from_pylist(result.rows), temporary)
+    temporary.replace(out / "results.parquet")
+    summary = {
+        "scenario": scenario.name,
+        "seed": seed,
+        "version": lunarsim.__version__,
+        "complete": result.complete,
+        "exactly_safe_share": result.safe_share,
+        "exactly_safe_share_at_heading": result.safe_share_at_heading,
+        "seconds_per_flight": {p: _mean(s) for p, s in result.seconds.items()},
+    }
+    (out / "summary.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")

@@ -1,0 +1,66 @@
+"""What all figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+
+# Okabe and Ito's palette: told apart by colour-blind readers too.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+POLICY_COLOURS = {
+    "no-divert": "#666666",
+    "safest": "#0072B2",
+    "nearest-safe": "#009E73",
+    "fuel-aware": "#E69F00",
+    "truth-oracle": "#CC79A7",
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return a figure (inches) that draws without a display and without global state."""
+    mpl.rcParams.update(
+        {"font.size": 9, "axes.titlesize": 10, "axes.grid": False, "legend.fontsize": 8}
+    )
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+
+
+def policy_colour(name: str) -> str:
+    """Return the colour of a policy in every figure."""
+    return POLICY_COLOURS.get(name, "#56B4E9")
+
+
+def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
+    """Return shaded relief in [0, 1] lit from the north-west at 40 deg; NaN stays NaN."""
+    gy, gx = np.gradient(np.asarray(z, dtype=np.float64), posting)
+    light = np.array([-0.54, 0.54, 0.643])
+    shade = (light[2] - gx * light[0] - gy * light[1]) / np.sqrt(1.0 + gx**2 + gy**2)
+    return np.clip(shade, 0.0, 1.0)
+
+
+def map_axes(axes: Any, title: str) -> None:
+    """Label a map."""
+    axes.set_title(title)
+    axes.set_xlabel("east (m)")
+    axes.set_ylabel("north (m)")
+    axes.set_aspect("equal")
+
+
+def show(axes: Any, raster: NDArray[Any], grid: Grid, **options: Any) -> Any:
+    """Draw a raster in its place, north up."""
+    return axes.imshow(raster, origin="lower", extent=grid.extent, interpolation="nearest", **options)
