@@ -34,8 +34,8 @@ class VerticalDescent:
 
     gravity: float
     speed: float = 2.0
-    frequency: float = 0.9
-    damping: float = 1.0
+    frequency: float = 0.6
+    damping: float = 1.1
     speed_gain: float = 1.5
     lean: float = np.deg2rad(12.0)
     lean_low: float = np.deg2rad(2.0)

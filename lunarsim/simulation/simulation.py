@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,13 +103,15 @@ class Simulation:
             self._first_arrival(),
             lead=self.dynamics.response_time,
         )
-        self.phase = APPROACH
-        self.verdict: Verdict | None = None
         self.recorder = Recorder()
+        self.phase = APPROACH
+        self.state = self._settled(self.state)
+        self.verdict: Verdict | None = None
         self.map_error = np.zeros(3)
         self.first_map_estimate: Estimate | None = None
         self._pending_scans = sorted(scenario.lidar.scan_altitudes_m, reverse=True)
         self._next_decision = 0.0
+        self._retimed = False
         self._aim: tuple[HazardMap, FloatMap] | None = None
         self.policy = self._resolve(policy)
 
@@ -176,6 +180,12 @@ class Simulation:
                 "propellant: no time-to-go is admissible",
             )
         return float(time_to_go)
+
+    def _settled(self, state: State) -> State:
+        """Return the start with attitude and thrust as guidance asks for them at once."""
+        command = self._command()
+        thrust = min(max(command.thrust, self.lander.thrust_min), self.lander.thrust_max)
+        return replace(state, attitude=command.attitude, thrust=thrust)
 
     def _resolve(self, policy: RetargetingPolicy | str | None) -> RetargetingPolicy | None:
         if not isinstance(policy, str):
@@ -278,7 +288,10 @@ class Simulation:
     def apply(self, decision: Decision) -> bool:
         """Carry out a decision; return False if its site is out of reach (the old one stays)."""
         self._next_decision = self.time + self.scenario.decisions.interval_s
+        first, self._retimed = not self._retimed, True
         if decision.site is None:
+            if first and self.scenario.guidance.time_to_go_s is None:
+                self._retime()
             return True
         site = np.asarray(decision.site, dtype=np.float64)
         time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
@@ -289,6 +302,16 @@ class Simulation:
         self.site = site
         self.guidance.arrival = self.time + time_to_go
         return True
+
+    def _retime(self) -> None:
+        """Choose the time-to-go to the present site afresh.
+
+        A divert does so anyway. Without this a lander that keeps its site would fly on the
+        time-to-go of the start, and diverts would seem to save propellant.
+        """
+        time_to_go = float(self.cost_of(self.site[None, :]).time_to_go[0])
+        if np.isfinite(time_to_go):
+            self.guidance.arrival = self.time + time_to_go
 
     def _scan(self) -> None:
         """Flash at the site, or straight down, and update the map."""

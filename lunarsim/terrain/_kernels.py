@@ -362,7 +362,7 @@ def _cast_one(ox, oy, oz, dx, dy, dz, max_range, ceiling, z, x0, y0, p, leaf, to
             for m in range(start[bucket], start[bucket + 1]):
                 n = index[m]
                 tr = _rock_hit(ox, oy, oz, dx, dy, dz, rocks, n)
-                if tr < best and tr >= 0.0 and tr <= leave + 1e-9:
+                if tr < best and tr >= t - 1e-9 and tr <= leave + 1e-9:
                     best = tr
                     which = n
             j0 = ix * leaf

@@ -64,7 +64,7 @@ class Dynamics:
     step: float = 0.01
     attitude_mode: AttitudeMode = "pd"
     rate_limit: float = np.deg2rad(15.0)
-    frequency: float = 2.5
+    frequency: float = 4.0
     damping: float = 0.9
 
     def __post_init__(self) -> None:

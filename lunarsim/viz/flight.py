@@ -124,15 +124,6 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
     classes = np.where(truth.safety.observed, np.where(truth.safety.safe, 2.0, 1.0), 0.0)
     palette = ListedColormap(["#bbbbbb", "#D55E00", "#56B4E9"])
     show(panels[1], classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
-    panels[1].legend(
-        handles=[
-            Patch(color="#56B4E9", label="safe at every heading"),
-            Patch(color="#D55E00", label="hazard"),
-            Patch(color="#bbbbbb", label="edge of the terrain"),
-        ],
-        loc="lower left",
-        framealpha=0.9,
-    )
     map_axes(panels[1], "exact safety (truth)")
 
     show(panels[2], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
@@ -182,10 +173,13 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
             Line2D([], [], color=COLOURS[1], label="path over the ground"),
             Line2D([], [], ls="", marker="x", color="black", mew=2, label="first target"),
             Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
-            Line2D([], [], ls="", marker="o", mfc="0.4", mec="white", ms=6, label="candidate site"),
+            Line2D([], [], ls="", marker="o", mfc="#440154", mec="white", ms=7, label="candidate site"),
+            Patch(color="#56B4E9", label="truly safe at every heading"),
+            Patch(color="#D55E00", label="true hazard"),
+            Patch(color="#bbbbbb", label="edge of the terrain"),
         ],
         loc="outside lower center",
-        ncols=4,
+        ncols=7,
     )
     figure.suptitle(f"{simulation.scenario.name}, {flight.policy}: {_outcome(flight)}")
     save(figure, path)
