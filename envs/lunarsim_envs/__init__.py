@@ -1,1 +1,12 @@
-"""Gymnasium environments on lunarsim."""
+"""Gymnasium environments on lunarsim.
+
+Importing this package registers them; ``gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0")``
+imports it first.
+"""
+
+import gymnasium
+
+gymnasium.register(
+    id="lunarsim/Retarget-v0",
+    entry_point="lunarsim_envs.retarget:RetargetEnv",
+)

@@ -1,0 +1,33 @@
+# Each target sets up all it needs; `make demo` and `make test` are the two to know.
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+OUT ?= out
+
+.PHONY: demo test slow lint bench clean
+
+demo: $(STAMP)          ## closed-loop comparison of policies on measured terrain, with pictures
+	rm -rf $(OUT)/demo
+	$(BIN)/lunarsim compare scenarios/hirise.toml --flights 6 --seed 1 --out $(OUT)/demo
+	@echo "Pictures: $(OUT)/demo/figures"
+
+test: $(STAMP)          ## the test suite
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+slow: $(STAMP)          ## the tests and studies that take minutes
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+
+lint: $(STAMP)          ## style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(STAMP)         ## speed, as ratios to references in the same run
+	$(BIN)/python scripts/bench.py
+
+$(STAMP): pyproject.toml scripts/setup.sh
+	sh scripts/setup.sh $(VENV)
+	@touch $(STAMP)
+
+clean:
+	rm -rf $(VENV) $(OUT)

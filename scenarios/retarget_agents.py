@@ -1,0 +1,51 @@
+"""A random and a rule-based agent in the retargeting environment.
+
+    python scenarios/retarget_agents.py --episodes 10
+"""
+
+from __future__ import annotations
+
+import click
+import gymnasium
+import numpy as np
+from rich.progress import track
+
+
+def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
+    """Pick any available action."""
+    return int(rng.choice(np.flatnonzero(info["action_mask"])))
+
+
+def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
+    """Fly to the nearest site that is nearly as safe as the safest; keep it once there."""
+    sites = observation["sites"]
+    good = (sites[:, 5] > 0) & (sites[:, 3] >= min(0.95, sites[:, 3].max()))
+    distance = np.hypot(sites[:, 0], sites[:, 1])
+    if not good.any() or distance[good].min() < 2.0:
+        return 0
+    return 1 + int(np.argmin(np.where(good, distance, np.inf)))
+
+
+@click.command()
+@click.option("--episodes", default=10, show_default=True, help="Flights an agent.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the first flight.")
+@click.option("--scenario", default=None, help="TOML file; left out, rolling highland.")
+def main(episodes: int, seed: int, scenario: str | None) -> None:
+    """Fly both agents over the same worlds and print what they achieved."""
+    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario)
+    for name, agent in (("random", random_agent), ("rule-based", rule_agent)):
+        rng = np.random.default_rng(seed)
+        returns, safe = [], 0
+        for episode in track(range(episodes), description=name):
+            observation, info = env.reset(seed=seed + episode)
+            total, ended = 0.0, False
+            while not ended:
+                observation, reward, ended, _, info = env.step(agent(observation, info, rng))
+                total += float(reward)
+            returns.append(total)
+            safe += info["safe"]
+        print(f"{name}: mean return {np.mean(returns):.3f}, landed safe {safe} of {episodes}")
+
+
+if __name__ == "__main__":
+    main()
