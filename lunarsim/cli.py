@@ -37,7 +37,7 @@ class _Group(click.Group):
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
 def main() -> None:
-    """Simulate lunar landings in closed loop: terrain, LiDAR, hazard map, divert, touchdown.
+    r"""Simulate lunar landings in closed loop: terrain, LiDAR, hazard map, divert, touchdown.
 
     \b
     Start here:
@@ -47,7 +47,9 @@ def main() -> None:
 
 
 _SCENARIO = click.argument("scenario", type=click.Path(path_type=Path))
-_SEED = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+_SEED = click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed."
+)
 
 
 @main.command()

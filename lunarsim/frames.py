@@ -58,7 +58,7 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
 
 def quat_conjugate(q: ArrayLike) -> Array:
     """Return the inverse rotation of the unit quaternion `q` (..., 4)."""
-    return np.asarray(q, dtype=np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.asarray(np.asarray(q, dtype=np.float64) * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def quat_to_matrix(q: ArrayLike) -> Array:
@@ -74,7 +74,8 @@ def quat_to_matrix(q: ArrayLike) -> Array:
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
     """Rotate body vectors `v` (..., 3) into ENU by unit quaternions `q` (..., 4)."""
-    return np.einsum("...ij,...j->...i", quat_to_matrix(q), np.asarray(v, dtype=np.float64))
+    rotation = quat_to_matrix(q)
+    return np.asarray(np.einsum("...ij,...j->...i", rotation, np.asarray(v, dtype=np.float64)))
 
 
 def quat_from_rotation_vector(phi: ArrayLike) -> Array:
@@ -98,7 +99,8 @@ def quat_to_rotation_vector(q: ArrayLike) -> Array:
 
 def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
     """Return the angle (rad) of the rotation between attitudes `p` and `q` (..., 4)."""
-    return np.linalg.norm(quat_to_rotation_vector(quat_multiply(quat_conjugate(p), q)), axis=-1)
+    between = quat_multiply(quat_conjugate(p), q)
+    return np.asarray(np.linalg.norm(quat_to_rotation_vector(between), axis=-1))
 
 
 def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:

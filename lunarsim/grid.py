@@ -74,12 +74,12 @@ class Grid:
     @property
     def x(self) -> NDArray[np.float64]:
         """East coordinates of the columns (cols,), m."""
-        return self.x0 + self.posting * np.arange(self.cols)
+        return np.asarray(self.x0 + self.posting * np.arange(self.cols, dtype=np.float64))
 
     @property
     def y(self) -> NDArray[np.float64]:
         """North coordinates of the rows (rows,), m."""
-        return self.y0 + self.posting * np.arange(self.rows)
+        return np.asarray(self.y0 + self.posting * np.arange(self.rows, dtype=np.float64))
 
     def centres(self) -> NDArray[np.float64]:
         """Cell centres (rows, cols, 2), m."""

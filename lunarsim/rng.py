@@ -26,7 +26,9 @@ class Streams:
     """
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:
-        self.seed = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        self.seed = (
+            seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        )
 
     def get(self, component: str) -> np.random.Generator:
         """Return a fresh generator for `component`; the same name gives the same stream."""

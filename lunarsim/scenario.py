@@ -121,7 +121,9 @@ class LidarSection(Section):
 
     pixels: tuple[int, int] = Field((256, 256), description="rows and columns")
     half_width: float = Field(0.1, gt=0.0, lt=2.0, description="tangent of half the field of view")
-    noise_3sigma_m: NonNegative = Field(0.05, description="along the ray at 500 m; grows with range")
+    noise_3sigma_m: NonNegative = Field(
+        0.05, description="along the ray at 500 m; grows with range"
+    )
     max_range_m: Positive = 2000.0
     boresight: Literal["site", "nadir"] = "site"
     scan_altitudes_m: tuple[Positive, ...] = (350.0, 160.0)
@@ -260,7 +262,9 @@ def _input_error(model: type[BaseModel], error: ValidationError) -> InputError:
     field = ".".join(str(part) for part in location) or "scenario"
     if first["type"] == "extra_forbidden":
         keys = _known_keys(model, location[:-1])
-        return InputError(field, first["input"], "unknown key; " + suggestion(str(location[-1]), keys))
+        return InputError(
+            field, first["input"], "unknown key; " + suggestion(str(location[-1]), keys)
+        )
     message = str(first["msg"]).removeprefix("Value error, ")
     if first["type"] == "value_error" and ": " in message:
         name, expected = message.split(": ", 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -27,7 +27,7 @@ def default_scenario() -> Scenario:
     )
 
 
-class RetargetEnv(gymnasium.Env[dict[str, FloatArray], np.int64]):
+class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """Choose the landing site of a descending lander.
 
     The environment steps the same `lunarsim.simulation.Simulation` as the command line: one step
@@ -77,7 +77,7 @@ class RetargetEnv(gymnasium.Env[dict[str, FloatArray], np.int64]):
     - v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class RetargetEnv(gymnasium.Env[dict[str, FloatArray], np.int64]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Draw a new flight and run it to the first decision."""
         super().reset(seed=seed)
         self.simulation = Simulation(self.scenario, int(self.np_random.integers(2**62)))
@@ -112,7 +112,7 @@ class RetargetEnv(gymnasium.Env[dict[str, FloatArray], np.int64]):
 
     def step(
         self, action: np.int64 | int
-    ) -> tuple[dict[str, FloatArray], float, bool, bool, dict[str, Any]]:
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Carry out a decision and fly on to the next one."""
         simulation, observation = self.simulation, self._observation
         if simulation is None or observation is None:
@@ -143,7 +143,7 @@ class RetargetEnv(gymnasium.Env[dict[str, FloatArray], np.int64]):
         info = self._info(simulation) | {"reward_terms": terms}
         return self._encode(simulation), sum(terms.values()), simulation.done, False, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return the descent and the map as an image (360, 800, 3)."""
         if self.render_mode is None:
             return None

@@ -8,7 +8,10 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def survey(r, v, targets, v_f, a_f, times, samples, gravity, thrust_least, thrust_most, tan_tilt, glide, out_dv, out_time):  # type: ignore[no-untyped-def]  # fmt: skip
+def survey(
+    r, v, targets, v_f, a_f, times, samples, gravity, thrust_least, thrust_most, tan_tilt, glide,
+    out_dv, out_time,
+):  # fmt: skip
     """Find for each target the admissible time-to-go that takes the least velocity increment.
 
     Writes the increment (inf where no time is admissible) and the time. A trajectory is
@@ -46,7 +49,7 @@ def survey(r, v, targets, v_f, a_f, times, samples, gravity, thrust_least, thrus
                     good = False
                     break
                 # Simpson's rule over an even number of intervals.
-                weight = 1.0 if s == 0 or s == samples else (4.0 if s % 2 == 1 else 2.0)
+                weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
                 total += weight * size
             total *= big_t / samples / 3.0
             if good and total < out_dv[n]:

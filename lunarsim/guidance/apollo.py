@@ -133,7 +133,7 @@ class ApolloGuidance:
             since, trajectory = self._last
             elapsed = min(time - since, trajectory.time_to_go)
             self._command = trajectory.at(elapsed)[2]
-        return self._command - self.gravity
+        return np.asarray(self._command - self.gravity)
 
     def _follow(self, time: float) -> None:
         """Let the modelled acceleration follow the last command up to `time`."""

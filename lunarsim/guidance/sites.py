@@ -30,10 +30,10 @@ def best_cells(
     near = np.hypot(offsets[:, None], offsets[None, :]) * posting < separation
     cells = []
     for _ in range(count):
-        row, col = np.unravel_index(int(np.argmax(score)), score.shape)
+        row, col = (int(v) for v in np.unravel_index(int(np.argmax(score)), score.shape))
         if not np.isfinite(score[row, col]):
             break
-        cells.append((int(row), int(col)))
+        cells.append((row, col))
         r0, c0 = max(row - reach, 0), max(col - reach, 0)
         window = score[r0 : row + reach + 1, c0 : col + reach + 1]
         shape = near[
@@ -101,6 +101,4 @@ def candidate_sites(
     cost = divert_cost(
         estimate, position + np.array([0.0, 0.0, approach_height]), lander, gravity, limits=limits
     )
-    return Candidates(
-        position, p_safe, distance[cells[:, 0], cells[:, 1]], cost.propellant
-    )
+    return Candidates(position, p_safe, distance[cells[:, 0], cells[:, 1]], cost.propellant)

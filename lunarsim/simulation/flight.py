@@ -178,8 +178,10 @@ def _save_map(hazard_map: HazardMap, error: Array, path: Path) -> None:
                 continue
             if data.dtype == np.float32:
                 # 16 significant bits are beyond any sensor here and compress far better.
-                data = (data.view(np.uint32) & np.uint32(0xFFFFFF00)).view(np.float32)
+                stored = (data.view(np.uint32) & np.uint32(0xFFFFFF00)).view(np.float32)
+            else:
+                stored = data
             layer = file.create_variable(
-                name, ("y", "x"), data=data, compression="gzip", compression_opts=1, shuffle=True
+                name, ("y", "x"), data=stored, compression="gzip", compression_opts=1, shuffle=True
             )
             layer.attrs["units"] = unit

@@ -30,7 +30,13 @@ class Recorder:
         self.candidates = np.zeros((0, 5))
 
     def row(
-        self, time: float, state: State, estimate: Estimate, site: Array, time_to_go: float, phase: int
+        self,
+        time: float,
+        state: State,
+        estimate: Estimate,
+        site: Array,
+        time_to_go: float,
+        phase: int,
     ) -> None:
         """Add a row of the trajectory."""
         self._rows.append(

@@ -95,9 +95,7 @@ class Simulation:
         # The onboard map of the mission is drawn in the estimated frame from the start.
         self.site = site + self.navigation_error
         self.mapper = build.mapper_of(scenario, self.lander, self.site)
-        self.vertical = VerticalDescent(
-            scenario.gravity_m_s2, scenario.guidance.vertical_speed_m_s
-        )
+        self.vertical = VerticalDescent(scenario.gravity_m_s2, scenario.guidance.vertical_speed_m_s)
         self.guidance = ApolloGuidance(
             scenario.gravity_m_s2,
             self._first_arrival(),

@@ -14,7 +14,7 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel()
-def _relief(x, y, z, x0, y0, p):  # type: ignore[no-untyped-def]
+def _relief(x, y, z, x0, y0, p):
     """Return the elevation of the triangulated relief, NaN outside."""
     u = (x - x0) / p
     v = (y - y0) / p
@@ -38,7 +38,7 @@ def _relief(x, y, z, x0, y0, p):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def _rock_height(x, y, rocks, n):  # type: ignore[no-untyped-def]
+def _rock_height(x, y, rocks, n):
     """Return the elevation of the top of rock n above (x, y), -inf outside it."""
     dx = x - rocks[n, 0]
     dy = y - rocks[n, 1]
@@ -54,7 +54,7 @@ def _rock_height(x, y, rocks, n):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def _top_rock(x, y, x0, y0, p, leaf, rocks, start, index, cols):  # type: ignore[no-untyped-def]
+def _top_rock(x, y, x0, y0, p, leaf, rocks, start, index, cols):
     """Return the elevation and number of the highest rock over (x, y), or (-inf, -1)."""
     best = -np.inf
     which = -1
@@ -75,7 +75,7 @@ def _top_rock(x, y, x0, y0, p, leaf, rocks, start, index, cols):  # type: ignore
 
 
 @kernel()
-def _surface(x, y, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[no-untyped-def]
+def _surface(x, y, z, x0, y0, p, leaf, rocks, start, index):
     ground = _relief(x, y, z, x0, y0, p)
     if np.isnan(ground) or rocks.shape[0] == 0:
         return ground
@@ -84,7 +84,7 @@ def _surface(x, y, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[no-
 
 
 @kernel()
-def elevation_at(xy, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[no-untyped-def]
+def elevation_at(xy, z, x0, y0, p, leaf, rocks, start, index):
     """Return the surface elevation (n,) at points (n, 2)."""
     out = np.empty(xy.shape[0])
     for i in range(xy.shape[0]):
@@ -93,7 +93,7 @@ def elevation_at(xy, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[n
 
 
 @kernel(parallel=True)
-def raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[no-untyped-def]
+def raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, start, index):
     """Return the surface elevation at the cell centres of a grid (rows, cols), float32."""
     out = np.empty((rows, cols), np.float32)
     for i in prange(rows):
@@ -104,7 +104,7 @@ def raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, start, index):  # 
 
 
 @kernel()
-def _relief_normal(x, y, z, x0, y0, p, out):  # type: ignore[no-untyped-def]
+def _relief_normal(x, y, z, x0, y0, p, out):
     """Write the unit normal of the relief triangle at (x, y), inside the grid."""
     rows, cols = z.shape
     u = (x - x0) / p
@@ -128,7 +128,7 @@ def _relief_normal(x, y, z, x0, y0, p, out):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def _rock_normal(x, y, h, rocks, n, out):  # type: ignore[no-untyped-def]
+def _rock_normal(x, y, h, rocks, n, out):
     """Write the unit outward normal of rock n at the surface point (x, y, base + h)."""
     h = max(h, 0.0)  # below the base the skirt is vertical
     c = rocks[n, 6]
@@ -145,7 +145,7 @@ def _rock_normal(x, y, h, rocks, n, out):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def normal_at(xy, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[no-untyped-def]
+def normal_at(xy, z, x0, y0, p, leaf, rocks, start, index):
     """Return the unit surface normal (n, 3) at points (n, 2)."""
     out = np.full((xy.shape[0], 3), np.nan)
     for i in range(xy.shape[0]):
@@ -166,7 +166,7 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, start, index):  # type: ignore[no-u
 
 
 @kernel()
-def build_buckets(z, x0, y0, p, leaf, rocks):  # type: ignore[no-untyped-def]
+def build_buckets(z, x0, y0, p, leaf, rocks):
     """Return the rock lists (start, index) and the highest point of every bucket."""
     rows, cols = z.shape
     height = (rows - 2) // leaf + 1
@@ -177,8 +177,7 @@ def build_buckets(z, x0, y0, p, leaf, rocks):  # type: ignore[no-untyped-def]
             best = np.float32(-np.inf)
             for r in range(i * leaf, min((i + 1) * leaf, rows - 1) + 1):
                 for c in range(j * leaf, min((j + 1) * leaf, cols - 1) + 1):
-                    if z[r, c] > best:
-                        best = z[r, c]
+                    best = max(best, z[r, c])
             top[i, j] = best
     start = np.zeros(height * width + 1, np.int64)
     index = np.empty(0, np.int64)
@@ -197,7 +196,9 @@ def build_buckets(z, x0, y0, p, leaf, rocks):  # type: ignore[no-untyped-def]
             i0 = max(int(np.floor((rocks[n, 1] - reach - y0) / side)), 0)
             i1 = min(int(np.floor((rocks[n, 1] + reach - y0) / side)), height - 1)
             # Rounded up: the bucket's top must never be below the rock's.
-            peak = np.float32(np.nextafter(np.float32(rocks[n, 2] + rocks[n, 5]), np.float32(np.inf)))
+            peak = np.float32(
+                np.nextafter(np.float32(rocks[n, 2] + rocks[n, 5]), np.float32(np.inf))
+            )
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
                     bucket = i * width + j
@@ -211,7 +212,7 @@ def build_buckets(z, x0, y0, p, leaf, rocks):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def _cell_hit(i, j, ox, oy, oz, dx, dy, dz, t0, t1, z, x0, y0, p):  # type: ignore[no-untyped-def]
+def _cell_hit(i, j, ox, oy, oz, dx, dy, dz, t0, t1, z, x0, y0, p):
     """Return the distance at which a ray meets the two triangles of cell (i, j).
 
     The answer is inf for none and -1 for a ray that enters the cell underground.
@@ -267,7 +268,7 @@ def _cell_hit(i, j, ox, oy, oz, dx, dy, dz, t0, t1, z, x0, y0, p):  # type: igno
 
 
 @kernel()
-def _rock_hit(ox, oy, oz, dx, dy, dz, rocks, n):  # type: ignore[no-untyped-def]
+def _rock_hit(ox, oy, oz, dx, dy, dz, rocks, n):
     """Return the distance at which a ray enters rock n from outside, else inf."""
     c = rocks[n, 6]
     s = rocks[n, 7]
@@ -308,7 +309,9 @@ def _rock_hit(ox, oy, oz, dx, dy, dz, rocks, n):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def _cast_one(ox, oy, oz, dx, dy, dz, max_range, ceiling, z, x0, y0, p, leaf, top, rocks, start, index):  # type: ignore[no-untyped-def]
+def _cast_one(
+    ox, oy, oz, dx, dy, dz, max_range, ceiling, z, x0, y0, p, leaf, top, rocks, start, index
+):
     """Return the distance of the first hit of one ray and the rock it met (-1 relief, -2 none).
 
     The ray walks over the buckets it crosses (Amanatides and Woo 1987), skips those that it
@@ -404,7 +407,7 @@ def _cast_one(ox, oy, oz, dx, dy, dz, max_range, ceiling, z, x0, y0, p, leaf, to
 
 
 @kernel(parallel=True)
-def cast(origin, direction, max_range, z, x0, y0, p, leaf, top, rocks, start, index):  # type: ignore[no-untyped-def]
+def cast(origin, direction, max_range, z, x0, y0, p, leaf, top, rocks, start, index):
     """Cast rays; return distance (n,), normal (n, 3) and rock number (n,) of the first hits."""
     count = direction.shape[0]
     distance = np.empty(count)
@@ -432,7 +435,7 @@ def cast(origin, direction, max_range, z, x0, y0, p, leaf, top, rocks, start, in
 
 
 @kernel()
-def drop_rocks(radius, west, east, south, north, z, x0, y0, p, seed, tries):  # type: ignore[no-untyped-def]
+def drop_rocks(radius, west, east, south, north, z, x0, y0, p, seed, tries):
     """Drop discs at random without overlap; radii must fall.
 
     Discs are kept in buckets as wide as the largest diameter, one chained list a bucket, so a

@@ -78,7 +78,7 @@ def _metric_posting(source: rasterio.io.DatasetReader) -> tuple[float | None, st
 
 
 def _elevations(source: rasterio.io.DatasetReader) -> NDArray[np.float32]:
-    z = source.read(1, masked=True).astype(np.float32).filled(np.nan)
+    z: NDArray[np.float32] = source.read(1, masked=True).astype(np.float32).filled(np.nan)
     z[~np.isfinite(z) | (z < _MISSING_BELOW)] = np.nan
     return z
 

@@ -54,7 +54,9 @@ class RockField:
         return cls(*(np.zeros(0) for _ in range(7)))
 
     @classmethod
-    def hemispheres(cls, x: ArrayLike, y: ArrayLike, base: ArrayLike, radius: ArrayLike) -> RockField:
+    def hemispheres(
+        cls, x: ArrayLike, y: ArrayLike, base: ArrayLike, radius: ArrayLike
+    ) -> RockField:
         """Return half-buried spheres."""
         arrays = [np.array(v, dtype=np.float64, ndmin=1) for v in (x, y, base, radius)]
         cx, cy, cz, r = (np.ascontiguousarray(v) for v in np.broadcast_arrays(*arrays))

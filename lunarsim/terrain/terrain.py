@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,6 +54,9 @@ class Terrain:
     relief: Heightfield
     rocks: RockField = field(default_factory=RockField.empty)
 
+    _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)
+    _surface: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+
     def __post_init__(self) -> None:
         g = self.relief.grid
         leaf = max(1, round(_BUCKET / g.posting))
@@ -82,21 +86,24 @@ class Terrain:
         """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
-        z, rocks, start, index, _, leaf = self._surface  # type: ignore[attr-defined]
-        out = k.elevation_at(flat, z, *self._frame, leaf, rocks, start, index)  # type: ignore[attr-defined]
+        x0, y0, p = self._frame
+        z, rocks, start, index, _, leaf = self._surface
+        out = k.elevation_at(flat, z, x0, y0, p, leaf, rocks, start, index)
         return np.asarray(out).reshape(xy.shape[:-1])
 
     def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the unit surface normal (..., 3) at points (..., 2); NaN where unknown."""
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
-        z, rocks, start, index, _, leaf = self._surface  # type: ignore[attr-defined]
-        out = k.normal_at(flat, z, *self._frame, leaf, rocks, start, index)  # type: ignore[attr-defined]
+        x0, y0, p = self._frame
+        z, rocks, start, index, _, leaf = self._surface
+        out = k.normal_at(flat, z, x0, y0, p, leaf, rocks, start, index)
         return np.asarray(out).reshape((*xy.shape[:-1], 3))
 
     def raster(self, grid: Grid) -> NDArray[np.float32]:
         """Return the elevation at every cell centre of `grid` (rows, cols), m."""
-        z, rocks, start, index, _, leaf = self._surface  # type: ignore[attr-defined]
+        x0, y0, p = self._frame
+        z, rocks, start, index, _, leaf = self._surface
         return np.asarray(
             k.raster(
                 grid.x0,
@@ -105,7 +112,9 @@ class Terrain:
                 grid.rows,
                 grid.cols,
                 z,
-                *self._frame,  # type: ignore[attr-defined]
+                x0,
+                y0,
+                p,
                 leaf,
                 rocks,
                 start,
@@ -127,13 +136,16 @@ class Terrain:
         """
         direction = np.ascontiguousarray(direction, dtype=np.float64)
         origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
-        z, rocks, start, index, top, leaf = self._surface  # type: ignore[attr-defined]
+        x0, y0, p = self._frame
+        z, rocks, start, index, top, leaf = self._surface
         distance, normal, rock = k.cast(
             origin,
             direction,
             float(max_range),
             z,
-            *self._frame,  # type: ignore[attr-defined]
+            x0,
+            y0,
+            p,
             leaf,
             top,
             rocks,

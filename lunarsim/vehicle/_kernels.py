@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet):  # type: ignore[no-untyped-def]
+def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet):
     """Write dy/dt; see `Dynamics` for the equations."""
     qx = y[6]
     qy = y[7]
@@ -44,7 +44,7 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
 
 
 @kernel()
-def rk4_step(y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work):  # type: ignore[no-untyped-def]
+def rk4_step(y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work):
     """Advance y by one classical Runge-Kutta step in place; `work` is scratch (5, 15)."""
     args = (thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet)
     if lag == 0.0:
@@ -67,8 +67,8 @@ def rk4_step(y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_d
 
 
 @kernel()
-def attitude_error(q, target, out):  # type: ignore[no-untyped-def]
-    """Write the rotation vector (body axes) that turns attitude q into `target`; return its length."""
+def attitude_error(q, target, out):
+    """Write the rotation vector (body axes) from attitude q to `target`; return its length."""
     # conj(q) * target
     x = q[3] * target[0] - q[0] * target[3] - q[1] * target[2] + q[2] * target[1]
     y = q[3] * target[1] - q[1] * target[3] - q[2] * target[0] + q[0] * target[2]
@@ -89,7 +89,7 @@ def attitude_error(q, target, out):  # type: ignore[no-untyped-def]
 def advance(
     y, steps, dt, thrust_command, target, mode, rate_limit, frequency, damping, torque_max,
     gravity, exhaust, lag, dry, wet, i_dry, i_wet,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Advance y by `steps` steps under a held command; return every state (steps, 15).
 
     `mode` 0 slews the attitude along the great circle at no more than `rate_limit`; mode 1
@@ -135,7 +135,6 @@ def advance(
                 t = inertia * 2.0 * damping * frequency * (wanted - y[10 + s])
                 torque[s] = min(max(t, -torque_max[s]), torque_max[s])
             rk4_step(y, dt, command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work)
-        if y[13] < dry:
-            y[13] = dry
+        y[13] = max(y[13], dry)
         history[n] = y
     return history

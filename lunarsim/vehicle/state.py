@@ -47,5 +47,10 @@ class State:
     def from_vector(cls, y: Array) -> State:
         """Build a state from `as_vector`'s array."""
         return cls(
-            y[0:3].copy(), y[3:6].copy(), y[6:10].copy(), y[10:13].copy(), float(y[13]), float(y[14])
+            y[0:3].copy(),
+            y[3:6].copy(),
+            y[6:10].copy(),
+            y[10:13].copy(),
+            float(y[13]),
+            float(y[14]),
         )

@@ -101,7 +101,7 @@ def support_planes(legs: Array) -> list[Array]:
     for triple in triples:
         points = legs[list(triple)]
         design = np.column_stack((np.ones(3), points[:, :2]))
-        planes.append(np.linalg.solve(design, points[:, 2]))
+        planes.append(np.asarray(np.linalg.solve(design, points[:, 2]), dtype=np.float64))
     return planes
 
 

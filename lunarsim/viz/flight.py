@@ -38,7 +38,9 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
     end = flight.positions[-1, :2]
     away = np.hypot(t["position_x"] - end[0], t["position_y"] - end[1])
     figure = new_figure(11, 6.4)
-    axes = figure.subplot_mosaic([["profile", "speed"], ["profile", "tilt"], ["profile", "thrust"]])
+    axes: dict[str, Any] = figure.subplot_mosaic(
+        [["profile", "speed"], ["profile", "tilt"], ["profile", "thrust"]]
+    )
 
     profile = axes["profile"]
     profile.plot(away, altitude, color=COLOURS[0], lw=1.8)
@@ -173,7 +175,9 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
             Line2D([], [], color=COLOURS[1], label="path over the ground"),
             Line2D([], [], ls="", marker="x", color="black", mew=2, label="first target"),
             Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
-            Line2D([], [], ls="", marker="o", mfc="#440154", mec="white", ms=7, label="candidate site"),
+            Line2D(
+                [], [], ls="", marker="o", mfc="#440154", mec="white", ms=7, label="candidate site"
+            ),
             Patch(color="#56B4E9", label="truly safe at every heading"),
             Patch(color="#D55E00", label="true hazard"),
             Patch(color="#bbbbbb", label="edge of the terrain"),

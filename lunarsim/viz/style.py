@@ -50,7 +50,7 @@ def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
     gy, gx = np.gradient(np.asarray(z, dtype=np.float64), posting)
     light = np.array([-0.54, 0.54, 0.643])
     shade = (light[2] - gx * light[0] - gy * light[1]) / np.sqrt(1.0 + gx**2 + gy**2)
-    return np.clip(shade, 0.0, 1.0)
+    return np.asarray(np.clip(shade, 0.0, 1.0))
 
 
 def map_axes(axes: Any, title: str) -> None:
@@ -63,4 +63,6 @@ def map_axes(axes: Any, title: str) -> None:
 
 def show(axes: Any, raster: NDArray[Any], grid: Grid, **options: Any) -> Any:
     """Draw a raster in its place, north up."""
-    return axes.imshow(raster, origin="lower", extent=grid.extent, interpolation="nearest", **options)
+    return axes.imshow(
+        raster, origin="lower", extent=grid.extent, interpolation="nearest", **options
+    )

@@ -108,7 +108,10 @@ class Decision:
 class RetargetingPolicy(Protocol):
     """Anything that decides where to land."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name in tables and records."""
+        ...
 
     def decide(self, observation: Observation) -> Decision:
         """Return the decision for this observation."""

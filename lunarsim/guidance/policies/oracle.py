@@ -80,5 +80,7 @@ class TruthOracle:
             return Decision.keep("no truly safe site within reach")
         first = int(reachable[0])
         return Decision(
-            sites[first], "nearest truly safe site", {"propellant_kg": float(cost.propellant[first])}
+            sites[first],
+            "nearest truly safe site",
+            {"propellant_kg": float(cost.propellant[first])},
         )

@@ -8,7 +8,7 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel()
-def splat(points, x0, y0, p, rows, cols):  # type: ignore[no-untyped-def]
+def splat(points, x0, y0, p, rows, cols):
     """Spread points (n, 3) over the four nearest cell centres: Eq. 1, accumulated.
 
     Returns the weighted elevations and the weights (rows, cols).
@@ -38,7 +38,7 @@ def splat(points, x0, y0, p, rows, cols):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def fill_holes(z):  # type: ignore[no-untyped-def]
+def fill_holes(z):
     """Fill NaN cells in place by the mean of their known neighbours, ring by ring."""
     rows, cols = z.shape
     left = np.empty((rows * cols, 2), np.int64)
@@ -76,7 +76,7 @@ def fill_holes(z):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def _invert3(m, out):  # type: ignore[no-untyped-def]
+def _invert3(m, out):
     """Write the inverse of a symmetric 3 x 3 matrix; return its determinant."""
     a = m[0, 0]
     b = m[0, 1]
@@ -98,7 +98,7 @@ def _invert3(m, out):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def own_cells(points, triangles, x0, y0, p, todo, owner):  # type: ignore[no-untyped-def]
+def own_cells(points, triangles, x0, y0, p, todo, owner):
     """Write into `owner` (rows, cols) the triangle that holds each cell centre of `todo`.
 
     A centre on an edge belongs to the last triangle in the list that touches it, so every cell
@@ -134,7 +134,7 @@ def own_cells(points, triangles, x0, y0, p, todo, owner):  # type: ignore[no-unt
 @kernel(parallel=True)
 def regress(
     points, triangles, use, x0, y0, p, owner, sigma_f, length_scale, sigma_eps, mean, variance, seen
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Write mean and variance (Eqs. 4 to 6) of every owned cell from its triangle's vertices.
 
     The prior mean is that of the three vertices. Triangles with use False (they span a gap)

@@ -12,7 +12,7 @@ FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any ter
 
 
 @kernel(parallel=True, fast=True)
-def _double_windows(level, width, out):  # type: ignore[no-untyped-def]
+def _double_windows(level, width, out):
     """Write maxima over windows of 2 * width cells, given those over `width` cells."""
     rows, cols = level.shape
     for i in prange(rows):
@@ -23,7 +23,7 @@ def _double_windows(level, width, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True, fast=True)
-def _run_maxima(levels, runs, reach, out):  # type: ignore[no-untyped-def]
+def _run_maxima(levels, runs, reach, out):
     """Write the maximum over a set of runs around each cell at least `reach` from the edge.
 
     levels[k] holds maxima over windows of 2**k cells to the right; a run of any length is the
@@ -45,7 +45,7 @@ def _run_maxima(levels, runs, reach, out):  # type: ignore[no-untyped-def]
             out[i, j] = line[j]
 
 
-def run_maxima(z, runs, reach):  # type: ignore[no-untyped-def]
+def run_maxima(z, runs, reach):
     """Return the maximum of z over a set of runs around each cell; FAR near the edge."""
     depth = max(1, int(runs[:, 2].max()).bit_length())
     levels = np.empty((depth, *z.shape), np.float32)
@@ -58,7 +58,7 @@ def run_maxima(z, runs, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True, fast=True)
-def exact(z, feet, legs, inside, first_run, reach, posting, slope_out, rough_out):  # type: ignore[no-untyped-def]
+def exact(z, feet, legs, inside, first_run, reach, posting, slope_out, rough_out):
     """Write tan(slope) and roughness, the worst over headings and admissible planes.
 
     `feet` is the highest ground under a pad centred on each cell. Rows run in parallel, cells
@@ -158,7 +158,9 @@ def exact(z, feet, legs, inside, first_run, reach, posting, slope_out, rough_out
                     ty = gy[s, j] / posting
                     square = tx * tx + ty * ty
                     slope[j] = max(slope[j], square)
-                    rough[j] = max(rough[j], (top[s, j] - z0[s, j]) / np.sqrt(np.float32(1.0) + square))
+                    rough[j] = max(
+                        rough[j], (top[s, j] - z0[s, j]) / np.sqrt(np.float32(1.0) + square)
+                    )
         for j in range(width):
             slope_out[i, reach + j] = np.sqrt(slope[j])
             rough_out[i, reach + j] = rough[j]
@@ -168,7 +170,7 @@ def exact(z, feet, legs, inside, first_run, reach, posting, slope_out, rough_out
 def probability(
     leg_hi, leg_lo, foot_hi, foot_lo, body_hi, body_lo, slope_margin, roughness_limit,
     p_slope, p_rough,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Write Eqs. 16 and 17 from the six bounds of Eq. 15.
 
     leg_*: max over L of mean +- 3 sigma; foot_*: min over L of mean +- 3 sigma; body_*: max

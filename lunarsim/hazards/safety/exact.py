@@ -48,7 +48,9 @@ def check_raster(name: str, z: ArrayLike, grid: Grid, footprint: Footprint) -> F
         raise ValueError(f"{name} has shape {raster.shape}, the grid {grid.shape}")
     if min(grid.shape) <= 2 * footprint.reach:
         side = (2 * footprint.reach + 1) * grid.posting
-        raise ValueError(f"grid of {grid.shape} cells: must be larger than the footprint, {side:.2f} m")
+        raise ValueError(
+            f"grid of {grid.shape} cells: must be larger than the footprint, {side:.2f} m"
+        )
     return raster
 
 
