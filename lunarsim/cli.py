@@ -207,3 +207,7 @@ def _table(result: Any) -> Table:
             f"{sum(seconds) / len(seconds):.2f}",
         )
     return table
+
+
+if __name__ == "__main__":
+    main()

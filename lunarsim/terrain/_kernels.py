@@ -26,13 +26,13 @@ def _relief(x, y, z, x0, y0, p):
         i = min(int(v), rows - 2)
         u -= j
         v -= i
-        z00 = float(z[i, j])
-        z11 = float(z[i + 1, j + 1])
+        z00 = np.float64(z[i, j])
+        z11 = np.float64(z[i + 1, j + 1])
         if u >= v:
-            z10 = float(z[i, j + 1])
+            z10 = np.float64(z[i, j + 1])
             result = z00 + u * (z10 - z00) + v * (z11 - z10)
         else:
-            z01 = float(z[i + 1, j])
+            z01 = np.float64(z[i + 1, j])
             result = z00 + v * (z01 - z00) + u * (z11 - z01)
     return result
 
@@ -111,14 +111,14 @@ def _relief_normal(x, y, z, x0, y0, p, out):
     v = (y - y0) / p
     j = min(max(int(u), 0), cols - 2)
     i = min(max(int(v), 0), rows - 2)
-    z00 = float(z[i, j])
-    z11 = float(z[i + 1, j + 1])
+    z00 = np.float64(z[i, j])
+    z11 = np.float64(z[i + 1, j + 1])
     if u - j >= v - i:
-        z10 = float(z[i, j + 1])
+        z10 = np.float64(z[i, j + 1])
         gx = (z10 - z00) / p
         gy = (z11 - z10) / p
     else:
-        z01 = float(z[i + 1, j])
+        z01 = np.float64(z[i + 1, j])
         gx = (z11 - z01) / p
         gy = (z01 - z00) / p
     norm = np.sqrt(1.0 + gx * gx + gy * gy)
@@ -220,10 +220,10 @@ def _cell_hit(i, j, ox, oy, oz, dx, dy, dz, t0, t1, z, x0, y0, p):
     Within a triangle the surface is a plane, so the height of the ray above it is linear in
     the distance. The ray's stay in the cell, [t0, t1], is cut at the diagonal.
     """
-    z00 = float(z[i, j])
-    z10 = float(z[i, j + 1])
-    z01 = float(z[i + 1, j])
-    z11 = float(z[i + 1, j + 1])
+    z00 = np.float64(z[i, j])
+    z10 = np.float64(z[i, j + 1])
+    z01 = np.float64(z[i + 1, j])
+    z11 = np.float64(z[i + 1, j + 1])
     hit = np.inf
     highest = max(max(z00, z10), max(z01, z11))
     if min(oz + t0 * dz, oz + t1 * dz) <= highest or np.isnan(highest):
@@ -414,7 +414,7 @@ def cast(origin, direction, max_range, z, x0, y0, p, leaf, top, rocks, start, in
     normal = np.full((count, 3), np.nan)
     rock = np.empty(count, np.int64)
     each = 1 if origin.shape[0] > 1 else 0
-    ceiling = float(top.max())
+    ceiling = np.float64(top.max())
     for ray in prange(count):
         o = origin[ray * each]
         d = direction[ray]

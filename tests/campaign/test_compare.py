@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lunarsim.campaign import Proportion, compare, summarise
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return Scenario.from_dict(
+        {
+            "name": "tiny",
+            "terrain": {"size_m": 60.0},
+            "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
+            "target": {"scatter_m": [8.0, 8.0]},
+            "lidar": {"pixels": [64, 64]},
+            "mapper": {"posting_m": 0.5, "size_m": 40.0},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def result(scenario, tmp_path_factory):
+    out = tmp_path_factory.mktemp("one") / "out"
+    return compare(scenario, ["no-divert", "safest"], flights=2, seed=4, jobs=1, out=out), out
+
+
+def test_results_are_the_same_bytes_again_and_in_two_processes(scenario, result, tmp_path):
+    _, first = result
+    for jobs in (1, 2):
+        out = tmp_path / str(jobs)
+        compare(
+            scenario, ["no-divert", "safest"], flights=2, seed=4, jobs=jobs, out=out, figures=False
+        )
+        assert (out / "results.parquet").read_bytes() == (first / "results.parquet").read_bytes()
+
+
+def test_folder_holds_what_was_promised(result):
+    summary, out = result
+    table = pd.read_parquet(out / "results.parquet")
+    assert len(table) == 4
+    assert list(table["policy"]) == ["no-divert", "safest"] * 2
+    assert {p.name for p in (out / "flights" / "safest").iterdir()} == {"00000", "00001"}
+    for policy in ("no-divert", "safest"):
+        for name in ("descent", "maps"):
+            assert (out / "figures" / policy / f"{name}.png").stat().st_size > 20_000
+    assert (out / "figures" / "comparison.png").exists()
+    assert json.loads((out / "summary.json").read_text())["complete"]
+    assert Scenario.load(out / "scenario.toml").name == "tiny"
+    assert summary.complete
+    assert 0.0 <= summary.safe_share <= summary.safe_share_at_heading <= 1.0
+
+
+def test_progress_counts_flights(scenario):
+    seen = []
+    compare(scenario, ["no-divert"], flights=2, seed=1, progress=seen.append)
+    assert sum(seen) == 2
+
+
+def test_interrupt_keeps_what_is_finished(scenario, tmp_path):
+    out = tmp_path / "out"
+
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    result = compare(
+        scenario, ["no-divert"], flights=3, seed=1, out=out, progress=stop, figures=False
+    )
+    assert not result.complete
+    assert len(pd.read_parquet(out / "results.parquet")) == 1
+    assert not json.loads((out / "summary.json").read_text())["complete"]
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"policies": ["safets"]}, "--policies"),
+        ({"policies": []}, "--policies"),
+        ({"policies": ["safest", "safest"]}, "--policies"),
+        ({"flights": 0}, "--flights"),
+        ({"jobs": 0}, "--jobs"),
+    ],
+)
+def test_bad_requests(scenario, tmp_path, change, field):
+    request = {"policies": ["safest"], "flights": 1, "jobs": 1} | change
+    with pytest.raises(InputError) as caught:
+        compare(scenario, request.pop("policies"), seed=1, out=tmp_path / "o", **request)
+    assert caught.value.field == field
+    assert not (tmp_path / "o").exists()
+
+
+def test_other_results_are_not_overwritten(scenario, tmp_path):
+    (tmp_path / "precious.txt").write_text("keep")
+    with pytest.raises(InputError, match="holds other files"):
+        compare(scenario, ["safest"], flights=1, seed=1, out=tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
+
+
+def test_wilson_interval():
+    # Closed form of the score interval.
+    n, k, z = 50, 45, 1.959963984540054
+    centre = (k + z * z / 2) / (n + z * z)
+    half = z / (n + z * z) * np.sqrt(k * (n - k) / n + z * z / 4)
+    assert Proportion(k, n).interval == pytest.approx((centre - half, centre + half))
+    assert Proportion(0, 0).interval == (0.0, 1.0)
+    assert str(Proportion(1, 2)).startswith("0.500 [")
+
+
+def test_summary_pools_cells():
+    base = {
+        "policy": "a", "safe": True, "safe_site_in_reach": True, "propellant_kg": 1.0,
+        "divert_m": 2.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
+    }  # fmt: skip
+    rows = [
+        base | {"map_hits": 90, "map_false_safe": 10, "map_missed": 10},
+        base | {"map_hits": 0, "map_false_safe": 0, "map_missed": 80, "safe": False,
+                "safe_site_in_reach": False},
+    ]  # fmt: skip
+    a = summarise(rows)["a"]
+    assert a["precision"] == pytest.approx(0.9)
+    assert a["recall"] == pytest.approx(0.5)
+    assert a["safe"].count == 1
+    assert a["safe_in_reach"].total == 1

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim_envs.retarget import RetargetEnv
+from tests.conftest import ROOT
+
+ID = "lunarsim_envs:lunarsim/Retarget-v0"
+
+
+@pytest.fixture
+def env(small_scenario):
+    return gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array")
+
+
+def test_check_env_without_a_warning(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+
+
+def test_default_scenario_is_made_without_files():
+    assert gymnasium.make(ID).unwrapped.scenario.name == "golombek"
+
+
+def test_one_decision_a_second_between_400_and_50_m(env):
+    _, info = env.reset(seed=1)
+    simulation = env.unwrapped.simulation
+    assert simulation.altitude <= 400.0
+    times, altitudes, ended = [info["time"]], [simulation.altitude], False
+    while not ended:
+        observation, reward, ended, truncated, info = env.step(0)
+        assert not truncated
+        assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        if not ended:
+            times.append(info["time"])
+            altitudes.append(simulation.altitude)
+    assert np.allclose(np.diff(times), 1.0, atol=1e-6)
+    assert min(altitudes) >= 50.0
+    assert info["reward_terms"]["touchdown"] == (1.0 if info["safe"] else -1.0)
+    assert simulation.done
+
+
+def test_choosing_a_site_moves_the_target(env):
+    observation, info = env.reset(seed=1)
+    while not info["action_mask"][1:].any():
+        observation, _, _, _, info = env.step(0)
+    simulation = env.unwrapped.simulation
+    action = int(np.flatnonzero(info["action_mask"])[1])
+    wanted = simulation.site + observation["sites"][action - 1, :3]
+    env.step(action)
+    assert np.allclose(simulation.site, wanted, atol=1e-2)
+
+
+def test_unavailable_sites_cost_and_keep(env):
+    observation, info = env.reset(seed=1)
+    action = int(np.flatnonzero(info["action_mask"] == 0)[0])
+    site = env.unwrapped.simulation.site.copy()
+    _, _, _, _, info = env.step(action)
+    assert info["reward_terms"]["invalid"] < 0.0
+    assert np.array_equal(env.unwrapped.simulation.site, site)
+
+
+def test_same_seed_same_episode(env):
+    def episode():
+        observation, _ = env.reset(seed=11)
+        out, ended = [observation["hazard_map"].sum()], False
+        while not ended:
+            observation, reward, ended, _, _ = env.step(0)
+            out += [reward, observation["hazard_map"].sum()]
+        return out
+
+    assert episode() == episode()
+
+
+def test_rendering(env):
+    env.reset(seed=1)
+    frame = env.render()
+    assert frame.shape == (360, 800, 3)
+    assert frame.dtype == np.uint8
+    assert frame.std() > 10.0
+
+
+def test_misuse_is_explained(small_scenario):
+    fresh = gymnasium.make(ID, scenario=small_scenario).unwrapped
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        fresh.step(0)
+    fresh.reset(seed=1)
+    with pytest.raises(ValueError, match="action = 99"):
+        fresh.step(99)
+    with pytest.raises(ValueError, match="render_mode"):
+        RetargetEnv(small_scenario, render_mode="human")
+    with pytest.raises(InputError, match="existing TOML"):
+        gymnasium.make(ID, scenario="missing.toml")
+
+
+def test_scenario_objects_are_taken(small_scenario):
+    assert isinstance(small_scenario, Scenario)
+    assert gymnasium.make(ID, scenario=small_scenario).unwrapped.scenario is small_scenario
+
+
+def test_example_script_runs():
+    script = ROOT / "scenarios" / "retarget_agents.py"
+    run = subprocess.run(
+        [sys.executable, str(script), "--episodes", "1"], capture_output=True, text=True, check=True
+    )
+    assert "rule-based: mean return" in run.stdout

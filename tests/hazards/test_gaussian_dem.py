@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+
+from lunarsim.grid import Grid
+from lunarsim.hazards.gaussian_dem import conventional_dem, fuse, gaussian_dem
+from tests.reference import dem as reference
+
+GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
+
+
+def cloud(seed: int, n: int = 60, spread: float = 3.9) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-spread, spread, (n, 2))
+    return np.column_stack((xy, np.sin(xy[:, 0]) + 0.1 * rng.standard_normal(n)))
+
+
+@given(st.integers(0, 1000))
+def test_conventional_dem_agrees_with_the_plain_reference(seed):
+    points = cloud(seed)
+    ours = conventional_dem(points, GRID)
+    z, weight = reference.conventional(points, GRID)
+    assert np.allclose(ours.weight, weight, atol=1e-6)
+    known = weight > 0.0
+    assert np.allclose(ours.elevation[known], z[known], atol=1e-5)
+    assert np.isfinite(ours.elevation).all()
+
+
+def test_holes_take_the_mean_of_their_neighbours():
+    grid = Grid(0.0, 0.0, 1.0, 3, 3)
+    points = [[x, y, 10.0 * x + y] for x in range(3) for y in range(3) if (x, y) != (1, 1)]
+    dem = conventional_dem(points, grid)
+    assert dem.elevation[1, 1] == pytest.approx(np.mean([p[2] for p in points]))
+    far = conventional_dem([[0.0, 0.0, 7.0]], grid)
+    assert np.allclose(far.elevation, 7.0)
+
+
+def test_a_plane_is_registered_to_cell_centres():
+    """Half a cell of misregistration would show as 0.05 m here."""
+    x, y = np.meshgrid(np.linspace(-4, 4, 161), np.linspace(-4, 4, 161))
+    points = np.column_stack((x.ravel(), y.ravel(), 0.2 * x.ravel()))
+    inner = (slice(1, -1), slice(1, -1))
+    expected = 0.2 * GRID.centres()[..., 0]
+    assert np.allclose(conventional_dem(points, GRID).elevation[inner], expected[inner], atol=1e-3)
+    dem = gaussian_dem(points, GRID, sigma_eps=0.01)
+    assert np.allclose(dem.mean[inner], expected[inner], atol=1e-3)
+
+
+@given(st.integers(0, 1000), st.floats(0.05, 1.0), st.floats(0.5, 40.0), st.floats(0.001, 0.05))
+def test_interpolated_cells_agree_with_kriging_from_their_triangle(seed, sigma_f, length, eps):
+    points = cloud(seed, 30)
+    dem = gaussian_dem(points, GRID, sigma_f=sigma_f, length_scale=length, sigma_eps=eps)
+    weight = conventional_dem(points, GRID).weight
+    mesh = Delaunay(points[:, :2])
+    rng = np.random.default_rng(seed)
+    for _ in range(30):
+        i, j = rng.integers(0, GRID.rows), rng.integers(0, GRID.cols)
+        xy = GRID.centre_of(i, j)
+        t = int(mesh.find_simplex(xy))
+        if weight[i, j] > 0.5:
+            assert dem.variance[i, j] == pytest.approx(eps**2, rel=1e-4)
+        elif t < 0:
+            assert np.isnan(dem.mean[i, j])
+            assert dem.variance[i, j] == pytest.approx(sigma_f**2, rel=1e-4)
+            assert not dem.observed[i, j]
+        elif dem.observed[i, j]:
+            mean, variance = reference.kriging(points[mesh.simplices[t]], xy, sigma_f, length, eps)
+            assert dem.mean[i, j] == pytest.approx(mean, abs=1e-5)
+            assert dem.variance[i, j] == pytest.approx(variance, rel=1e-3, abs=1e-7)
+
+
+def test_a_gap_is_not_observed():
+    points = cloud(1, 3000)
+    points = points[np.abs(points[:, 0]) > 1.2]
+    dem = gaussian_dem(points, GRID, sigma_f=0.3)
+    middle = np.abs(GRID.x) < 0.6
+    assert not dem.observed[:, middle].any()
+    assert np.allclose(dem.variance[:, middle], 0.09)
+    assert dem.observed[2:-2, 2].all()
+
+
+def test_fusion_weighs_by_precision():
+    a = gaussian_dem(cloud(1, 3000), GRID, sigma_eps=0.02)
+    b = gaussian_dem(cloud(2, 3000), GRID, sigma_eps=0.01)
+    both = fuse(a, b)
+    seen = a.observed & b.observed
+    assert np.allclose(both.variance[seen], 1.0 / (1.0 / a.variance + 1.0 / b.variance)[seen])
+    w = (1.0 / a.variance) / (1.0 / a.variance + 1.0 / b.variance)
+    assert np.allclose(both.mean[seen], (w * a.mean + (1 - w) * b.mean)[seen], atol=1e-5)
+
+
+@given(st.floats(-500.0, 500.0), st.integers(-5, 5), st.integers(-5, 5))
+def test_shift_invariance(dz, rows, cols):
+    points = cloud(4, 80)
+    moved = points + [0.5 * cols, 0.5 * rows, dz]
+    grid = Grid(GRID.x0 + 0.5 * cols, GRID.y0 + 0.5 * rows, 0.5, GRID.rows, GRID.cols)
+    a = gaussian_dem(points, GRID)
+    b = gaussian_dem(moved, grid)
+    assert np.allclose(a.mean + dz, b.mean, atol=2e-4, equal_nan=True)
+    assert np.allclose(a.variance, b.variance, atol=1e-5)
+
+
+def test_bad_clouds():
+    with pytest.raises(ValueError, match="shape"):
+        gaussian_dem(np.zeros((4, 2)), GRID)
+    with pytest.raises(ValueError, match="infinities"):
+        gaussian_dem([[0.0, 0.0, np.inf]], GRID)
+    with pytest.raises(ValueError, match="sigma_f"):
+        gaussian_dem(cloud(1), GRID, sigma_f=0.0)
+    with pytest.raises(ValueError, match="length_scale"):
+        gaussian_dem(cloud(1), GRID, length_scale=-1.0)
+    with pytest.raises(ValueError, match="sigma_eps"):
+        gaussian_dem(cloud(1), GRID, sigma_eps=float("nan"))
+    with pytest.raises(ValueError, match="none of the"):
+        conventional_dem([[100.0, 0.0, 0.0]], GRID)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3)),
+        [[0.1, 0.1, 1.0]],
+        [[0.1, 0.1, 1.0], [0.2, 0.3, 2.0]],
+        [[i * 0.1, i * 0.1, 1.0] for i in range(5)],
+        [[np.nan, 0.0, 0.0]] * 4,
+    ],
+    ids=["none", "one", "two", "collinear", "nan"],
+)
+def test_too_few_points_leave_the_map_unobserved(points):
+    dem = gaussian_dem(points, GRID)
+    assert dem.observed.mean() < 0.05
+    assert np.isfinite(dem.variance).all()
+
+
+def test_coincident_points_are_merged():
+    points = np.concatenate((cloud(3, 20), cloud(3, 20) + [0.0, 0.0, 1.0]))
+    dem = gaussian_dem(points, GRID, sigma_eps=0.0)
+    assert np.isfinite(dem.mean[dem.observed]).all()

@@ -1,0 +1,92 @@
+"""Plain landing safety: loops over cells, headings, planes and footprint cells."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.vehicle import Lander, support_planes
+
+
+def leg_cells(lander: Lander, posting: float, samples: int = 20000) -> list[tuple]:
+    """Every distinct set of leg cells, found by turning the lander in tiny steps."""
+    found = set()
+    for heading in np.linspace(0.0, 2.0 * math.pi / lander.legs, samples, endpoint=False) + 1e-7:
+        cells = []
+        for leg in range(lander.legs):
+            angle = heading + 2.0 * math.pi * leg / lander.legs
+            row = lander.leg_radius / posting * math.sin(angle)
+            col = lander.leg_radius / posting * math.cos(angle)
+            cells.append((math.floor(abs(row) + 0.5) * (1 if row > 0 else -1),
+                          math.floor(abs(col) + 0.5) * (1 if col > 0 else -1)))  # fmt: skip
+        found.add(tuple(cells))
+    return sorted(found)
+
+
+def pad_cells(lander: Lander, posting: float) -> list[tuple[int, int]]:
+    r = 0.5 * lander.pad_diameter / posting
+    n = int(r + 1e-9)
+    return [
+        (i, j)
+        for i in range(-n, n + 1)
+        for j in range(-n, n + 1)
+        if i * i + j * j <= (r + 1e-9) ** 2
+    ]
+
+
+def polygon_cells(corners: tuple) -> list[tuple[int, int]]:
+    rows = [c[0] for c in corners]
+    cols = [c[1] for c in corners]
+    inside = []
+    for i in range(min(rows), max(rows) + 1):
+        for j in range(min(cols), max(cols) + 1):
+            turns = []
+            for (r0, c0), (r1, c1) in zip(corners, corners[1:] + corners[:1], strict=True):
+                turns.append((c1 - c0) * (i - r0) - (r1 - r0) * (j - c0))
+            if all(t >= 0 for t in turns):
+                inside.append((i, j))
+    return inside
+
+
+def exact(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int) -> tuple[float, float]:
+    """Worst slope (rad) and roughness (m) of a lander centred on one cell."""
+    pads = pad_cells(lander, grid.posting)
+    slope = roughness = 0.0
+    for corners in leg_cells(lander, grid.posting, 4000):
+        legs = np.array(
+            [
+                (
+                    c * grid.posting,
+                    r * grid.posting,
+                    max(float(z[row + r + a, col + c + b]) for a, b in pads),
+                )
+                for r, c in corners
+            ]
+        )
+        for z0, gx, gy in support_planes(legs):
+            stretch = math.sqrt(1.0 + gx * gx + gy * gy)
+            slope = max(slope, math.acos(1.0 / stretch))
+            for r, c in polygon_cells(corners):
+                plane = z0 + gx * c * grid.posting + gy * r * grid.posting
+                roughness = max(roughness, (float(z[row + r, col + c]) - plane) / stretch)
+    return slope, roughness
+
+
+def extremes(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int):
+    """max over L, min over L, max over U, and h0 (m), of a lander centred on one cell."""
+    pads = pad_cells(lander, grid.posting)
+    legs, body, least = set(), set(), math.inf
+    for corners in leg_cells(lander, grid.posting, 4000):
+        body.update(polygon_cells(corners))
+        for r, c in corners:
+            legs.update((r + a, c + b) for a, b in pads)
+        for p, q, s in combinations(corners, 3):
+            area = abs((q[0] - p[0]) * (s[1] - p[1]) - (q[1] - p[1]) * (s[0] - p[0]))
+            longest = max(math.dist(p, q), math.dist(q, s), math.dist(p, s))
+            least = min(least, area / longest * grid.posting)
+    over_legs = [float(z[row + r, col + c]) for r, c in legs]
+    over_body = [float(z[row + r, col + c]) for r, c in body]
+    return max(over_legs), min(over_legs), max(over_body), least

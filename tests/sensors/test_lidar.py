@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix, sensor_axes
+from lunarsim.sensors import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from tests.conftest import flat_terrain
+
+DOWN = sensor_axes([0.0, 0.0, -1.0])
+
+
+def state(height: float, attitude=(0.0, 0.0, 0.0, 1.0)) -> State:
+    return State(np.array([0.0, 0.0, height]), np.zeros(3), np.array(attitude), np.zeros(3), 1.0)
+
+
+def test_coverage_and_spacing_are_those_of_the_paper():
+    """Table 4: 100 x 100 m and 0.391 m between samples from 500 m."""
+    world = World(flat_terrain(size=140.0, posting=2.0), 1.622)
+    scan = FlashLidar(noise_ratio=0.0).measure(
+        world, state(500.0), 0.0, np.random.default_rng(0), DOWN
+    )
+    points = scan.points(np.array([0.0, 0.0, 500.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+    x = points[:256, 0]
+    assert np.diff(x) == pytest.approx(np.full(255, 100.0 / 256), abs=1e-9)
+    assert np.ptp(points[:, 1]) == pytest.approx(100.0 - 100.0 / 256, abs=1e-9)
+    assert np.abs(points[:, 2]).max() < 1e-9
+
+
+def test_noise_lies_along_the_ray_and_grows_with_range():
+    world = World(flat_terrain(size=140.0, posting=2.0), 1.622)
+    lidar = FlashLidar()
+    clean = FlashLidar(noise_ratio=0.0)
+    for height, sigma in ((500.0, 0.05 / 3), (250.0, 0.025 / 3)):
+        noisy = lidar.measure(world, state(height), 0.0, np.random.default_rng(1), DOWN)
+        exact = clean.measure(world, state(height), 0.0, np.random.default_rng(1), DOWN)
+        error = noisy.range - exact.range
+        assert np.std(error) == pytest.approx(sigma, rel=0.02)
+        assert np.mean(error) == pytest.approx(0.0, abs=4 * sigma / 256)
+        assert np.array_equal(noisy.direction, exact.direction)
+
+
+def test_returns_off_the_map_are_nan():
+    world = World(flat_terrain(size=40.0), 1.622)
+    scan = FlashLidar().measure(world, state(500.0), 0.0, np.random.default_rng(0), DOWN)
+    assert 0.1 < np.isfinite(scan.range).mean() < 0.2
+
+
+def test_attitude_error_moves_the_points():
+    """The truth decides where the sensor looks, the estimate where the points go."""
+    world = World(flat_terrain(size=80.0), 1.622)
+    tilt = quat_from_rotation_vector([0.0, 0.01, 0.0])
+    mount = quat_to_matrix([0.0, 0.0, 0.0, 1.0]).T @ DOWN
+    scan = FlashLidar(16, 16, noise_ratio=0.0).measure(
+        world, state(200.0, tilt), 0.0, np.random.default_rng(0), mount
+    )
+    right = scan.points(np.array([0.0, 0.0, 200.0]), tilt)
+    wrong = scan.points(np.array([0.0, 0.0, 200.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+    assert np.abs(right[:, 2]).max() < 1e-9
+    shift = np.mean(wrong[:, 0] - right[:, 0])
+    assert shift == pytest.approx(200.0 * np.tan(0.01), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "change", [{"rows": 1}, {"half_width": 0.0}, {"noise_ratio": -1.0}, {"max_range": 0.0}]
+)
+def test_impossible_sensors(change):
+    with pytest.raises(InputError, match="lidar"):
+        FlashLidar(**change)

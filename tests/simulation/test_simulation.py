@@ -1,0 +1,203 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+import xarray as xr
+from rasterio.transform import from_origin
+
+from lunarsim.errors import InputError
+from lunarsim.guidance.policies import Decision
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.vehicle import judge_touchdown
+from tests.conftest import SCENARIOS
+
+
+def changed(scenario: Scenario, **tables) -> Scenario:
+    data = scenario.model_dump(mode="python")
+    for table, values in tables.items():
+        data[table] = {**data[table], **values}
+    return Scenario.from_dict(data)
+
+
+@pytest.mark.parametrize("policy", ["no-divert", "safest", "truth-oracle"])
+def test_a_flight_reaches_the_ground_where_it_aimed(small_scenario, policy):
+    simulation = Simulation(small_scenario, flight_seed(3, 0), policy)
+    flight = simulation.run()
+    touchdown = flight.verdict.touchdown
+    assert touchdown is not None
+    assert touchdown.vertical_speed == pytest.approx(2.0, abs=0.2)
+    assert touchdown.horizontal_speed < 0.3
+    # The miss on the onboard map: the true site is the estimated one less the error.
+    aimed = simulation.site - simulation.navigation_error
+    assert np.hypot(*(touchdown.position - aimed)[:2]) < 0.6
+    used = flight.propellant_used
+    assert 20.0 < used < 100.0
+    # Rocket equation on the record: the thrust integral is the propellant burnt.
+    t, thrust = flight.trajectory["time"], flight.trajectory["thrust"]
+    burnt = np.trapezoid(thrust, t) / simulation.lander.exhaust_velocity
+    assert burnt == pytest.approx(used, rel=0.01)
+
+
+def test_same_seed_same_bits(small_scenario):
+    flights = [Simulation(small_scenario, flight_seed(5, 1), "safest").run() for _ in range(2)]
+    for name, column in flights[0].trajectory.items():
+        assert np.array_equal(column, flights[1].trajectory[name]), name
+    other = Simulation(small_scenario, flight_seed(5, 2), "safest").run()
+    assert not np.array_equal(flights[0].trajectory["mass"][:5], other.trajectory["mass"][:5]) or (
+        not np.array_equal(flights[0].positions[0], other.positions[0])
+    )
+
+
+def test_policies_meet_the_same_world_and_noise(small_scenario):
+    a = Simulation(small_scenario, flight_seed(5, 1), "no-divert")
+    b = Simulation(small_scenario, flight_seed(5, 1), "safest")
+    assert np.array_equal(a.world.terrain.rocks.x, b.world.terrain.rocks.x)
+    assert np.array_equal(a.state.position, b.state.position)
+    assert np.array_equal(a.site, b.site)
+
+
+def test_a_divert_from_outside_is_flown(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(2, 0), None)
+    first = simulation.site.copy()
+    diverted = False
+    while not simulation.done:
+        simulation.navigate_and_scan()
+        if simulation.decision_due:
+            move = None if diverted else first + [12.0, -9.0, 0.0]
+            assert simulation.apply(Decision(move, "test"))
+            diverted = True
+        simulation.guide_and_move()
+    end = simulation.state.position - (simulation.site - simulation.navigation_error)
+    assert simulation.flight().divert_distance == pytest.approx(15.0)
+    assert np.hypot(*end[:2]) < 0.6
+
+
+def test_sites_out_of_reach_are_refused(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(2, 0), None)
+    before = simulation.site.copy()
+    assert not simulation.apply(Decision(before + [5000.0, 0.0, 0.0], "test"))
+    assert np.array_equal(simulation.site, before)
+    assert simulation.recorder.events[-1]["name"] == "divert-refused"
+
+
+def test_verdict_is_that_of_the_true_ground(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(1, 0), "no-divert")
+    verdict = simulation.run().verdict
+    again = judge_touchdown(
+        simulation.lander, simulation.state, simulation.world.terrain, simulation.world.gravity
+    )
+    assert again.failed == verdict.failed
+
+
+def test_slerp_attitude_flies_too(small_scenario):
+    scenario = changed(small_scenario, guidance={"attitude": "slerp"})
+    flight = Simulation(scenario, flight_seed(3, 0), "safest").run()
+    assert flight.verdict.touchdown is not None
+    assert flight.verdict.touchdown.horizontal_speed < 0.5
+
+
+def test_record_opens_without_the_package(small_scenario, tmp_path):
+    simulation = Simulation(small_scenario, flight_seed(3, 0), "safest")
+    flight = simulation.run()
+    folder = flight.save(tmp_path / "flight")
+    trajectory = pd.read_parquet(folder / "trajectory.parquet")
+    assert np.array_equal(trajectory["position_z"], flight.trajectory["position_z"])
+    with xr.open_dataset(folder / "hazard_map.nc", engine="h5netcdf") as data:
+        assert data.p_safe.dims == ("y", "x")
+        assert np.allclose(data.p_safe, flight.hazard_map.p_safe, atol=1e-4)
+        assert np.allclose(data.x, flight.hazard_map.grid.x)
+        assert data.elevation.attrs["units"] == "m"
+    record = json.loads((folder / "flight.json").read_text())
+    assert record["verdict"]["safe"] == flight.verdict.safe
+    assert Scenario.from_dict(__import__("tomllib").loads(record["scenario"])) == small_scenario
+    assert len(pd.read_parquet(folder / "scans.parquet")) == len(flight.scans)
+
+
+def test_gimbal_points_at_the_site(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(3, 0), "no-divert")
+    flight = simulation.run()
+    scans = flight.scans
+    for time in np.unique(scans[:, 3]):
+        own = scans[scans[:, 3] == time]
+        # The site lies well inside what was scanned.
+        assert np.abs(np.median(own[:, 0]) - simulation.site[0]) < 12.0
+    assert [e["name"] for e in flight.events].count("scan") == 2
+
+
+def test_true_share_of_safe_ground_predicts_blind_landings(small_scenario):
+    """Blind touchdowns on exactly safe cells are judged safe by the finer verdict."""
+    agreements = []
+    for i in range(6):
+        simulation = Simulation(small_scenario, flight_seed(9, i), "no-divert")
+        flight = simulation.run()
+        touchdown = flight.verdict.touchdown
+        if simulation.truth.safe_at(touchdown.position[:2]):
+            agreements.append(flight.verdict.safe)
+    assert agreements
+    assert all(agreements)
+
+
+@pytest.mark.parametrize(
+    ("tables", "field"),
+    [
+        ({"lander": {"thrust_max_n": 2000.0}}, "lander.thrust_max_n"),
+        ({"start": {"position_m": (0.0, 0.0, -5.0)}}, "start.position_m"),
+        ({"start": {"position_m": (-3000.0, 0.0, 100.0)}}, "start.position_m"),
+        ({"target": {"position_m": (500.0, 0.0)}}, "target.position_m"),
+        ({"terrain": {"size_m": 6.0}}, "terrain"),
+        ({"mapper": {"size_m": 5.0}}, "mapper.size_m"),
+        ({"mapper": {"posting_m": 2.0}}, "mapper.posting_m"),
+        ({"lander": {"leg_radius_m": 0.2}}, "lander.pad_diameter"),
+    ],
+)
+def test_impossible_scenarios_name_the_field(small_scenario, tables, field):
+    with pytest.raises(InputError) as caught:
+        Simulation(changed(small_scenario, **tables), 1, "safest")
+    assert caught.value.field == field
+
+
+def test_holes_in_a_dtm_are_unsafe_and_unobserved(small_scenario, tmp_path):
+    z = np.zeros((80, 80), np.float32)
+    z[30:34, 50:53] = np.nan
+    path = tmp_path / "holes.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", height=80, width=80, count=1, dtype="float32",
+        crs="+proj=eqc +R=1737400 +units=m +no_defs", transform=from_origin(0, 0, 1.0, 1.0),
+    ) as file:  # fmt: skip
+        file.write(z, 1)
+    scenario = changed(
+        small_scenario, terrain={"kind": "dtm", "path": path}, target={"scatter_m": (2.0, 2.0)}
+    )
+    simulation = Simulation(scenario, flight_seed(1, 0), "safest")
+    hole = np.array([51.0 - 39.5, 39.5 - 31.5])
+    truth = simulation.truth.safety
+    row, col = truth.grid.cell(hole)
+    assert not truth.observed[row, col]
+    assert not simulation.truth.safe_at(hole)
+    flight = simulation.run()
+    assert flight.verdict.safe
+    hazard_map = flight.hazard_map
+    row, col = hazard_map.grid.cell(hole + flight.map_error[:2])
+    assert not hazard_map.observed[row, col]
+    assert hazard_map.p_safe[row, col] == 0.0
+
+
+def test_stepping_past_the_end_is_an_error(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(3, 0), "no-divert")
+    simulation.run()
+    with pytest.raises(RuntimeError, match="ended"):
+        simulation.step()
+
+
+@pytest.mark.parametrize("name", ["hirise", "golombek"])
+def test_shipped_scenarios_fly_end_to_end(name):
+    scenario = Scenario.load(SCENARIOS / f"{name}.toml")
+    flight = Simulation(scenario, flight_seed(1, 0), "safest").run()
+    assert flight.verdict.safe
+    assert flight.hazard_map.observed.mean() > 0.2

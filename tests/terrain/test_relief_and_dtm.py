@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
+from rasterio.transform import from_origin
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.terrain import Heightfield, Terrain, fractal_relief, load_dtm, read_info
+from tests.conftest import SCENARIOS
+
+MOON = "+proj=eqc +R=1737400 +units=m +no_defs"
+
+
+def write(path, z, *, crs=MOON, posting=2.0, nodata=None, driver="GTiff"):
+    with rasterio.open(
+        path, "w", driver=driver, height=z.shape[0], width=z.shape[1], count=1,
+        dtype="float32", crs=crs, transform=from_origin(0.0, 0.0, posting, posting), nodata=nodata,
+    ) as file:  # fmt: skip
+        file.write(z.astype(np.float32), 1)
+    return path
+
+
+def test_hirise_crop():
+    relief = load_dtm(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif")
+    assert relief.grid.shape == (120, 70)
+    assert relief.grid.posting == pytest.approx(1.01, abs=1e-6)
+    low, high = relief.z_range
+    assert high - low == pytest.approx(792 - 753, abs=1.5)
+    assert abs(float(np.nanmean(relief.z))) < 1e-3
+    step = relief.grid.posting
+    slope = np.rad2deg(np.arctan(np.hypot(*np.gradient(relief.z, step))))
+    assert np.percentile(slope, 50) == pytest.approx(21, abs=3)
+
+
+def test_north_is_up(tmp_path):
+    z = np.zeros((4, 5))
+    z[0, :] = 10.0  # first row of a raster is the northernmost
+    relief = load_dtm(write(tmp_path / "a.tif", z))
+    terrain = Terrain(relief)
+    assert terrain.elevation([0.0, 3.0]) > terrain.elevation([0.0, -3.0])
+
+
+def test_no_data_becomes_nan(tmp_path):
+    z = np.ones((6, 6))
+    z[2, 3] = -9999.0
+    z[4, 4] = -3.4e38
+    relief = load_dtm(write(tmp_path / "a.tif", z, nodata=-9999.0))
+    assert np.isnan(relief.z).sum() == 2
+    assert read_info(tmp_path / "a.tif").no_data_share == pytest.approx(2 / 36)
+
+
+def test_pds_style_raster_without_crs_needs_a_posting(tmp_path):
+    z = np.random.default_rng(1).random((8, 8))
+    path = write(tmp_path / "a.tif", z, crs=None)
+    with pytest.raises(InputError, match="dtm_posting_m"):
+        load_dtm(path)
+    assert load_dtm(path, posting=40.0).grid.posting == 40.0
+
+
+def test_bad_files(tmp_path):
+    with pytest.raises(InputError, match="existing"):
+        load_dtm(tmp_path / "none.tif")
+    (tmp_path / "text.tif").write_text("not a raster")
+    with pytest.raises(InputError, match="GDAL can read"):
+        load_dtm(tmp_path / "text.tif")
+    degrees = write(tmp_path / "deg.tif", np.ones((4, 4)), crs="EPSG:4326", posting=0.1)
+    with pytest.raises(InputError, match="metric frame"):
+        load_dtm(degrees)
+    empty = write(tmp_path / "nan.tif", np.full((4, 4), np.nan))
+    with pytest.raises(InputError, match="at least one elevation"):
+        load_dtm(empty)
+    with pytest.raises(InputError, match="left out"):
+        load_dtm(write(tmp_path / "ok.tif", np.ones((4, 4))), posting=5.0)
+
+
+@given(st.integers(0, 1000), st.sampled_from([0.2, 0.33, 0.5, 0.99]))
+def test_refining_keeps_the_measured_posts(seed, posting):
+    grid = Grid(0.0, 0.0, 1.0, 9, 7)
+    relief = Heightfield(grid, np.random.default_rng(seed).random((9, 7)).astype(np.float32))
+    fine = relief.refined(posting)
+    factor = round(1.0 / fine.grid.posting)
+    assert fine.grid.posting <= posting
+    assert np.array_equal(fine.z[::factor, ::factor], relief.z)
+
+
+def test_refining_does_not_invent_data():
+    grid = Grid(0.0, 0.0, 1.0, 9, 9)
+    z = np.zeros((9, 9), np.float32)
+    z[4, 4] = np.nan
+    fine = Heightfield(grid, z).refined(0.25)
+    assert np.isnan(fine.z[13:20, 13:20]).all()
+    assert np.isfinite(fine.z[:12]).all()
+
+
+def test_scaling():
+    grid = Grid(0.0, 0.0, 1.0, 3, 3)
+    relief = Heightfield(grid, np.arange(9, dtype=np.float32).reshape(3, 3))
+    assert np.allclose(relief.scaled(0.2).z, 0.2 * relief.z)
+
+
+@pytest.mark.parametrize("hurst", [0.5, 0.8])
+def test_fractal_relief_has_the_asked_roughness(hurst):
+    grid = Grid.centred((0.0, 0.0), 128.0, 0.5)
+    relief = fractal_relief(grid, np.random.default_rng(4), hurst=hurst, rms_slope=np.deg2rad(5.0))
+    z = relief.z.astype(float)
+    dx, dy = (z[:, 2:] - z[:, :-2]) / 1.0, (z[2:] - z[:-2]) / 1.0
+    rms = np.sqrt(np.mean(dx**2) + np.mean(dy**2))
+    assert np.rad2deg(np.arctan(rms)) == pytest.approx(5.0, rel=1e-3)
+    # The structure function grows as lag^(2 H): compare lags of 2 m and 8 m.
+    growth = [np.mean((z[:, s:] - z[:, :-s]) ** 2) for s in (4, 16)]
+    assert np.log(growth[1] / growth[0]) / np.log(4.0) / 2.0 == pytest.approx(hurst, abs=0.15)
+
+
+def test_relief_refuses_nonsense():
+    grid = Grid.centred((0.0, 0.0), 16.0, 0.5)
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="hurst"):
+        fractal_relief(grid, rng, hurst=1.5, rms_slope=0.1)
+    with pytest.raises(InputError, match="rms_slope"):
+        fractal_relief(grid, rng, hurst=0.5, rms_slope=2.0)
+    with pytest.raises(InputError, match="all no-data"):
+        Heightfield(grid, np.full(grid.shape, np.nan, np.float32))

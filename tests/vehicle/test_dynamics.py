@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.frames import attitude_from_thrust, quat_angle, quat_to_matrix
+from lunarsim.vehicle import Command, Dynamics, Lander, State
+from lunarsim.vehicle import _kernels as kernels
+
+G = 1.622
+UP = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def start(lander: Lander, **changes) -> State:
+    state = State(np.zeros(3), np.zeros(3), UP, np.zeros(3), lander.wet_mass, 0.0)
+    return replace(state, **changes)
+
+
+def free_rotation(lander: Lander, rate: np.ndarray, dt: float, steps: int) -> np.ndarray:
+    """Torque-free motion straight through the integrator."""
+    y = start(lander, rate=rate).as_vector()
+    work = np.empty((5, 15))
+    history = []
+    for _ in range(steps):
+        kernels.rk4_step(
+            y, dt, 0.0, np.zeros(3), G, lander.exhaust_velocity, 0.0, lander.dry_mass,
+            lander.wet_mass, np.array(lander.inertia_dry), np.array(lander.inertia_full), work,
+        )  # fmt: skip
+        history.append(y.copy())
+    return np.array(history)
+
+
+def test_free_fall_conserves_energy_and_follows_the_parabola():
+    lander = Lander()
+    dynamics = Dynamics(lander, G)
+    state = start(
+        lander, position=np.array([0.0, 0.0, 500.0]), velocity=np.array([30.0, 5.0, -9.0])
+    )
+    y = dynamics.advance(state, Command(0.0, UP), 2000)
+    t = 0.01 * np.arange(1, 2001)
+    assert np.allclose(y[:, 2], 500.0 - 9.0 * t - 0.5 * G * t**2, atol=1e-8)
+    energy = 0.5 * (y[:, 3:6] ** 2).sum(axis=1) + G * y[:, 2]
+    assert np.ptp(energy) < 1e-8
+    assert np.all(y[:, 13] == lander.wet_mass)
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3))
+def test_torque_free_rotation_conserves_momentum_and_energy(rate):
+    lander = Lander(inertia_full=(900.0, 1400.0, 1900.0))
+    y = free_rotation(lander, np.array(rate), 0.01, 2000)
+    inertia = np.array(lander.inertia_full)
+    momentum = np.einsum("nij,nj->ni", quat_to_matrix(y[:, 6:10]), inertia * y[:, 10:13])
+    first = inertia * np.array(rate)
+    assert np.allclose(momentum, first, atol=1e-6 * max(1.0, np.linalg.norm(first)))
+    energy = 0.5 * (inertia * y[:, 10:13] ** 2).sum(axis=1)
+    assert np.ptp(energy) <= 1e-7 * max(1.0, energy[0])
+    assert np.allclose(np.linalg.norm(y[:, 6:10], axis=1), 1.0, atol=1e-12)
+
+
+def test_integrator_is_of_fourth_order():
+    lander = Lander(inertia_full=(900.0, 1400.0, 1900.0))
+    rate = np.array([1.0, 2.0, -1.5])
+    ends = [
+        free_rotation(lander, rate, dt, round(1.6 / dt))[-1, 6:13] for dt in (0.1, 0.05, 0.0125)
+    ]
+    errors = [np.linalg.norm(end - ends[-1]) for end in ends[:2]]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.4)
+
+
+def test_rocket_equation():
+    lander = Lander(thrust_lag=0.0)
+    dynamics = Dynamics(lander, 1e-12)
+    thrust = 5000.0
+    y = dynamics.advance(start(lander), Command(thrust, UP), 6000)
+    burnt = thrust * 60.0 / lander.exhaust_velocity
+    assert y[-1, 13] == pytest.approx(lander.wet_mass - burnt, rel=1e-12)
+    dv = lander.exhaust_velocity * np.log(lander.wet_mass / y[-1, 13])
+    assert y[-1, 5] == pytest.approx(dv, rel=1e-9)
+
+
+def test_engine_lag_is_first_order():
+    lander = Lander(thrust_lag=0.2)
+    y = Dynamics(lander, G).advance(start(lander), Command(4000.0, UP), 100)
+    t = 0.01 * np.arange(1, 101)
+    assert np.allclose(y[:, 14], 4000.0 * (1.0 - np.exp(-t / 0.2)), rtol=1e-6)
+
+
+def test_throttle_range_and_empty_tanks():
+    lander = Lander(thrust_lag=0.0, propellant_mass=5.0)
+    dynamics = Dynamics(lander, G)
+    assert dynamics.advance(start(lander), Command(10.0, UP), 1)[0, 14] == lander.thrust_min
+    assert dynamics.advance(start(lander), Command(1e9, UP), 1)[0, 14] == lander.thrust_max
+    y = dynamics.advance(start(lander), Command(6000.0, UP), 600)
+    assert y[-1, 13] == lander.dry_mass
+    assert y[-1, 14] == 0.0
+
+
+@pytest.mark.parametrize("mode", ["pd", "slerp"])
+def test_attitude_reaches_the_command(mode):
+    lander = Lander()
+    dynamics = Dynamics(lander, G, attitude_mode=mode)
+    target = attitude_from_thrust([0.4, -0.3, 1.0], 0.8)
+    y = dynamics.advance(start(lander), Command(2500.0, target), 800)
+    assert quat_angle(y[-1, 6:10], target) < 1e-3
+    assert np.linalg.norm(y[-1, 10:13]) < 1e-2
+
+
+def test_slerp_keeps_to_the_slew_limit():
+    lander = Lander()
+    limit = np.deg2rad(5.0)
+    dynamics = Dynamics(lander, G, attitude_mode="slerp", rate_limit=limit)
+    target = attitude_from_thrust([1.0, 0.0, 1.0], 0.0)
+    y = dynamics.advance(start(lander), Command(2500.0, target), 300)
+    turned = quat_angle(y[1:, 6:10], y[:-1, 6:10])
+    assert turned.max() <= limit * 0.01 * (1.0 + 1e-6)
+    assert quat_angle(UP, y[-1, 6:10]) == pytest.approx(limit * 3.0, rel=1e-6)
+
+
+def test_torque_limits_bound_the_angular_acceleration():
+    lander = Lander(torque_max=(50.0, 50.0, 50.0))
+    dynamics = Dynamics(lander, G, rate_limit=5.0)
+    target = attitude_from_thrust([1.0, 0.0, 0.2], 0.0)
+    y = dynamics.advance(start(lander), Command(600.0, target), 50)
+    acceleration = np.abs(np.diff(y[:, 10:13], axis=0)) / 0.01
+    most = 50.0 / min(lander.inertia_dry)
+    assert acceleration.max() <= most * 1.01
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"dry_mass": 0.0}, "dry_mass"),
+        ({"thrust_min": 7000.0}, "thrust_min"),
+        ({"legs": 5}, "legs"),
+        ({"inertia_dry": (1.0, 1.0, 9.0)}, "inertia_dry"),
+        ({"pad_diameter": 3.0}, "pad_diameter"),
+        ({"slope_limit": 1.2}, "slope_limit"),
+        ({"thrust_lag": -1.0}, "thrust_lag"),
+    ],
+)
+def test_impossible_landers(change, field):
+    with pytest.raises(InputError) as caught:
+        Lander(**change)
+    assert caught.value.field == f"lander.{field}"
+
+
+def test_lander_must_hover():
+    with pytest.raises(InputError, match="cannot hover"):
+        Lander(thrust_max=2000.0).check_hover(G)
+    with pytest.raises(InputError, match="cannot descend"):
+        Lander(thrust_min=3000.0).check_hover(G)

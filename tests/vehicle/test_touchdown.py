@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.frames import attitude_from_thrust
+from lunarsim.terrain import RockField, Terrain
+from lunarsim.vehicle import Lander, State, judge_touchdown, support_planes
+from tests.conftest import flat_terrain, sloped_terrain
+
+G = 1.622
+LANDER = Lander()
+
+
+def standing(height: float = 0.0, **changes) -> State:
+    state = State(
+        np.array([0.0, 0.0, LANDER.com_height + height]),
+        np.array([0.0, 0.0, -2.0]),
+        attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2),
+        np.zeros(3),
+        1300.0,
+    )
+    return replace(state, **changes)
+
+
+def test_flat_ground_is_safe():
+    verdict = judge_touchdown(LANDER, standing(), flat_terrain(), G)
+    assert verdict.safe
+    assert verdict.failed == ()
+    assert verdict.touchdown.slope == pytest.approx(0.0, abs=1e-6)
+    assert verdict.touchdown.roughness == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "limit"),
+    [
+        ({"velocity": np.array([0.0, 0.0, -3.1])}, "vertical-speed"),
+        ({"velocity": np.array([1.1, 0.0, -2.0])}, "horizontal-speed"),
+        ({"attitude": attitude_from_thrust([0.12, 0.0, 1.0], 1.0)}, "tilt"),
+        ({"rate": np.array([0.0, 0.2, 0.0])}, "rate"),
+        ({"position": np.array([100.0, 0.0, 1.6])}, "off-map"),
+    ],
+)
+def test_each_limit_is_named(changes, limit):
+    verdict = judge_touchdown(LANDER, standing(**changes), flat_terrain(), G)
+    assert not verdict.safe
+    assert verdict.failed == (limit,)
+
+
+@pytest.mark.parametrize("degrees", [3.0, 9.9, 10.5, 20.0])
+def test_slope_is_that_of_the_plane(degrees):
+    ground = sloped_terrain((np.tan(np.deg2rad(degrees)), 0.0))
+    verdict = judge_touchdown(LANDER, standing(), ground, G)
+    assert np.rad2deg(verdict.touchdown.slope) == pytest.approx(degrees, abs=0.02)
+    assert ("slope" in verdict.failed) == (degrees > 10.0)
+
+
+@pytest.mark.parametrize(("radius", "safe"), [(0.2, True), (0.3, False)])
+def test_rock_under_the_belly(radius, safe):
+    ground = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, radius))
+    verdict = judge_touchdown(LANDER, standing(), ground, G)
+    assert verdict.safe is safe
+    assert verdict.touchdown.roughness == pytest.approx(radius, abs=0.01)
+    if not safe:
+        assert verdict.failed == ("roughness", "belly")
+
+
+def test_rock_under_a_pad_tilts_the_support_plane():
+    pad = LANDER.pads[0]  # body x points east
+    ground = Terrain(flat_terrain().relief, RockField.hemispheres(pad[0], pad[1], 0.0, 0.5))
+    verdict = judge_touchdown(LANDER, standing(), ground, G)
+    # The diagonal with the raised pad carries, 0.25 m up in the middle; a third pad is down:
+    # 0.25 m over the radius along the diagonal and as much across it.
+    expected = np.arctan(0.25 * np.sqrt(2.0) / LANDER.leg_radius)
+    assert verdict.touchdown.slope == pytest.approx(expected, rel=0.02)
+
+
+def test_sideways_speed_tips_a_tall_lander():
+    tall = Lander(com_height=6.0, horizontal_speed_limit=5.0)
+    state = standing(velocity=np.array([2.5, 0.0, -2.0]), position=np.array([0.0, 0.0, 6.0]))
+    verdict = judge_touchdown(tall, state, flat_terrain(), G)
+    assert verdict.failed == ("tip-over",)
+    slow = replace(state, velocity=np.array([0.3, 0.0, -2.0]))
+    assert judge_touchdown(tall, slow, flat_terrain(), G).safe
+
+
+def test_tip_margin_of_a_point_mass_in_closed_form():
+    """With the speed at which the pendulum just reaches the top, the margin is zero."""
+    lander = Lander(com_height=3.0, inertia_dry=(1e-6,) * 3, inertia_full=(1e-6,) * 3,
+                    horizontal_speed_limit=99.0)  # fmt: skip
+    arm, height = lander.leg_radius / np.sqrt(2.0), 3.0
+    length = np.hypot(arm, height)
+    # m v h = m L^2 w;  L^2 w^2 / 2 = g (L - h)
+    speed = np.sqrt(2.0 * G * (length - height)) * length / height
+    state = standing(velocity=np.array([speed, 0.0, -1.0]), position=np.array([0.0, 0.0, 3.0]))
+    margin = judge_touchdown(lander, state, flat_terrain(), G).touchdown.tip_margin
+    assert margin == pytest.approx(0.0, abs=1e-6)
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_four_legs_stand_above_the_ground(heights):
+    """On an admissible plane no leg is under ground, and three touch it."""
+    legs = np.column_stack((LANDER.pads[:, :2], heights))
+    planes = support_planes(legs)
+    assert len(planes) == 2
+    for z0, gx, gy in planes:
+        gap = z0 + legs[:, :2] @ [gx, gy] - legs[:, 2]
+        assert np.sum(np.abs(gap) < 1e-9) >= 3
+        assert gap.min() > -1e-9
+
+
+def test_three_legs_have_one_plane():
+    lander = Lander(legs=3)
+    legs = np.column_stack((lander.pads[:, :2], [0.1, 0.2, 0.3]))
+    assert len(support_planes(legs)) == 1
