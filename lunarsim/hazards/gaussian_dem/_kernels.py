@@ -8,17 +8,17 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel()
-def splat(points, x0, y0, p, rows, cols):
+def splat(points, base, x0, y0, p, rows, cols):
     """Spread points (n, 3) over the four nearest cell centres: Eq. 1, accumulated.
 
-    Returns the weighted elevations and the weights (rows, cols).
+    Heights are taken above `base`. Returns the weighted heights and the weights (rows, cols).
     """
-    elevation = np.zeros((rows, cols))
-    weight = np.zeros((rows, cols))
+    height = np.zeros((rows, cols), np.float32)
+    weight = np.zeros((rows, cols), np.float32)
     for n in range(points.shape[0]):
         u = (points[n, 0] - x0) / p
         v = (points[n, 1] - y0) / p
-        z = points[n, 2]
+        z = points[n, 2] - base
         # Written so that NaN fails.
         if not (u > -1.0 and v > -1.0 and u < cols and v < rows and np.isfinite(z)):
             continue
@@ -32,9 +32,25 @@ def splat(points, x0, y0, p, rows, cols):
                 c = j + a
                 if r >= 0 and r < rows and c >= 0 and c < cols:
                     w = (fu if a == 1 else 1.0 - fu) * (fv if b == 1 else 1.0 - fv)
-                    elevation[r, c] += w * z
+                    height[r, c] += w * z
                     weight[r, c] += w
-    return elevation, weight
+    return height, weight
+
+
+@kernel(parallel=True)
+def measured_cells(height, weight, base, least, noise, prior, mean, variance, observed):
+    """Write mean, variance and observed: samples where they weigh enough, else the prior."""
+    rows, cols = height.shape
+    for i in prange(rows):
+        for j in range(cols):
+            if weight[i, j] > least:
+                mean[i, j] = base + np.float64(height[i, j]) / np.float64(weight[i, j])
+                variance[i, j] = noise
+                observed[i, j] = True
+            else:
+                mean[i, j] = np.nan
+                variance[i, j] = prior
+                observed[i, j] = False
 
 
 @kernel()
@@ -75,116 +91,121 @@ def fill_holes(z):
         count = kept
 
 
-@kernel()
-def _invert3(m, out):
-    """Write the inverse of a symmetric 3 x 3 matrix; return its determinant."""
-    a = m[0, 0]
-    b = m[0, 1]
-    c = m[0, 2]
-    d = m[1, 1]
-    e = m[1, 2]
-    f = m[2, 2]
-    det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
-    out[0, 0] = (d * f - e * e) / det
-    out[0, 1] = (c * e - b * f) / det
-    out[0, 2] = (b * e - c * d) / det
-    out[1, 1] = (a * f - c * c) / det
-    out[1, 2] = (b * c - a * e) / det
-    out[2, 2] = (a * d - b * b) / det
-    out[1, 0] = out[0, 1]
-    out[2, 0] = out[0, 2]
-    out[2, 1] = out[1, 2]
-    return det
+@kernel(parallel=True)
+def longest_edges(points, triangles):
+    """Return the longest edge of every triangle (m,)."""
+    out = np.empty(triangles.shape[0])
+    for t in prange(triangles.shape[0]):
+        most = 0.0
+        for e in range(3):
+            a = triangles[t, e]
+            b = triangles[t, (e + 1) % 3]
+            dx = points[a, 0] - points[b, 0]
+            dy = points[a, 1] - points[b, 1]
+            most = max(most, dx * dx + dy * dy)
+        out[t] = np.sqrt(most)
+    return out
 
 
 @kernel()
-def own_cells(points, triangles, x0, y0, p, todo, owner):
-    """Write into `owner` (rows, cols) the triangle that holds each cell centre of `todo`.
+def _decay(x):
+    """Return exp(-x); a polynomial good to 2e-11 for the small x of near neighbours."""
+    if x < 0.1:
+        return 1.0 - x * (
+            1.0 - x / 2 * (1.0 - x / 3 * (1.0 - x / 4 * (1.0 - x / 5 * (1.0 - x / 6))))
+        )
+    return np.exp(-x)
 
-    A centre on an edge belongs to the last triangle in the list that touches it, so every cell
-    has one owner and the regression may run in parallel.
+
+@kernel()
+def _side(points, u, v, x, y):
+    """Return on which side of edge u-v a point lies, and to whom it belongs on the edge.
+
+    Both triangles of an edge evaluate the same expression, so rounding cannot give a cell two
+    owners or none; a point on the edge belongs to the triangle that runs from the lower index.
     """
-    rows, cols = owner.shape
-    for t in range(triangles.shape[0]):
-        ax = points[triangles[t, 0], 0]
-        ay = points[triangles[t, 0], 1]
-        bx = points[triangles[t, 1], 0]
-        by = points[triangles[t, 1], 1]
-        cx = points[triangles[t, 2], 0]
-        cy = points[triangles[t, 2], 1]
-        if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0.0:
-            bx, by, cx, cy = cx, cy, bx, by
-        i0 = max(int(np.ceil((min(ay, by, cy) - y0) / p)), 0)
-        i1 = min(int(np.floor((max(ay, by, cy) - y0) / p)), rows - 1)
-        j0 = max(int(np.ceil((min(ax, bx, cx) - x0) / p)), 0)
-        j1 = min(int(np.floor((max(ax, bx, cx) - x0) / p)), cols - 1)
-        for i in range(i0, i1 + 1):
-            y = y0 + p * i
-            for j in range(j0, j1 + 1):
-                if todo[i, j]:
-                    x = x0 + p * j
-                    if (
-                        (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0.0
-                        and (cx - bx) * (y - by) - (cy - by) * (x - bx) >= 0.0
-                        and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= 0.0
-                    ):
-                        owner[i, j] = t
+    if u < v:
+        w = (points[v, 0] - points[u, 0]) * (y - points[u, 1]) - (
+            points[v, 1] - points[u, 1]
+        ) * (x - points[u, 0])
+        return w >= 0.0
+    w = (points[u, 0] - points[v, 0]) * (y - points[v, 1]) - (points[u, 1] - points[v, 1]) * (
+        x - points[v, 0]
+    )
+    return w < 0.0
+
+
+@kernel()
+def _regress_triangle(
+    points, a, b, c, use, x0, y0, p, prior, length_scale, noise, weight, least, mean, variance,
+    observed,
+):  # fmt: skip
+    rows, cols = mean.shape
+    ax = points[a, 0]
+    ay = points[a, 1]
+    bx = points[b, 0]
+    by = points[b, 1]
+    cx = points[c, 0]
+    cy = points[c, 1]
+    i0 = max(int(np.ceil((min(min(ay, by), cy) - y0) / p)), 0)
+    i1 = min(int(np.floor((max(max(ay, by), cy) - y0) / p)), rows - 1)
+    j0 = max(int(np.ceil((min(min(ax, bx), cx) - x0) / p)), 0)
+    j1 = min(int(np.floor((max(max(ax, bx), cx) - x0) / p)), cols - 1)
+    if i0 > i1 or j0 > j1:
+        return
+    # The Gram matrix and its inverse, symmetric.
+    d = prior + noise
+    ab = prior * _decay(np.hypot(ax - bx, ay - by) / length_scale)
+    ac = prior * _decay(np.hypot(ax - cx, ay - cy) / length_scale)
+    bc = prior * _decay(np.hypot(bx - cx, by - cy) / length_scale)
+    maa = d * d - bc * bc
+    mab = ac * bc - ab * d
+    mac = ab * bc - ac * d
+    mbb = d * d - ac * ac
+    mbc = ab * ac - bc * d
+    mcc = d * d - ab * ab
+    det = d * maa + ab * mab + ac * mac
+    centre = (points[a, 2] + points[b, 2] + points[c, 2]) / 3.0
+    za = points[a, 2] - centre
+    zb = points[b, 2] - centre
+    zc = points[c, 2] - centre
+    for i in range(i0, i1 + 1):
+        y = y0 + p * i
+        for j in range(j0, j1 + 1):
+            if weight[i, j] > least:
+                continue
+            x = x0 + p * j
+            if not (
+                _side(points, a, b, x, y)
+                and _side(points, b, c, x, y)
+                and _side(points, c, a, x, y)
+            ):
+                continue
+            ka = prior * _decay(np.sqrt((ax - x) ** 2 + (ay - y) ** 2) / length_scale)
+            kb = prior * _decay(np.sqrt((bx - x) ** 2 + (by - y) ** 2) / length_scale)
+            kc = prior * _decay(np.sqrt((cx - x) ** 2 + (cy - y) ** 2) / length_scale)
+            wa = (maa * ka + mab * kb + mac * kc) / det
+            wb = (mab * ka + mbb * kb + mbc * kc) / det
+            wc = (mac * ka + mbc * kb + mcc * kc) / det
+            mean[i, j] = centre + wa * za + wb * zb + wc * zc
+            if use:
+                variance[i, j] = max(prior - (ka * wa + kb * wb + kc * wc), 0.0)
+                observed[i, j] = True
 
 
 @kernel(parallel=True)
 def regress(
-    points, triangles, use, x0, y0, p, owner, sigma_f, length_scale, sigma_eps, mean, variance, seen
+    points, triangles, longest, gap, x0, y0, p, sigma_f, length_scale, sigma_eps, weight, least,
+    mean, variance, observed,
 ):  # fmt: skip
-    """Write mean and variance (Eqs. 4 to 6) of every owned cell from its triangle's vertices.
+    """Write mean and variance (Eqs. 4 to 6) of the cells without samples, triangle by triangle.
 
-    The prior mean is that of the three vertices. Triangles with use False (they span a gap)
-    give the prior variance and leave `seen` False.
+    The prior mean is that of the three vertices. Triangles with an edge longer than `gap` span
+    an occlusion: they give a mean, the prior variance, and leave `observed` False.
     """
-    rows, cols = owner.shape
-    prior = sigma_f * sigma_f
-    noise = sigma_eps * sigma_eps
-    for i in prange(rows):
-        gram = np.empty((3, 3))
-        inverse = np.empty((3, 3))
-        k = np.empty(3)
-        alpha = np.zeros(3)
-        last = -1
-        base = 0.0
-        y = y0 + p * i
-        for j in range(cols):
-            t = owner[i, j]
-            if t < 0:
-                continue
-            if t != last:
-                base = 0.0
-                for a in range(3):
-                    base += points[triangles[t, a], 2] / 3.0
-                    for b in range(3):
-                        d = np.hypot(
-                            points[triangles[t, a], 0] - points[triangles[t, b], 0],
-                            points[triangles[t, a], 1] - points[triangles[t, b], 1],
-                        )
-                        gram[a, b] = prior * np.exp(-d / length_scale)
-                    gram[a, a] = prior + noise
-                _invert3(gram, inverse)
-                for a in range(3):
-                    alpha[a] = 0.0
-                    for b in range(3):
-                        alpha[a] += inverse[a, b] * (points[triangles[t, b], 2] - base)
-                last = t
-            x = x0 + p * j
-            value = base
-            for a in range(3):
-                d = np.hypot(points[triangles[t, a], 0] - x, points[triangles[t, a], 1] - y)
-                k[a] = prior * np.exp(-d / length_scale)
-                value += k[a] * alpha[a]
-            explained = 0.0
-            for a in range(3):
-                for b in range(3):
-                    explained += k[a] * inverse[a, b] * k[b]
-            mean[i, j] = value
-            if use[t]:
-                variance[i, j] = max(prior - explained, 0.0)
-                seen[i, j] = True
-            else:
-                variance[i, j] = prior
+    for t in prange(triangles.shape[0]):
+        _regress_triangle(
+            points, triangles[t, 0], triangles[t, 1], triangles[t, 2], longest[t] <= gap, x0, y0,
+            p, sigma_f * sigma_f, length_scale, sigma_eps * sigma_eps, weight, least, mean,
+            variance, observed,
+        )  # fmt: skip

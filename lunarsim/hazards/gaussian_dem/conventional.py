@@ -65,10 +65,16 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
         If the array is not (n, 3), holds infinities, or no point falls on the grid.
     """
     cloud = check_points(points)
-    elevation, weight = k.splat(cloud, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
+    base = base_height(cloud)
+    height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     if not weight.any():
         raise ValueError(f"points: none of the {len(cloud)} falls on the grid")
     with np.errstate(invalid="ignore"):
-        z = np.where(weight > 0.0, elevation / weight, np.nan)
+        z = np.where(weight > 0.0, base + height.astype(np.float64) / weight, np.nan)
     k.fill_holes(z)
-    return ConventionalDem(grid, z.astype(np.float32), weight.astype(np.float32))
+    return ConventionalDem(grid, z.astype(np.float32), weight)
+
+
+def base_height(cloud: NDArray[np.float64]) -> float:
+    """Return a height (m) near the cloud's, so that sums of heights above it stay small."""
+    return float(cloud[len(cloud) // 2, 2]) if len(cloud) else 0.0

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.gaussian_dem import _kernels as k
-from lunarsim.hazards.gaussian_dem.conventional import check_points
+from lunarsim.hazards.gaussian_dem.conventional import base_height, check_points
+from lunarsim.triangulation import delaunay, delaunay_of_image
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
 
 # A cell whose samples weigh more than this is measured, not interpolated.
 _DENSE = 0.5
-# A triangle this many times longer than the median one spans an occlusion.
+# A triangle whose longest edge is this many times longer than the median one spans an occlusion.
 _GAP = 4.0
 
 
@@ -50,6 +50,7 @@ def gaussian_dem(
     sigma_f: float = 0.5,
     length_scale: float = 30.0,
     sigma_eps: float = 0.01,
+    image_shape: tuple[int, int] | None = None,
 ) -> GaussianDem:
     """Build a Gaussian DEM from a point cloud (section II of the Gaussian DEM paper).
 
@@ -71,6 +72,9 @@ def gaussian_dem(
         scale is much longer than the triangles.
     sigma_eps
         Standard deviation of a sample, m.
+    image_shape
+        Rows and columns of the detector, if the points are its returns in order: the
+        triangulation then starts from the detector's mesh.
 
     Raises
     ------
@@ -82,67 +86,60 @@ def gaussian_dem(
             raise ValueError(f"{name} = {value}: must be a positive length in metres")
     if not (np.isfinite(sigma_eps) and sigma_eps >= 0.0):
         raise ValueError(f"sigma_eps = {sigma_eps}: must be 0 or a positive length in metres")
-    cloud = check_points(points)
-    total, weight = k.splat(cloud, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
-    dense = weight > _DENSE
-    mean = np.full(grid.shape, np.nan)
-    mean[dense] = total[dense] / weight[dense]
-    variance = np.full(grid.shape, sigma_f**2)
-    variance[dense] = sigma_eps**2
-    observed = dense.copy()
-    if not dense.all():
-        _interpolate(cloud, grid, dense, mean, variance, observed, sigma_f, length_scale, sigma_eps)
-    return GaussianDem(grid, mean.astype(np.float32), variance.astype(np.float32), observed)
-
-
-def _interpolate(
-    cloud: NDArray[np.float64],
-    grid: Grid,
-    dense: BoolMap,
-    mean: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    observed: BoolMap,
-    sigma_f: float,
-    length_scale: float,
-    sigma_eps: float,
-) -> None:
-    """Fill the cells that are not dense, in place, from the triangulation of the samples."""
-    cloud = _merge_coincident(cloud)
-    if len(cloud) < 3:
-        return
-    try:
-        triangles = Delaunay(cloud[:, :2]).simplices.astype(np.int64)
-    except QhullError:
-        return  # all samples on one line: no triangle holds a cell
-    corners = cloud[triangles, :2]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    use = edges <= _GAP * np.median(edges)
-    owner = np.full(grid.shape, -1, np.int64)
-    k.own_cells(cloud, triangles, grid.x0, grid.y0, grid.posting, ~dense, owner)
-    k.regress(
-        cloud,
-        triangles,
-        use,
-        grid.x0,
-        grid.y0,
-        grid.posting,
-        owner,
-        sigma_f,
-        length_scale,
-        sigma_eps,
-        mean,
-        variance,
-        observed,
+    raw = np.asarray(points, dtype=np.float64)
+    cloud = check_points(raw)
+    prior = sigma_f * sigma_f
+    base = base_height(cloud)
+    height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
+    mean = np.empty(grid.shape, np.float32)
+    variance = np.empty(grid.shape, np.float32)
+    observed = np.empty(grid.shape, np.bool_)
+    k.measured_cells(
+        height, weight, base, _DENSE, sigma_eps * sigma_eps, prior, mean, variance, observed
     )
+    if not observed.all():
+        if image_shape is not None and len(raw) != image_shape[0] * image_shape[1]:
+            raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
+        complete = image_shape is not None and len(cloud) == len(raw)
+        vertices = cloud if complete else _merge_coincident(cloud)
+        triangles = (
+            delaunay_of_image(vertices[:, :2], image_shape)
+            if complete and image_shape is not None
+            else delaunay(vertices[:, :2])
+        )
+        if len(triangles):
+            longest = k.longest_edges(vertices, triangles)
+            k.regress(
+                vertices,
+                triangles,
+                longest,
+                _GAP * float(np.median(longest)),
+                grid.x0,
+                grid.y0,
+                grid.posting,
+                sigma_f,
+                length_scale,
+                sigma_eps,
+                weight,
+                np.float32(_DENSE),
+                mean,
+                variance,
+                observed,
+            )
+    return GaussianDem(grid, mean, variance, observed)
 
 
 def _merge_coincident(cloud: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the cloud with samples at the same (x, y) replaced by their mean height."""
-    xy, inverse, count = np.unique(cloud[:, :2], axis=0, return_inverse=True, return_counts=True)
-    if len(xy) == len(cloud):
+    order = np.lexsort((cloud[:, 1], cloud[:, 0]))
+    same = (np.diff(cloud[order, :2], axis=0) == 0.0).all(axis=1)
+    if not same.any():
         return cloud
-    z = np.bincount(inverse.ravel(), weights=cloud[:, 2]) / count
-    return np.column_stack((xy, z))
+    group = np.concatenate(([0], np.cumsum(~same)))
+    first = order[np.concatenate(([True], ~same))]
+    count = np.bincount(group)
+    z = np.bincount(group, weights=cloud[order, 2]) / count
+    return np.column_stack((cloud[first, :2], z))
 
 
 def fuse(first: GaussianDem, second: GaussianDem) -> GaussianDem:

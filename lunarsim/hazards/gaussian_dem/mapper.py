@@ -47,6 +47,7 @@ class GaussianDemMapper:
             sigma_f=self.sigma_f,
             length_scale=self.length_scale,
             sigma_eps=max(float(np.nanmedian(measurement.sigma)), 1e-4),
+            image_shape=measurement.shape,
         )
         self.dem = scan if self.dem is None else fuse(self.dem, scan)
         seen = np.where(self.dem.observed, self.dem.mean, np.float32(np.nan))

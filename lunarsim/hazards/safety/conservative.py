@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
-from lunarsim.hazards.safety.exact import SafetyMap, check_raster, known_ground
+from lunarsim.hazards.safety.exact import SafetyMap, check_raster
 from lunarsim.hazards.safety.footprint import footprint_of
 from lunarsim.vehicle.lander import Lander
 
@@ -50,11 +50,19 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
     Parameters and errors are those of `exact_safety`.
     """
     footprint = footprint_of(lander, grid.posting)
-    z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
-    reach = footprint.reach
-    leg_max = k.run_maxima(z, footprint.leg_runs, reach)
-    leg_min = -k.run_maxima(-z, footprint.leg_runs, reach)
-    body_max = k.run_maxima(z, footprint.body_runs, reach)
+    z = check_raster("elevation", elevation, grid, footprint)
+    leg_max, leg_min, body_max = (np.empty(grid.shape, np.float32) for _ in range(3))
+    k.extremes(
+        z,
+        footprint.leg_windows,
+        footprint.body_windows,
+        footprint.depth,
+        footprint.reach,
+        leg_max,
+        leg_min,
+        body_max,
+    )
+    observed = (leg_max < k.FAR) & (body_max < k.FAR)
     sine = (leg_max - leg_min) / np.float32(footprint.least_height)
     # The theorem needs a height difference under h0; steeper ground is simply unsafe.
     slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
@@ -95,29 +103,25 @@ def stochastic_safety(
         If shapes differ, the grid is smaller than the footprint, or a variance is negative.
     """
     footprint = footprint_of(lander, grid.posting)
-    raw = check_raster("mean", mean, grid, footprint)
+    z = check_raster("mean", mean, grid, footprint)
     spread = check_raster("variance", variance, grid, footprint)
-    if np.any(spread < 0.0):
+    if float(np.nanmin(spread, initial=0.0)) < 0.0:
         raise ValueError(f"variance = {float(np.nanmin(spread))}: must not be negative")
-    z, observed = known_ground(np.where(np.isfinite(spread), raw, np.float32(np.nan)), footprint)
-    band = 3.0 * np.sqrt(np.where(np.isfinite(spread), spread, np.float32(0.0)))
-    high, low = z + band, z - band
-    reach = footprint.reach
-    p_slope = np.zeros(grid.shape, np.float32)
-    p_rough = np.zeros(grid.shape, np.float32)
+    p_slope, p_rough, p_safe = (np.empty(grid.shape, np.float32) for _ in range(3))
+    observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
-    k.probability(
-        k.run_maxima(high, footprint.leg_runs, reach),
-        k.run_maxima(low, footprint.leg_runs, reach),
-        -k.run_maxima(-high, footprint.leg_runs, reach),
-        -k.run_maxima(-low, footprint.leg_runs, reach),
-        k.run_maxima(high, footprint.body_runs, reach),
-        k.run_maxima(low, footprint.body_runs, reach),
+    k.stochastic(
+        z,
+        spread,
+        footprint.leg_windows,
+        footprint.body_windows,
+        footprint.depth,
+        footprint.reach,
         footprint.least_height * ratio,
         lander.roughness_limit,
         p_slope,
         p_rough,
+        p_safe,
+        observed,
     )
-    p_slope[~observed] = 0.0
-    p_rough[~observed] = 0.0
-    return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, observed)
+    return StochasticSafety(grid, p_slope, p_rough, p_safe, observed)

@@ -62,10 +62,17 @@ def known_ground(z: FloatMap, footprint: Footprint) -> tuple[FloatMap, BoolMap]:
     observed[r:-r, r:-r] = True
     if unknown.any():
         marks = unknown.astype(np.float32)
-        runs = np.concatenate((footprint.body_runs, footprint.leg_runs))
-        observed &= k.run_maxima(marks, runs, r) == 0.0
+        for windows in (footprint.body_windows, footprint.leg_windows):
+            observed &= footprint_maximum(marks, windows, footprint) == 0.0
         z = np.where(unknown, np.float32(0.0), z)
     return z, observed
+
+
+def footprint_maximum(z: FloatMap, windows: NDArray[np.int64], footprint: Footprint) -> FloatMap:
+    """Return the maximum of `z` over a set of windows around each cell; FAR off the raster."""
+    out = np.empty(z.shape, np.float32)
+    k.maximum(z, 1.0, windows, footprint.depth, footprint.reach, out)
+    return out
 
 
 def exact_safety(
@@ -95,11 +102,7 @@ def exact_safety(
     """
     footprint = footprint_of(lander, grid.posting)
     z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
-    pad_reach = int(np.abs(footprint.pad).max(initial=0))
-    pad_runs = np.column_stack((footprint.pad, np.ones(len(footprint.pad), dtype=np.int64)))
-    feet = np.ascontiguousarray(k.run_maxima(z, pad_runs, pad_reach))
-    # Near the edge the pad leaves the map; those sites are unobserved anyway.
-    feet[feet >= k.FAR] = 0.0
+    feet = footprint_maximum(z, footprint.pad_windows, footprint)
     tangent = np.zeros(grid.shape, np.float32)
     roughness = np.zeros(grid.shape, np.float32)
     first_run = np.searchsorted(footprint.inside[:, 0], np.arange(len(footprint.legs) + 1))

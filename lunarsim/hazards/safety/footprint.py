@@ -35,9 +35,12 @@ class Footprint:
     inside
         Cells of the polygon of the legs for every heading, as runs
         ``(heading, row, first column, length)`` (n, 4).
-    leg_runs, body_runs
-        The sets L (all that any pad touches) and U (all that any polygon covers) as runs
-        ``(row, first column, length)`` (n, 3).
+    pad_windows, leg_windows, body_windows
+        One pad, the set L (all that any pad touches) and the set U (all that any polygon
+        covers) as unions of windows ``(row, level, first column, first column)`` (n, 4): two
+        windows of 2**level columns each; n is a multiple of four.
+    depth
+        Number of window levels.
     least_height
         h0: least height of any triangle of legs, m.
     reach
@@ -47,8 +50,10 @@ class Footprint:
     legs: IntArray
     pad: IntArray
     inside: IntArray
-    leg_runs: IntArray
-    body_runs: IntArray
+    pad_windows: IntArray
+    leg_windows: IntArray
+    body_windows: IntArray
+    depth: int
     least_height: float
     reach: int
 
@@ -109,6 +114,16 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
     return runs
 
 
+def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
+    """Return a set of cells as windows whose widths are powers of two."""
+    windows = []
+    for row, col, length in _runs_of(mask, row0, col0):
+        level = int(length).bit_length() - 1
+        windows.append((row, level, col, col + length - 2**level))
+    windows += [windows[-1]] * (-len(windows) % 4)
+    return np.array(windows, dtype=np.int64)
+
+
 def _triangle_height(points: NDArray[np.float64]) -> float:
     a, b, c = points
     area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
@@ -146,14 +161,15 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         for polygon in cells
         for triple in combinations(range(legs), 3)
     )
+    sets = [_windows(disc, -n, -n)] + [_windows(m, -reach, -reach) for m in (leg_mask, body_mask)]
     return Footprint(
         cells,
         pad,
         np.array(inside, dtype=np.int64),
-        np.array(_runs_of(leg_mask, -reach, -reach), dtype=np.int64),
-        np.array(_runs_of(body_mask, -reach, -reach), dtype=np.int64),
-        least * posting,
-        reach,
+        *sets,
+        depth=1 + max(int(windows[:, 1].max()) for windows in sets),
+        least_height=least * posting,
+        reach=reach,
     )
 
 

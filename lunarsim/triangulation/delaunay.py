@@ -1,0 +1,104 @@
+"""Delaunay triangulation: of any points, and faster of a detector's returns in their order.
+
+Coordinates are rounded to 2**-25 of their extent (3 micrometres over 100 m) and become integers.
+On integers orientation and in-circle tests are exact, so the result is the Delaunay triangulation
+of the rounded points whatever their arrangement, and does not depend on the machine. Where more
+than three points lie on one empty circle any triangulation of them is Delaunay; which one comes
+out depends on their order alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.triangulation import _kernels as k
+
+_BITS = 25
+
+IntArray = NDArray[np.int64]
+
+
+def _to_integers(xy: ArrayLike) -> IntArray:
+    points = np.asarray(xy, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"xy has shape {points.shape}: must be (n, 2)")
+    if not np.isfinite(points).all():
+        raise ValueError("xy holds NaN or infinity: leave such points out")
+    if len(points) == 0:
+        return np.zeros((0, 2), np.int64)
+    low = points.min(axis=0)
+    extent = float((points.max(axis=0) - low).max())
+    # A power of two keeps coordinates that are already multiples of one exact.
+    scale = 2.0 ** (_BITS - 1 - np.frexp(extent)[1]) if extent > 0.0 else 1.0
+    return np.asarray(np.rint((points - low) * scale), dtype=np.int64)
+
+
+def delaunay(xy: ArrayLike) -> IntArray:
+    """Triangulate points.
+
+    Incremental insertion along a Hilbert curve (Bowyer 1981, Watson 1981), with the outside of the
+    hull as ghost triangles.
+
+    Parameters
+    ----------
+    xy
+        Points (n, 2). Of points that coincide after rounding the first is used.
+
+    Returns
+    -------
+    triangles
+        Indices into `xy` (m, 3), counter-clockwise; none if all points lie on one line.
+
+    Raises
+    ------
+    ValueError
+        If the array is not (n, 2) or holds NaN or infinity.
+    """
+    points = _to_integers(xy)
+    if len(points) < 3:
+        return np.zeros((0, 3), np.int64)
+    key = k.hilbert_keys(points, _BITS)
+    order = np.argsort(key, kind="stable")
+    # Along the curve coincident points are neighbours.
+    fresh = np.ones(len(order), np.bool_)
+    fresh[1:] = key[order][1:] != key[order][:-1]
+    order = order[fresh]
+    return np.asarray(k.insert_all(points, order))
+
+
+def delaunay_of_image(xy: ArrayLike, shape: tuple[int, int]) -> IntArray:
+    """Triangulate the returns of a detector, given row by row.
+
+    The detector's own mesh is a triangulation already, unless the ground hides part of itself;
+    edges are flipped until it is Delaunay (Lawson 1977). Where that mesh folds over, or a return
+    is missing, `delaunay` does the work.
+
+    Parameters
+    ----------
+    xy
+        Points (rows * cols, 2); NaN for no return.
+    shape
+        Rows and columns of the detector.
+
+    Returns
+    -------
+    triangles
+        Indices into `xy` (m, 3), counter-clockwise.
+
+    Raises
+    ------
+    ValueError
+        If the number of points is not rows * cols, or one is infinite.
+    """
+    points = np.asarray(xy, dtype=np.float64)
+    rows, cols = shape
+    if points.shape != (rows * cols, 2):
+        raise ValueError(f"xy has shape {points.shape}: must be ({rows * cols}, 2)")
+    seen = ~np.isnan(points).any(axis=1)
+    if seen.all() and rows > 1 and cols > 1:
+        triangles = np.asarray(k.flip_mesh(_to_integers(points), rows, cols))
+        if len(triangles):
+            return triangles
+    index = np.flatnonzero(seen)
+    return np.asarray(index[delaunay(points[index])])
