@@ -125,9 +125,9 @@ def _side(points, u, v, x, y):
     owners or none; a point on the edge belongs to the triangle that runs from the lower index.
     """
     if u < v:
-        w = (points[v, 0] - points[u, 0]) * (y - points[u, 1]) - (
-            points[v, 1] - points[u, 1]
-        ) * (x - points[u, 0])
+        w = (points[v, 0] - points[u, 0]) * (y - points[u, 1]) - (points[v, 1] - points[u, 1]) * (
+            x - points[u, 0]
+        )
         return w >= 0.0
     w = (points[u, 0] - points[v, 0]) * (y - points[v, 1]) - (points[u, 1] - points[v, 1]) * (
         x - points[v, 0]

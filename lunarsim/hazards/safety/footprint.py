@@ -161,13 +161,18 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         for polygon in cells
         for triple in combinations(range(legs), 3)
     )
-    sets = [_windows(disc, -n, -n)] + [_windows(m, -reach, -reach) for m in (leg_mask, body_mask)]
+    pad_windows = _windows(disc, -n, -n)
+    leg_windows = _windows(leg_mask, -reach, -reach)
+    body_windows = _windows(body_mask, -reach, -reach)
+    deepest = max(int(w[:, 1].max()) for w in (pad_windows, leg_windows, body_windows))
     return Footprint(
-        cells,
-        pad,
-        np.array(inside, dtype=np.int64),
-        *sets,
-        depth=1 + max(int(windows[:, 1].max()) for windows in sets),
+        legs=cells,
+        pad=pad,
+        inside=np.array(inside, dtype=np.int64),
+        pad_windows=pad_windows,
+        leg_windows=leg_windows,
+        body_windows=body_windows,
+        depth=1 + deepest,
         least_height=least * posting,
         reach=reach,
     )
