@@ -14,9 +14,10 @@ import numba
 F = TypeVar("F", bound=Callable[..., Any])
 
 _FAST_FLAGS = {"contract", "reassoc", "nsz", "arcp"}
+_FINITE_FLAGS = _FAST_FLAGS | {"nnan", "ninf"}
 
 
-def kernel(*, parallel: bool = False, fast: bool = False) -> Callable[[F], F]:
+def kernel(*, parallel: bool = False, fast: bool = False, finite: bool = False) -> Callable[[F], F]:
     """Return a decorator that compiles a function with Numba.
 
     Parameters
@@ -26,6 +27,9 @@ def kernel(*, parallel: bool = False, fast: bool = False) -> Callable[[F], F]:
         iteration alone, so the bits do not depend on the number of threads.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which it needs to vectorise.
+    finite
+        As `fast`, and promise that no NaN or infinity occurs, which it needs to vectorise a
+        running minimum or maximum.
     """
 
     def decorate(function: F) -> F:
@@ -34,7 +38,7 @@ def kernel(*, parallel: bool = False, fast: bool = False) -> Callable[[F], F]:
             nogil=True,
             error_model="numpy",
             parallel=parallel,
-            fastmath=_FAST_FLAGS if fast else False,
+            fastmath=_FINITE_FLAGS if finite else _FAST_FLAGS if fast else False,
         )(function)
         return cast(F, compiled)
 

@@ -83,6 +83,34 @@ def test_a_gap_is_not_observed():
     assert dem.observed[2:-2, 2].all()
 
 
+def test_missing_returns_are_not_observed():
+    x, y = np.meshgrid(np.linspace(-4, 4, 33), np.linspace(4, -4, 33))
+    image = np.column_stack((x.ravel(), y.ravel(), np.zeros(33 * 33)))
+    lost = (np.abs(image[:, 0] - 1.0) < 0.6) & (np.abs(image[:, 1]) < 0.6)
+    image[lost] = np.nan
+    grid = Grid.centred((0.0, 0.0), 7.0, 0.1)
+    dem = gaussian_dem(image, grid, image_shape=(33, 33))
+    row, col = grid.cell([1.0, 0.0])
+    assert not dem.observed[row, col]
+    row, col = grid.cell([-2.0, 0.0])
+    assert dem.observed[row, col]
+    with pytest.raises(ValueError, match="image_shape"):
+        gaussian_dem(image, grid, image_shape=(10, 10))
+
+
+def test_image_order_changes_nothing_on_open_ground():
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.linspace(-5, 5, 40), np.linspace(5, -5, 40))
+    image = np.column_stack((x.ravel(), y.ravel(), rng.random(1600)))
+    image[:, :2] += 0.03 * rng.standard_normal((1600, 2))
+    grid = Grid.centred((0.0, 0.0), 7.0, 0.1)
+    a = gaussian_dem(image, grid, image_shape=(40, 40))
+    b = gaussian_dem(rng.permutation(image), grid)
+    assert np.allclose(a.mean, b.mean, atol=1e-5)
+    assert np.allclose(a.variance, b.variance, atol=1e-7)
+    assert np.array_equal(a.observed, b.observed)
+
+
 def test_fusion_weighs_by_precision():
     a = gaussian_dem(cloud(1, 3000), GRID, sigma_eps=0.02)
     b = gaussian_dem(cloud(2, 3000), GRID, sigma_eps=0.01)

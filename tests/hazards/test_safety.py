@@ -12,6 +12,7 @@ from lunarsim.hazards.safety import (
     conservative_safety,
     exact_safety,
     footprint_of,
+    safe_sites,
     stochastic_safety,
 )
 from lunarsim.vehicle import Lander
@@ -28,11 +29,13 @@ def terrain(seed: int, roughness: float, cells: int = 24, posting: float = 0.2):
     return z.astype(np.float32), grid
 
 
-@pytest.mark.parametrize("lander", [SMALL, THREE, Lander(), Lander(legs=3)], ids=str)
-@pytest.mark.parametrize("posting", [0.1, 0.2, 0.5])
+@pytest.mark.parametrize(
+    ("lander", "posting"),
+    [(lander, p) for lander in (SMALL, THREE) for p in (0.1, 0.2)]
+    + [(lander, p) for lander in (Lander(), Lander(legs=3)) for p in (0.1, 0.2, 0.5)],
+    ids=lambda v: f"{v.legs}x{v.leg_radius}" if isinstance(v, Lander) else str(v),
+)
 def test_footprints_hold_every_heading(lander, posting):
-    if lander.leg_radius < 2.0 and posting > 0.2:
-        pytest.skip("too coarse for the small lander")
     footprint = footprint_of(lander, posting)
     plain = {tuple(sorted(c)) for c in reference.leg_cells(lander, posting)}
     ours = {tuple(sorted(map(tuple, cells.tolist()))) for cells in footprint.legs}
@@ -84,6 +87,18 @@ def test_conservative_never_calls_an_unsafe_site_safe(seed, legs, radius, postin
     assert not np.any(bound.safe & ~exact.safe)
     assert np.all(bound.slope[seen] >= exact.slope[seen] - 1e-5)
     assert np.all(bound.roughness[seen] >= exact.roughness[seen] - 1e-5)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000), st.sampled_from([3, 4]), st.floats(0.005, 0.1))
+def test_deciding_alone_agrees_with_the_full_map(seed, legs, rough):
+    lander = Lander(legs=legs, leg_radius=1.1)
+    z, grid = terrain(seed, rough, 26)
+    z[3, 20] = np.nan
+    exact = exact_safety(z, grid, lander)
+    safe, observed = safe_sites(z, grid, lander)
+    assert np.array_equal(safe, exact.safe)
+    assert np.array_equal(observed, exact.observed)
 
 
 @given(st.integers(0, 1000), st.floats(-300.0, 300.0))

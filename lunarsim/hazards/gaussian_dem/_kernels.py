@@ -91,19 +91,29 @@ def fill_holes(z):
         count = kept
 
 
+_NEIGHBOURS = 2  # vertices further apart on the detector have a missing return between them
+
+
 @kernel(parallel=True)
-def longest_edges(points, triangles):
-    """Return the longest edge of every triangle (m,)."""
+def longest_edges(points, triangles, pixels, cols):
+    """Return the longest edge of every triangle (m,); inf for one over missing returns.
+
+    `pixels` numbers the points row by row on a detector of `cols` columns; empty if unknown.
+    """
     out = np.empty(triangles.shape[0])
     for t in prange(triangles.shape[0]):
         most = 0.0
+        apart = 0
         for e in range(3):
             a = triangles[t, e]
             b = triangles[t, (e + 1) % 3]
             dx = points[a, 0] - points[b, 0]
             dy = points[a, 1] - points[b, 1]
             most = max(most, dx * dx + dy * dy)
-        out[t] = np.sqrt(most)
+            if pixels.size > 0:
+                apart = max(apart, abs(pixels[a] // cols - pixels[b] // cols))
+                apart = max(apart, abs(pixels[a] % cols - pixels[b] % cols))
+        out[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
     return out
 
 

@@ -18,7 +18,7 @@ BoolMap = NDArray[np.bool_]
 # A cell whose samples weigh more than this is measured, not interpolated.
 _DENSE = 0.5
 # A triangle whose longest edge is this many times longer than the median one spans an occlusion.
-_GAP = 4.0
+_GAP = 3.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ def gaussian_dem(
         Standard deviation of a sample, m.
     image_shape
         Rows and columns of the detector, if the points are its returns in order: the
-        triangulation then starts from the detector's mesh.
+        triangulation then starts from the detector's mesh, and triangles over missing returns
+        are known as such.
 
     Raises
     ------
@@ -98,17 +99,19 @@ def gaussian_dem(
         height, weight, base, _DENSE, sigma_eps * sigma_eps, prior, mean, variance, observed
     )
     if not observed.all():
-        if image_shape is not None and len(raw) != image_shape[0] * image_shape[1]:
-            raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
-        complete = image_shape is not None and len(cloud) == len(raw)
-        vertices = cloud if complete else _merge_coincident(cloud)
-        triangles = (
-            delaunay_of_image(vertices[:, :2], image_shape)
-            if complete and image_shape is not None
-            else delaunay(vertices[:, :2])
-        )
+        pixels = np.zeros(0, np.int64)
+        cols = 1
+        if image_shape is None:
+            vertices = _merge_coincident(cloud)
+            triangles = delaunay(vertices[:, :2])
+        else:
+            if len(raw) != image_shape[0] * image_shape[1]:
+                raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
+            vertices, cols = raw, image_shape[1]
+            pixels = np.arange(len(raw))
+            triangles = delaunay_of_image(_blank(raw), image_shape)
         if len(triangles):
-            longest = k.longest_edges(vertices, triangles)
+            longest = k.longest_edges(vertices, triangles, pixels, cols)
             k.regress(
                 vertices,
                 triangles,
@@ -127,6 +130,13 @@ def gaussian_dem(
                 observed,
             )
     return GaussianDem(grid, mean, variance, observed)
+
+
+def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the points' (x, y) with every pixel that lacks a coordinate NaN as a whole."""
+    xy = points[:, :2]
+    lost = ~np.isfinite(points).all(axis=1)
+    return np.where(lost[:, None], np.nan, xy) if lost.any() else xy
 
 
 def _merge_coincident(cloud: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from lunarsim.hazards.safety.conservative import (
     conservative_safety,
     stochastic_safety,
 )
-from lunarsim.hazards.safety.exact import SafetyMap, exact_safety
+from lunarsim.hazards.safety.exact import SafetyMap, exact_safety, safe_sites
 from lunarsim.hazards.safety.footprint import Footprint, footprint_of
 
 __all__ = [
@@ -18,5 +18,6 @@ __all__ = [
     "conservative_safety",
     "exact_safety",
     "footprint_of",
+    "safe_sites",
     "stochastic_safety",
 ]

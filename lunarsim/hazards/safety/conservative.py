@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
-from lunarsim.hazards.safety.exact import SafetyMap, check_raster
+from lunarsim.hazards.safety.exact import SafetyMap, check_raster, footprint_extremes
 from lunarsim.hazards.safety.footprint import footprint_of
 from lunarsim.vehicle.lander import Lander
 
@@ -51,17 +51,7 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
     """
     footprint = footprint_of(lander, grid.posting)
     z = check_raster("elevation", elevation, grid, footprint)
-    leg_max, leg_min, body_max = (np.empty(grid.shape, np.float32) for _ in range(3))
-    k.extremes(
-        z,
-        footprint.leg_windows,
-        footprint.body_windows,
-        footprint.depth,
-        footprint.reach,
-        leg_max,
-        leg_min,
-        body_max,
-    )
+    leg_max, leg_min, body_max = footprint_extremes(z, footprint)
     observed = (leg_max < k.FAR) & (body_max < k.FAR)
     sine = (leg_max - leg_min) / np.float32(footprint.least_height)
     # The theorem needs a height difference under h0; steeper ground is simply unsafe.

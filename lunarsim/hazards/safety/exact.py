@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
-from lunarsim.hazards.safety.footprint import Footprint, footprint_of
+from lunarsim.hazards.safety.footprint import BLOCK, Footprint, PlaneTables, footprint_of
 from lunarsim.vehicle.lander import Lander
 
 FloatMap = NDArray[np.float32]
@@ -101,29 +101,94 @@ def exact_safety(
         If shapes differ, or the grid is smaller than the footprint.
     """
     footprint = footprint_of(lander, grid.posting)
-    z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
-    feet = footprint_maximum(z, footprint.pad_windows, footprint)
-    tangent = np.zeros(grid.shape, np.float32)
-    roughness = np.zeros(grid.shape, np.float32)
-    first_run = np.searchsorted(footprint.inside[:, 0], np.arange(len(footprint.legs) + 1))
-    legs = footprint.legs
+    tables = footprint.planes
     if heading is not None:
-        only = footprint.nearest_heading(lander, grid.posting, heading)
-        legs, first_run = legs[only : only + 1], first_run[only : only + 2]
+        tables = footprint.one_heading(footprint.nearest_heading(lander, grid.posting, heading))
+    z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
+    tangent, roughness = _evaluate(z, observed, footprint, tables, lander, grid.posting, False)
+    slope = np.arctan(tangent)
+    safe = observed & (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
+    slope[~observed] = np.nan
+    roughness[~observed] = np.nan
+    return SafetyMap(grid, slope, roughness, safe, observed)
+
+
+def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMap, BoolMap]:
+    """Decide exact safety alone: where `exact_safety` would say safe, sooner.
+
+    Sites that the conservative test passes need no more; the others are left as soon as a limit
+    is passed. Parameters and errors are those of `exact_safety`.
+
+    Returns
+    -------
+    safe, observed
+        As in `SafetyMap` (rows, cols).
+    """
+    footprint = footprint_of(lander, grid.posting)
+    z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
+    leg_max, leg_min, body_max = footprint_extremes(z, footprint)
+    span = leg_max - leg_min
+    sure = (span < footprint.least_height * np.sin(lander.slope_limit)) & (
+        body_max - leg_min < lander.roughness_limit
+    )
+    todo = observed & ~sure
+    tangent, roughness = _evaluate(z, todo, footprint, footprint.planes, lander, grid.posting, True)
+    passed = (np.arctan(tangent) < lander.slope_limit) & (roughness < lander.roughness_limit)
+    return observed & (sure | passed), observed
+
+
+def footprint_extremes(z: FloatMap, footprint: Footprint) -> tuple[FloatMap, FloatMap, FloatMap]:
+    """Return max over L, min over L, max over U (Eq. 10) around each cell; FAR where unknown."""
+    leg_max, leg_min, body_max = (np.empty(z.shape, np.float32) for _ in range(3))
+    k.extremes(
+        z,
+        footprint.leg_windows,
+        footprint.body_windows,
+        footprint.depth,
+        footprint.reach,
+        leg_max,
+        leg_min,
+        body_max,
+    )
+    return leg_max, leg_min, body_max
+
+
+def _evaluate(
+    z: FloatMap,
+    todo: BoolMap,
+    footprint: Footprint,
+    tables: PlaneTables,
+    lander: Lander,
+    posting: float,
+    decide: bool,
+) -> tuple[FloatMap, FloatMap]:
+    """Return tan(slope) and roughness of the sites to do, 0 elsewhere."""
+    feet = footprint_maximum(z, footprint.pad_windows, footprint)
+    blocks = np.empty(z.shape, np.float32)
+    k.block_tops(z, BLOCK, blocks)
+    offsets, lowest = tables.offsets(z.shape[1])
+    tangent = np.zeros(z.shape, np.float32)
+    roughness = np.zeros(z.shape, np.float32)
     k.exact(
         z,
         feet,
-        legs,
-        footprint.inside,
-        first_run,
+        blocks,
+        todo,
+        offsets,
+        lowest,
+        tables.inverse,
+        tables.place,
+        tables.windows,
+        tables.window_allowed,
+        tables.cells,
+        tables.cell_allowed,
+        BLOCK,
+        np.float32(posting),
         footprint.reach,
-        np.float32(grid.posting),
+        np.float32(np.tan(lander.slope_limit)),
+        np.float32(lander.roughness_limit),
+        decide,
         tangent,
         roughness,
     )
-    slope = np.arctan(tangent)
-    slope[~observed] = np.nan
-    roughness[~observed] = np.nan
-    with np.errstate(invalid="ignore"):
-        safe = (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
-    return SafetyMap(grid, slope, roughness, safe & observed, observed)
+    return tangent, roughness

@@ -20,6 +20,49 @@ from lunarsim.vehicle.lander import Lander
 IntArray = NDArray[np.int64]
 
 
+BLOCK = 4  # side of the blocks of cells that the exact test opens or skips, cells
+_FORBIDDEN = np.float32(-1e30)
+_LANES = 16  # float32 numbers in the widest SIMD vector
+
+
+@dataclass(frozen=True)
+class PlaneTables:
+    """What the exact test needs of a footprint, a lane for every heading and support plane.
+
+    Attributes
+    ----------
+    legs
+        Cells of the legs for every heading, padded to whole SIMD vectors (headings, legs, 2).
+    inverse
+        For plane s and diagonal d the inverse of the matrix of the triangle's edges
+        (planes, diagonals, 4, headings).
+    place
+        Row and column of the triangle's first leg (planes, diagonals, 2, headings).
+    windows
+        Blocks that cover the footprint: row, column, first and last entry of `cells` (n, 4).
+    window_allowed
+        0 where a lane's polygon touches the block, else far below any ground (n, lanes).
+    cells
+        Cells (row, column) of all blocks (m, 2).
+    cell_allowed
+        0 where a lane's polygon holds the cell, else far below any ground (m, lanes).
+    """
+
+    legs: IntArray
+    inverse: NDArray[np.float32]
+    place: NDArray[np.float32]
+    windows: IntArray
+    window_allowed: NDArray[np.float32]
+    cells: IntArray
+    cell_allowed: NDArray[np.float32]
+
+    def offsets(self, cols: int) -> tuple[NDArray[np.uint64], int]:
+        """Return the legs' places in a flat raster (legs, headings) above the lowest, and it."""
+        flat = self.legs[..., 0] * cols + self.legs[..., 1]
+        lowest = int(flat.min())
+        return np.ascontiguousarray((flat - lowest).T.astype(np.uint64)), lowest
+
+
 @dataclass(frozen=True)
 class Footprint:
     """Cells that a lander touches or covers, relative to the cell of its centre.
@@ -32,9 +75,6 @@ class Footprint:
         Cells of the legs, counter-clockwise, for every distinct heading (headings, legs, 2).
     pad
         Cells under one pad (n, 2).
-    inside
-        Cells of the polygon of the legs for every heading, as runs
-        ``(heading, row, first column, length)`` (n, 4).
     pad_windows, leg_windows, body_windows
         One pad, the set L (all that any pad touches) and the set U (all that any polygon
         covers) as unions of windows ``(row, level, first column, first column)`` (n, 4): two
@@ -45,17 +85,19 @@ class Footprint:
         h0: least height of any triangle of legs, m.
     reach
         Largest offset in any direction, cells.
+    planes
+        Tables of the exact test.
     """
 
     legs: IntArray
     pad: IntArray
-    inside: IntArray
     pad_windows: IntArray
     leg_windows: IntArray
     body_windows: IntArray
     depth: int
     least_height: float
     reach: int
+    planes: PlaneTables
 
     def nearest_heading(self, lander: Lander, posting: float, heading: float) -> int:
         """Return the index of the distinct heading nearest to an azimuth of body x (rad)."""
@@ -70,6 +112,10 @@ class Footprint:
             for cells in self.legs
         ]
         return int(np.argmin(misfit))
+
+    def one_heading(self, index: int) -> PlaneTables:
+        """Return the tables of the exact test for a single heading."""
+        return _plane_tables(self.legs[index : index + 1], self.reach)
 
 
 def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
@@ -124,6 +170,58 @@ def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
     return np.array(windows, dtype=np.int64)
 
 
+# The legs of plane s on diagonal d: s = 0 stands on a b c or a b d, s = 1 on a c d or b c d.
+_TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
+
+
+def _plane_tables(cells: IntArray, reach: int) -> PlaneTables:
+    """Return the tables for a list of headings (headings, legs, 2)."""
+    triangles = _TRIANGLES[cells.shape[1]]
+    padding = -len(cells) % _LANES
+    padded = np.concatenate((cells, np.repeat(cells[-1:], padding, axis=0)))
+    inverse = np.zeros((len(triangles), len(triangles[0]), 4, len(padded)))
+    place = np.zeros((len(triangles), len(triangles[0]), 2, len(padded)))
+    for s, diagonals in enumerate(triangles):
+        for d, (a, b, c) in enumerate(diagonals):
+            u, v = padded[:, b] - padded[:, a], padded[:, c] - padded[:, a]
+            determinant = u[:, 1] * v[:, 0] - v[:, 1] * u[:, 0]
+            inverse[s, d] = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1])) / determinant
+            place[s, d] = padded[:, a].T
+    side = 2 * reach + 1
+    holds = np.zeros((len(padded), side + BLOCK, side + BLOCK), np.bool_)
+    for heading, polygon in enumerate(padded):
+        for row, col, length in _polygon_runs(polygon):
+            holds[heading, row + reach, col + reach : col + reach + length] = True
+    windows, window_allowed, spots, cell_allowed = [], [], [], []
+    corners = [(r, c) for r in range(0, side, BLOCK) for c in range(0, side, BLOCK)]
+    # From the centre outwards: there every heading looks.
+    corners.sort(key=lambda rc: np.hypot(rc[0] - reach + 1.5, rc[1] - reach + 1.5))
+    for r, c in corners:
+        touched = holds[:, r : r + BLOCK, c : c + BLOCK]
+        if not touched.any():
+            continue
+        first = len(spots)
+        for a, b in np.argwhere(touched.any(axis=0)):
+            spots.append((r + a - reach, c + b - reach))
+            cell_allowed.append(touched[:, a, b])
+        windows.append((r - reach, c - reach, first, len(spots)))
+        window_allowed.append(touched.any(axis=(1, 2)))
+
+    def lanes(allowed: list[NDArray[np.bool_]]) -> NDArray[np.float32]:
+        marks = np.where(np.array(allowed), np.float32(0.0), _FORBIDDEN)
+        return np.ascontiguousarray(np.tile(marks, (1, len(triangles))), dtype=np.float32)
+
+    return PlaneTables(
+        padded,
+        inverse.astype(np.float32),
+        place.astype(np.float32),
+        np.array(windows, dtype=np.int64),
+        lanes(window_allowed),
+        np.array(spots, dtype=np.int64),
+        lanes(cell_allowed),
+    )
+
+
 def _triangle_height(points: NDArray[np.float64]) -> float:
     a, b, c = points
     area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
@@ -148,13 +246,11 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
     side = 2 * reach + 1
     leg_mask = np.zeros((side, side), np.bool_)
     body_mask = np.zeros((side, side), np.bool_)
-    inside = []
-    for heading, polygon in enumerate(cells):
+    for polygon in cells:
         for leg in polygon:
             spots = leg + pad + reach
             leg_mask[spots[:, 0], spots[:, 1]] = True
         for row, col, length in _polygon_runs(polygon):
-            inside.append((heading, row, col, length))
             body_mask[row + reach, col + reach : col + reach + length] = True
     least = min(
         _triangle_height(polygon[list(triple)].astype(np.float64))
@@ -168,13 +264,13 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
     return Footprint(
         legs=cells,
         pad=pad,
-        inside=np.array(inside, dtype=np.int64),
         pad_windows=pad_windows,
         leg_windows=leg_windows,
         body_windows=body_windows,
         depth=1 + deepest,
         least_height=least * posting,
         reach=reach,
+        planes=_plane_tables(cells, reach),
     )
 
 
