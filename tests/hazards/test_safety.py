@@ -9,6 +9,7 @@ from scipy.stats import norm
 from lunarsim.grid import Grid
 from lunarsim.hazards import HazardMap
 from lunarsim.hazards.safety import (
+    alhat_safety,
     conservative_safety,
     exact_safety,
     footprint_of,
@@ -163,6 +164,19 @@ def test_probabilities_are_eq_17():
         assert p.p_safe[row, col] == pytest.approx(slope * rough, abs=2e-4)
     tangent = stochastic_safety(z, np.full_like(z, sigma**2), grid, SMALL, slope_bound="tan")
     assert np.all(tangent.p_slope >= p.p_slope)
+
+
+def test_alhat_is_the_exact_map_with_noise():
+    z, grid = terrain(4, 0.06)
+    exact, p = exact_safety(z, grid, SMALL), alhat_safety(z, grid, SMALL, sigma=0.02)
+    row, col = np.argwhere(exact.observed)[7]
+    slope, roughness = reference.exact(z, grid, SMALL, row, col)
+    assert p.p_slope[row, col] == float(slope < SMALL.slope_limit)
+    wanted = norm.cdf((SMALL.roughness_limit - roughness) / 0.02)
+    assert p.p_roughness[row, col] == pytest.approx(wanted, abs=1e-3)
+    assert np.array_equal(p.p_safe > 0.5, exact.safe)
+    with pytest.raises(ValueError, match="sigma"):
+        alhat_safety(z, grid, SMALL, sigma=0.0)
 
 
 def test_bad_input():

@@ -135,7 +135,7 @@ def gaussian_dem(
 def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the points' (x, y) with every pixel that lacks a coordinate NaN as a whole."""
     xy = points[:, :2]
-    lost = ~np.isfinite(points).all(axis=1)
+    lost = np.asarray(~np.isfinite(points).all(axis=1))
     return np.where(lost[:, None], np.nan, xy) if lost.any() else xy
 
 

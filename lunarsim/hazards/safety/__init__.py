@@ -3,6 +3,7 @@
 Every test answers for a lander centred on a cell, at every heading.
 """
 
+from lunarsim.hazards.safety.alhat import alhat_safety
 from lunarsim.hazards.safety.conservative import (
     StochasticSafety,
     conservative_safety,
@@ -15,6 +16,7 @@ __all__ = [
     "Footprint",
     "SafetyMap",
     "StochasticSafety",
+    "alhat_safety",
     "conservative_safety",
     "exact_safety",
     "footprint_of",

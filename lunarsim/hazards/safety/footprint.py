@@ -192,7 +192,10 @@ def _plane_tables(cells: IntArray, reach: int) -> PlaneTables:
     for heading, polygon in enumerate(padded):
         for row, col, length in _polygon_runs(polygon):
             holds[heading, row + reach, col + reach : col + reach + length] = True
-    windows, window_allowed, spots, cell_allowed = [], [], [], []
+    windows: list[tuple[int, int, int, int]] = []
+    spots: list[tuple[int, int]] = []
+    window_allowed: list[NDArray[np.bool_]] = []
+    cell_allowed: list[NDArray[np.bool_]] = []
     corners = [(r, c) for r in range(0, side, BLOCK) for c in range(0, side, BLOCK)]
     # From the centre outwards: there every heading looks.
     corners.sort(key=lambda rc: np.hypot(rc[0] - reach + 1.5, rc[1] - reach + 1.5))
@@ -205,7 +208,7 @@ def _plane_tables(cells: IntArray, reach: int) -> PlaneTables:
             spots.append((r + a - reach, c + b - reach))
             cell_allowed.append(touched[:, a, b])
         windows.append((r - reach, c - reach, first, len(spots)))
-        window_allowed.append(touched.any(axis=(1, 2)))
+        window_allowed.append(np.asarray(touched.any(axis=(1, 2))))
 
     def lanes(allowed: list[NDArray[np.bool_]]) -> NDArray[np.float32]:
         marks = np.where(np.array(allowed), np.float32(0.0), _FORBIDDEN)
