@@ -43,7 +43,7 @@ CONFIGURATIONS = [(r, a) for r in RANGES for a in ANGLES]
 POSTING = 0.1  # of the truth and of the proposed maps, m
 # Only sigma_f^2 / length_scale matters. The density of the elevations asks for a smaller one than
 # a margin against missed rocks: two purposes, two settings, both stated with the tables.
-DENSITY = {"sigma_f": 0.1, "length_scale": 3.0}  # Table 5
+DENSITY = {"sigma_f": 0.1, "length_scale": 10.0}  # Table 5
 MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
 PAPER_3 = {0.0: 0.9563, 0.2: 0.7251, 0.5: 0.2848, 0.7: 0.1604, 1.0: 0.0810}
