@@ -10,6 +10,7 @@ from lunarsim.grid import Grid
 from lunarsim.hazards import HazardMap
 from lunarsim.hazards.safety import (
     alhat_safety,
+    bounded_safety,
     conservative_safety,
     exact_safety,
     footprint_of,
@@ -88,6 +89,51 @@ def test_conservative_never_calls_an_unsafe_site_safe(seed, legs, radius, postin
     assert not np.any(bound.safe & ~exact.safe)
     assert np.all(bound.slope[seen] >= exact.slope[seen] - 1e-5)
     assert np.all(bound.roughness[seen] >= exact.roughness[seen] - 1e-5)
+
+
+@settings(max_examples=30)
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([3, 4]),
+    st.floats(0.6, 1.4),
+    st.sampled_from([0.1, 0.2]),
+    st.floats(0.001, 0.15),
+    st.floats(0.0, 0.25),
+    st.floats(0.1, 0.9),
+)
+def test_bounded_never_calls_an_unsafe_site_safe(seed, legs, radius, posting, rough, tilt, side):
+    lander = Lander(legs=legs, leg_radius=radius, pad_diameter=0.3)
+    z, grid = terrain(seed, rough, 40, posting)
+    z = (z + tilt * grid.x[None, :] - 0.5 * tilt * grid.y[:, None]).astype(np.float32)
+    exact = exact_safety(z, grid, lander)
+    bound = bounded_safety(z, grid, lander, block_side=side)
+    seen = exact.observed
+    assert np.array_equal(bound.observed, seen)
+    assert not np.any(bound.safe & ~exact.safe)
+    assert np.allclose(bound.slope[seen], exact.slope[seen], atol=1e-5)
+    assert np.all(bound.roughness[seen] >= exact.roughness[seen] - 1e-5)
+
+
+@pytest.mark.parametrize("legs", [3, 4])
+def test_blocks_of_one_cell_are_exact(legs):
+    lander = Lander(legs=legs, leg_radius=1.1)
+    z, grid = terrain(6, 0.07)
+    exact, bound = exact_safety(z, grid, lander), bounded_safety(z, grid, lander, block_side=0.05)
+    assert np.allclose(bound.roughness, exact.roughness, atol=1e-5, equal_nan=True)
+    assert np.array_equal(bound.safe, exact.safe)
+
+
+def test_bounded_keeps_safe_sites_on_a_slope():
+    """Where the level plane of the conservative test gives up."""
+    grid = Grid.centred((0.0, 0.0), 12.0, 0.1)
+    z = 0.1 * grid.x[None, :] + 0.02 * np.random.default_rng(0).standard_normal(grid.shape)
+    exact = exact_safety(z, grid, Lander())
+    recall = {
+        test.__name__: (test(z, grid, Lander()).safe & exact.safe).sum() / exact.safe.sum()
+        for test in (bounded_safety, conservative_safety)
+    }
+    assert recall["conservative_safety"] < 0.05
+    assert recall["bounded_safety"] > 0.8
 
 
 @settings(max_examples=20)

@@ -4,6 +4,7 @@ Every test answers for a lander centred on a cell, at every heading.
 """
 
 from lunarsim.hazards.safety.alhat import alhat_safety
+from lunarsim.hazards.safety.bounded import bounded_safety
 from lunarsim.hazards.safety.conservative import (
     StochasticSafety,
     conservative_safety,
@@ -17,6 +18,7 @@ __all__ = [
     "SafetyMap",
     "StochasticSafety",
     "alhat_safety",
+    "bounded_safety",
     "conservative_safety",
     "exact_safety",
     "footprint_of",

@@ -409,3 +409,146 @@ def block_tops(z, block, out):
                 for c in range(j, min(j + block, cols)):
                     best = max(best, z[r, c])
             out[i, j] = best
+
+
+@kernel(finite=True)
+def _plane(p0, p1, p2, z0, z1, z2, gx, gy, base):
+    """Write gradient (a cell) and height at the centre of the planes through three legs.
+
+    p*: cells (row, column) of the legs; z*: heights under them, a lane for each site.
+    """
+    ux = float(p1[1] - p0[1])
+    uy = float(p1[0] - p0[0])
+    vx = float(p2[1] - p0[1])
+    vy = float(p2[0] - p0[0])
+    det = 1.0 / (ux * vy - vx * uy)
+    xx = np.float32(vy * det)
+    xy = np.float32(-uy * det)
+    yx = np.float32(-vx * det)
+    yy = np.float32(ux * det)
+    row = np.float32(p0[0])
+    col = np.float32(p0[1])
+    for j in range(gx.size):
+        e = z1[j] - z0[j]
+        f = z2[j] - z0[j]
+        x = xx * e + xy * f
+        y = yx * e + yy * f
+        gx[j] = x
+        gy[j] = y
+        base[j] = z0[j] - x * col - y * row
+
+
+@kernel(finite=True)
+def _lift_four(s0, s1, s2, s3, place, gx, gy, top):
+    """Raise `top` to the heights of four blocks above the planes; place: (column, row) each."""
+    x0 = place[0, 0]
+    y0 = place[0, 1]
+    x1 = place[1, 0]
+    y1 = place[1, 1]
+    x2 = place[2, 0]
+    y2 = place[2, 1]
+    x3 = place[3, 0]
+    y3 = place[3, 1]
+    for j in range(top.size):
+        gxj = gx[j]
+        gyj = gy[j]
+        v0 = s0[j] - x0 * gxj - y0 * gyj
+        v1 = s1[j] - x1 * gxj - y1 * gyj
+        v2 = s2[j] - x2 * gxj - y2 * gyj
+        v3 = s3[j] - x3 * gxj - y3 * gyj
+        v0 = v0 if v0 > v1 else v1
+        v2 = v2 if v2 > v3 else v3
+        v0 = v0 if v0 > v2 else v2
+        t = top[j]
+        top[j] = v0 if v0 > t else t
+
+
+@kernel(parallel=True, finite=True)
+def bounded(blocks, feet, legs, covers, first_cover, block, reach, posting, slope_out, rough_out):
+    """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
+
+    Stretches of a row run in parallel, sites of a stretch in SIMD lanes. `covers` (n, 2) lists
+    the blocks (row, column) that cover the polygon of heading h, from first_cover[h], in
+    multiples of four.
+    """
+    rows, cols = blocks.shape
+    headings, count, _ = legs.shape
+    planes = 2 if count == 4 else 1
+    span = np.float32(0.5 * (block - 1))
+    across = (cols - 2 * reach + _TILE_COLS - 1) // _TILE_COLS
+    for task in prange((rows - 2 * reach) * across):
+        i = reach + task // across
+        c0 = reach + (task % across) * _TILE_COLS
+        width = min(_TILE_COLS, cols - reach - c0)
+        work = np.empty((9, width), np.float32)
+        place = np.empty((4, 2), np.float32)
+        gx = work[0]
+        gy = work[1]
+        base = work[2]
+        other_gx = work[3]
+        other_gy = work[4]
+        other_base = work[5]
+        top = work[6]
+        slope = work[7]
+        rough = work[8]
+        slope[:] = np.float32(0.0)
+        rough[:] = np.float32(0.0)
+        step = np.float32(posting)
+        for h in range(headings):
+            a = legs[h, 0]
+            b = legs[h, 1]
+            c = legs[h, 2]
+            d = legs[h, count - 1]
+            za = feet[i + a[0], c0 + a[1] : c0 + a[1] + width]
+            zb = feet[i + b[0], c0 + b[1] : c0 + b[1] + width]
+            zc = feet[i + c[0], c0 + c[1] : c0 + c[1] + width]
+            zd = feet[i + d[0], c0 + d[1] : c0 + d[1] + width]
+            for s in range(planes):
+                if count == 3:
+                    _plane(a, b, c, za, zb, zc, gx, gy, base)
+                elif s == 0:
+                    _plane(a, b, c, za, zb, zc, gx, gy, base)
+                    _plane(a, b, d, za, zb, zd, other_gx, other_gy, other_base)
+                else:
+                    _plane(a, c, d, za, zc, zd, gx, gy, base)
+                    _plane(b, c, d, zb, zc, zd, other_gx, other_gy, other_base)
+                if count == 4:
+                    for j in range(width):
+                        first = za[j] + zc[j] >= zb[j] + zd[j]
+                        gx[j] = gx[j] if first else other_gx[j]
+                        gy[j] = gy[j] if first else other_gy[j]
+                        base[j] = base[j] if first else other_base[j]
+                for j in range(width):
+                    top[j] = -FAR
+                for n in range(first_cover[h], first_cover[h + 1], 4):
+                    for k in range(4):
+                        place[k, 0] = np.float32(covers[n + k, 1]) + span
+                        place[k, 1] = np.float32(covers[n + k, 0]) + span
+                    j0 = c0 + covers[n, 1]
+                    j1 = c0 + covers[n + 1, 1]
+                    j2 = c0 + covers[n + 2, 1]
+                    j3 = c0 + covers[n + 3, 1]
+                    _lift_four(
+                        blocks[i + covers[n, 0], j0 : j0 + width],
+                        blocks[i + covers[n + 1, 0], j1 : j1 + width],
+                        blocks[i + covers[n + 2, 0], j2 : j2 + width],
+                        blocks[i + covers[n + 3, 0], j3 : j3 + width],
+                        place,
+                        gx,
+                        gy,
+                        top,
+                    )
+                for j in range(width):
+                    tx = gx[j] / step
+                    ty = gy[j] / step
+                    square = tx * tx + ty * ty
+                    # A block's top may stand at its corner where the plane is lowest.
+                    height = top[j] + span * (abs(gx[j]) + abs(gy[j])) - base[j]
+                    height = height / np.sqrt(np.float32(1.0) + square)
+                    old = slope[j]
+                    slope[j] = square if square > old else old
+                    old = rough[j]
+                    rough[j] = height if height > old else old
+        for j in range(width):
+            slope_out[i, c0 + j] = np.sqrt(slope[j])
+            rough_out[i, c0 + j] = rough[j]

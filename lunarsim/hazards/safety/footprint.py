@@ -113,6 +113,39 @@ class Footprint:
         ]
         return int(np.argmin(misfit))
 
+    def covers(self, block: int) -> tuple[IntArray, IntArray]:
+        """Return blocks of cells that cover the polygon of every heading.
+
+        Parameters
+        ----------
+        block
+            Side of a block, cells.
+
+        Returns
+        -------
+        corners
+            South-west cells (row, column) of the blocks (n, 2), heading by heading.
+        first
+            Where each heading's blocks begin (headings + 1,); multiples of four.
+        """
+        corners: list[tuple[int, int]] = []
+        first = [0]
+        for polygon in self.legs:
+            runs = np.array(_polygon_runs(polygon))
+            lowest, highest = int(runs[0, 0]), int(runs[-1, 0])
+            for start in range(lowest, highest + 1, block):
+                # The last band ends at the last row, so that no block leaves the footprint.
+                row = min(start, max(highest - block + 1, lowest))
+                band = runs[(runs[:, 0] >= row) & (runs[:, 0] < row + block)]
+                low, high = int(band[:, 1].min()), int((band[:, 1] + band[:, 2]).max())
+                columns = list(range(low, max(high - block, low) + 1, block))
+                if columns[-1] + block < high:
+                    columns.append(high - block)
+                corners += [(row, col) for col in columns]
+            corners += [corners[-1]] * (-len(corners) % 4)
+            first.append(len(corners))
+        return np.array(corners, dtype=np.int64), np.array(first, dtype=np.int64)
+
     def one_heading(self, index: int) -> PlaneTables:
         """Return the tables of the exact test for a single heading."""
         return _plane_tables(self.legs[index : index + 1], self.reach)
