@@ -1,0 +1,53 @@
+"""Every script in scenarios/ runs; the tables hold what they promise, small."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+
+SCRIPT = ROOT / "scenarios" / "gaussian_dem_tables.py"
+
+
+def run(*arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+def test_configurations_are_those_of_table_4(tmp_path):
+    out = tmp_path / "table.json"
+    run("--table", "4", "--json", str(out))
+    rows = json.loads(out.read_text())["4"]["rows"]
+    assert rows[3][0] == pytest.approx(100.0, abs=1.1)
+    assert rows[8][2] == pytest.approx(1.611, abs=0.02)
+
+
+@pytest.mark.slow
+def test_table_3_has_no_false_safe_cell(tmp_path):
+    out = tmp_path / "table.json"
+    run("--table", "3", "--json", str(out), "--out", str(tmp_path))
+    rows = json.loads(out.read_text())["3"]["rows"]
+    assert all(row["false_safe"] == 0 for row in rows)
+    recall = [row["recall"][0] for row in rows]
+    assert recall == sorted(recall, reverse=True)
+    assert min(row["bounded"][0] for row in rows if row["c"] <= 0.5) > 0.8
+    assert (tmp_path / "figure_12_conservativeness.png").exists()
+
+
+@pytest.mark.slow
+def test_table_5_beats_the_paper_everywhere(tmp_path):
+    assert run("--table", "5").count("yes │            yes") == 9
+
+
+def test_unknown_table_is_refused():
+    done = subprocess.run(
+        [sys.executable, str(SCRIPT), "--table", "9"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
