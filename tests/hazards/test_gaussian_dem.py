@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from lunarsim.grid import Grid
-from lunarsim.hazards.gaussian_dem import conventional_dem, fuse, gaussian_dem
+from lunarsim.hazards.gaussian_dem import (
+    conventional_dem,
+    fit_hyperparameters,
+    full_regression,
+    fuse,
+    gaussian_dem,
+)
 from tests.reference import dem as reference
 
 GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
@@ -168,3 +174,72 @@ def test_coincident_points_are_merged():
     points = np.concatenate((cloud(3, 20), cloud(3, 20) + [0.0, 0.0, 1.0]))
     dem = gaussian_dem(points, GRID, sigma_eps=0.0)
     assert np.isfinite(dem.mean[dem.observed]).all()
+
+
+def random_field(seed: int, n: int, sigma_f: float, length: float, eps: float) -> np.ndarray:
+    """A draw of the model itself at random places."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, 20.0, (n, 2))
+    gram = sigma_f**2 * np.exp(-np.linalg.norm(xy[:, None] - xy[None], axis=2) / length)
+    z = np.linalg.cholesky(gram + 1e-9 * np.eye(n)) @ rng.standard_normal(n)
+    return np.column_stack((xy, z + eps * rng.standard_normal(n)))
+
+
+def test_full_regression_on_three_points_is_the_local_one():
+    points = cloud(2, 3)
+    xy = points[:, :2].mean(axis=0)
+    mean, variance = full_regression(
+        points, xy[None], sigma_f=0.4, length_scale=9.0, sigma_eps=0.02
+    )
+    wanted = reference.kriging(points, xy, 0.4, 9.0, 0.02)
+    assert (mean[0], variance[0]) == pytest.approx(wanted, rel=1e-9)
+
+
+def test_full_regression_is_consistent_with_its_own_model():
+    """Normalised errors of held-out points have unit mean square."""
+    points = random_field(4, 1500, 0.3, 6.0, 0.02)
+    known, held = points[:1200], points[1200:]
+    mean, variance = full_regression(
+        known, held[:, :2], sigma_f=0.3, length_scale=6.0, sigma_eps=0.02
+    )
+    nees = np.mean((held[:, 2] - mean) ** 2 / (variance + 0.02**2))
+    assert nees == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 300.0))
+
+
+def test_local_regression_approaches_the_full_one():
+    points = random_field(5, 1500, 0.3, 6.0, 0.005)
+    grid = Grid.centred((10.0, 10.0), 12.0, 0.5)
+    dem = gaussian_dem(points, grid, sigma_f=0.3, length_scale=6.0, sigma_eps=0.005)
+    weight = conventional_dem(points, grid).weight
+    mean, variance = full_regression(
+        points, grid.centres().reshape(-1, 2), sigma_f=0.3, length_scale=6.0, sigma_eps=0.005
+    )
+    use = (dem.observed & (weight <= 0.5)).ravel()
+    gap = dem.mean.ravel()[use] - mean[use]
+    # Three vertices know less than all points: the variance is larger, the means agree within it.
+    assert np.all(dem.variance.ravel()[use] >= variance[use] - 1e-6)
+    assert np.sqrt(np.mean(gap**2)) < 0.6 * np.sqrt(np.mean(dem.variance.ravel()[use]))
+
+
+@pytest.mark.parametrize(("sigma_f", "length"), [(0.3, 4.0), (0.1, 20.0)])
+def test_fit_recovers_the_growth_of_the_variogram(sigma_f, length):
+    growth = [
+        fit_hyperparameters(
+            random_field(seed, 1500, sigma_f, length, 0.01), 0.01, np.random.default_rng(seed),
+            largest_lag=4.0,
+        ).growth
+        for seed in range(5)
+    ]  # fmt: skip
+    assert np.median(growth) == pytest.approx(sigma_f**2 / length, rel=0.25)
+
+
+def test_fit_and_full_regression_refuse_what_they_cannot_do():
+    with pytest.raises(ValueError, match="too few"):
+        fit_hyperparameters(cloud(1, 20), 0.01, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="singular"):
+        twice = np.concatenate((cloud(1, 5), cloud(1, 5)))
+        full_regression(twice, [[0.0, 0.0]], sigma_f=1.0, length_scale=1.0, sigma_eps=0.0)
+    with pytest.raises(ValueError, match="too many"):
+        full_regression(
+            np.zeros((6000, 3)), [[0.0, 0.0]], sigma_f=1.0, length_scale=1.0, sigma_eps=0.1
+        )

@@ -4,14 +4,19 @@ Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomo
 """
 
 from lunarsim.hazards.gaussian_dem.conventional import ConventionalDem, conventional_dem
+from lunarsim.hazards.gaussian_dem.fit import FieldFit, fit_hyperparameters
+from lunarsim.hazards.gaussian_dem.full import full_regression
 from lunarsim.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
 from lunarsim.hazards.gaussian_dem.mapper import GaussianDemMapper
 
 __all__ = [
     "ConventionalDem",
+    "FieldFit",
     "GaussianDem",
     "GaussianDemMapper",
     "conventional_dem",
+    "fit_hyperparameters",
+    "full_regression",
     "fuse",
     "gaussian_dem",
 ]
