@@ -24,6 +24,50 @@ def write(path, z, *, crs=MOON, posting=2.0, nodata=None, driver="GTiff"):
     return path
 
 
+PDS_LABEL = """PDS_VERSION_ID = PDS3
+RECORD_TYPE = FIXED_LENGTH
+RECORD_BYTES = {record}
+FILE_RECORDS = {total}
+LABEL_RECORDS = {labels}
+^IMAGE = {start}
+TARGET_NAME = MOON
+OBJECT = IMAGE
+  LINES = {rows}
+  LINE_SAMPLES = {cols}
+  SAMPLE_TYPE = PC_REAL
+  SAMPLE_BITS = 32
+END_OBJECT = IMAGE
+OBJECT = IMAGE_MAP_PROJECTION
+  MAP_PROJECTION_TYPE = "EQUIRECTANGULAR"
+  A_AXIS_RADIUS = 1737.4 <KM>
+  B_AXIS_RADIUS = 1737.4 <KM>
+  C_AXIS_RADIUS = 1737.4 <KM>
+  POSITIVE_LONGITUDE_DIRECTION = EAST
+  CENTER_LATITUDE = 0.0
+  CENTER_LONGITUDE = 0.0
+  MAP_SCALE = 2.0 <METERS/PIXEL>
+  LINE_PROJECTION_OFFSET = 0.0
+  SAMPLE_PROJECTION_OFFSET = 0.0
+END_OBJECT = IMAGE_MAP_PROJECTION
+END
+"""
+
+
+def test_pds_image(tmp_path):
+    z = np.arange(120, dtype="<f4").reshape(10, 12)
+    record, labels = 4 * 12, 30
+    text = PDS_LABEL.format(
+        record=record, total=labels + 10, labels=labels, start=labels + 1, rows=10, cols=12
+    )
+    path = tmp_path / "dtm.img"
+    path.write_bytes(text.encode().ljust(labels * record) + z.tobytes())
+    info = read_info(path)
+    assert info.driver == "PDS"
+    assert info.posting == pytest.approx(2.0)
+    relief = load_dtm(path)
+    assert np.allclose(relief.z[::-1] + z.mean(), z)
+
+
 def test_hirise_crop():
     relief = load_dtm(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif")
     assert relief.grid.shape == (120, 70)
