@@ -14,6 +14,7 @@ from lunarsim.hazards.safety import (
     conservative_safety,
     exact_safety,
     footprint_of,
+    plane_stochastic_safety,
     safe_sites,
     stochastic_safety,
 )
@@ -212,6 +213,35 @@ def test_probabilities_are_eq_17():
     assert np.all(tangent.p_slope >= p.p_slope)
 
 
+def test_planes_of_a_certain_map_are_the_bounded_test():
+    z, grid = terrain(9, 0.04)
+    bound = bounded_safety(z, grid, SMALL)
+    p = plane_stochastic_safety(z, np.zeros_like(z), grid, SMALL)
+    assert np.array_equal(p.p_safe > 0.5, bound.safe)
+    assert np.array_equal(p.observed, bound.observed)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.03])
+def test_planes_promise_no_more_than_sampled_maps_keep(sigma):
+    """Monte Carlo over maps drawn from the Gaussian DEM, judged by the exact test."""
+    z, grid = terrain(11, 0.03, 30)
+    z = (z + 0.08 * grid.x[None, :]).astype(np.float32)
+    variance = np.full_like(z, sigma**2)
+    rng = np.random.default_rng(0)
+    draws = [
+        exact_safety(z + sigma * rng.standard_normal(z.shape), grid, SMALL).safe for _ in range(60)
+    ]
+    share = np.mean(draws, axis=0)
+    ours = plane_stochastic_safety(z, variance, grid, SMALL)
+    seen = ours.observed
+    called = seen & (ours.p_safe > 0.9)
+    assert called.sum() > 0
+    assert share[called].mean() > 0.9
+    # The level plane of Eqs. 15 to 17 gives up on this slope.
+    level = stochastic_safety(z, variance, grid, SMALL)
+    assert np.abs(ours.p_safe - share)[seen].mean() < np.abs(level.p_safe - share)[seen].mean()
+
+
 def test_alhat_is_the_exact_map_with_noise():
     z, grid = terrain(4, 0.06)
     exact, p = exact_safety(z, grid, SMALL), alhat_safety(z, grid, SMALL, sigma=0.02)
@@ -234,6 +264,10 @@ def test_bad_input():
         exact_safety(np.zeros(tiny.shape), tiny, SMALL)
     with pytest.raises(ValueError, match="must not be negative"):
         stochastic_safety(z, np.full_like(z, -1.0), grid, SMALL)
+    with pytest.raises(ValueError, match="must not be negative"):
+        plane_stochastic_safety(z, np.full_like(z, -1.0), grid, SMALL)
+    with pytest.raises(ValueError, match="block_side"):
+        bounded_safety(z, grid, SMALL, block_side=0.0)
     with pytest.raises(ValueError, match="finer"):
         footprint_of(SMALL, 2.0)
 

@@ -12,6 +12,7 @@ from lunarsim.hazards.safety.conservative import (
 )
 from lunarsim.hazards.safety.exact import SafetyMap, exact_safety, safe_sites
 from lunarsim.hazards.safety.footprint import Footprint, footprint_of
+from lunarsim.hazards.safety.planes import plane_stochastic_safety
 
 __all__ = [
     "Footprint",
@@ -22,6 +23,7 @@ __all__ = [
     "conservative_safety",
     "exact_safety",
     "footprint_of",
+    "plane_stochastic_safety",
     "safe_sites",
     "stochastic_safety",
 ]

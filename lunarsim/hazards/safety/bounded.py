@@ -17,7 +17,7 @@ limits whenever the test says so.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
@@ -27,14 +27,51 @@ from lunarsim.hazards.safety.exact import (
     footprint_maximum,
     known_ground,
 )
-from lunarsim.hazards.safety.footprint import footprint_of
+from lunarsim.hazards.safety.footprint import Footprint, footprint_of
 from lunarsim.vehicle.lander import Lander
 
-_BLOCK_SIDE = 0.5  # m: a compromise between work and margin
+FloatMap = NDArray[np.float32]
+
+BLOCK_SIDE = 0.5  # m: a compromise between work and margin
+
+
+def bound_planes(
+    tops: FloatMap, feet: FloatMap, footprint: Footprint, block: int, posting: float
+) -> tuple[FloatMap, FloatMap]:
+    """Return tan(slope) and the bound of the roughness (m), 0 near the edge.
+
+    Parameters
+    ----------
+    tops
+        Highest ground in block x block cells to the north-east of each cell (rows, cols), m.
+    feet
+        Ground on which a pad centred on each cell stands (rows, cols), m.
+    footprint
+        The lander's.
+    block
+        Side of the blocks, cells.
+    posting
+        m.
+    """
+    corners, first = footprint.covers(block)
+    tangent, roughness = np.zeros(tops.shape, np.float32), np.zeros(tops.shape, np.float32)
+    k.bounded(
+        tops,
+        feet,
+        footprint.legs,
+        corners,
+        first,
+        block,
+        footprint.reach,
+        np.float32(posting),
+        tangent,
+        roughness,
+    )
+    return tangent, roughness
 
 
 def bounded_safety(
-    elevation: ArrayLike, grid: Grid, lander: Lander, *, block_side: float = _BLOCK_SIDE
+    elevation: ArrayLike, grid: Grid, lander: Lander, *, block_side: float = BLOCK_SIDE
 ) -> SafetyMap:
     """Evaluate slope exactly and bound roughness from above through the real support planes.
 
@@ -52,29 +89,13 @@ def bounded_safety(
     ValueError
         As `exact_safety`, and if `block_side` is not positive.
     """
-    if not (np.isfinite(block_side) and block_side > 0.0):
-        raise ValueError(f"block_side = {block_side}: must be a positive length in metres")
     footprint = footprint_of(lander, grid.posting)
     z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
-    block = max(1, min(round(block_side / grid.posting), footprint.reach))
+    block = footprint.block_cells(block_side, grid.posting)
     feet = footprint_maximum(z, footprint.pad_windows, footprint)
-    blocks = np.empty(z.shape, np.float32)
-    k.block_tops(z, block, blocks)
-    corners, first = footprint.covers(block)
-    tangent = np.zeros(z.shape, np.float32)
-    roughness = np.zeros(z.shape, np.float32)
-    k.bounded(
-        blocks,
-        feet,
-        footprint.legs,
-        corners,
-        first,
-        block,
-        footprint.reach,
-        np.float32(grid.posting),
-        tangent,
-        roughness,
-    )
+    tops = np.empty(z.shape, np.float32)
+    k.block_tops(z, block, tops)
+    tangent, roughness = bound_planes(tops, feet, footprint, block, grid.posting)
     slope = np.arctan(tangent)
     safe = observed & (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
     slope[~observed] = np.nan

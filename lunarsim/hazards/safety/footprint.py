@@ -113,6 +113,18 @@ class Footprint:
         ]
         return int(np.argmin(misfit))
 
+    def block_cells(self, side: float, posting: float) -> int:
+        """Return the side of blocks of about `side` metres in cells.
+
+        Raises
+        ------
+        ValueError
+            If the side is not positive.
+        """
+        if not (np.isfinite(side) and side > 0.0):
+            raise ValueError(f"block_side = {side}: must be a positive length in metres")
+        return max(1, min(round(side / posting), self.reach))
+
     def covers(self, block: int) -> tuple[IntArray, IntArray]:
         """Return blocks of cells that cover the polygon of every heading.
 
