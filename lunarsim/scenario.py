@@ -135,6 +135,9 @@ class MapperSection(Section):
     kind: Literal["gaussian-dem"] = "gaussian-dem"
     posting_m: Positive = 0.2
     size_m: Positive = 100.0
+    safety: Literal["level", "planes"] = Field(
+        "level", description="Eqs. 15 to 17 of the paper, or through the real support planes"
+    )
     sigma_f_m: Positive = 0.5
     length_scale_m: Positive = 30.0
 

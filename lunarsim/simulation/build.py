@@ -147,7 +147,9 @@ def mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray) -> Gaussia
             "mapper.size_m", s.size_m, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m"
         )
     grid = Grid.centred(centre, s.size_m, s.posting_m)
-    return GaussianDemMapper(grid, lander, sigma_f=s.sigma_f_m, length_scale=s.length_scale_m)
+    return GaussianDemMapper(
+        grid, lander, sigma_f=s.sigma_f_m, length_scale=s.length_scale_m, safety=s.safety
+    )
 
 
 def budget_of(scenario: Scenario) -> ErrorBudget:

@@ -102,6 +102,26 @@ def test_slerp_attitude_flies_too(small_scenario):
     assert flight.verdict.touchdown.horizontal_speed < 0.5
 
 
+def test_support_planes_see_more_safe_ground_on_relief(small_scenario):
+    """The same flight, judged through the support planes: more is found, little of it wrong."""
+    rough = changed(
+        small_scenario, terrain={"rms_slope_deg": 5.0}, mapper={"posting_m": 0.3, "size_m": 50.0}
+    )
+    recall, precision = {}, {}
+    for safety in ("level", "planes"):
+        simulation = Simulation(
+            changed(rough, mapper={"safety": safety}), flight_seed(2, 0), "no-divert"
+        )
+        flight = simulation.run()
+        found = flight.hazard_map
+        safe = simulation.truth.safe_at(found.grid.centres() - flight.map_error[:2])
+        called = found.p_safe > 0.5
+        recall[safety] = (called & safe).sum() / (found.observed & safe).sum()
+        precision[safety] = (called & safe).sum() / max(called.sum(), 1)
+    assert recall["planes"] > recall["level"] + 0.2
+    assert precision["planes"] > 0.9
+
+
 def test_record_opens_without_the_package(small_scenario, tmp_path):
     simulation = Simulation(small_scenario, flight_seed(3, 0), "safest")
     flight = simulation.run()

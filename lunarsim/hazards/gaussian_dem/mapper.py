@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
 from lunarsim.hazards.hazard_map import HazardMap
-from lunarsim.hazards.safety import stochastic_safety
+from lunarsim.hazards.safety import plane_stochastic_safety, stochastic_safety
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.sensors.lidar import LidarScan
 from lunarsim.vehicle.lander import Lander
 
 
 class GaussianDemMapper:
-    """Fuses flash LiDAR scans into a Gaussian DEM and judges it by Eqs. 15 to 17.
+    """Fuses flash LiDAR scans into a Gaussian DEM and judges landing safety on it.
 
     Parameters
     ----------
@@ -24,15 +26,25 @@ class GaussianDemMapper:
         Geometry and limits.
     sigma_f, length_scale
         Hyper-parameters of the random field, m.
+    safety
+        ``"level"``: the conservative test of Eqs. 15 to 17. ``"planes"``: through the real
+        support planes, which keeps safe sites on relief.
     """
 
     def __init__(
-        self, grid: Grid, lander: Lander, *, sigma_f: float = 0.5, length_scale: float = 30.0
+        self,
+        grid: Grid,
+        lander: Lander,
+        *,
+        sigma_f: float = 0.5,
+        length_scale: float = 30.0,
+        safety: Literal["level", "planes"] = "level",
     ) -> None:
         self.grid = grid
         self.lander = lander
         self.sigma_f = sigma_f
         self.length_scale = length_scale
+        self.safety = safety
         self.dem: GaussianDem | None = None
         self._map = HazardMap.unobserved(grid)
 
@@ -51,7 +63,8 @@ class GaussianDemMapper:
         )
         self.dem = scan if self.dem is None else fuse(self.dem, scan)
         seen = np.where(self.dem.observed, self.dem.mean, np.float32(np.nan))
-        safety = stochastic_safety(seen, self.dem.variance, self.grid, self.lander)
+        judge = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
+        safety = judge(seen, self.dem.variance, self.grid, self.lander)
         self._map = HazardMap(
             self.grid, safety.p_safe, safety.observed, self.dem.mean, self.dem.variance
         )
