@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.hazards.safety import _kernels as k
+from lunarsim.hazards.safety import _plane_kernels as pk
 from lunarsim.hazards.safety.exact import (
     SafetyMap,
     check_raster,
@@ -55,7 +55,7 @@ def bound_planes(
     """
     corners, first = footprint.covers(block)
     tangent, roughness = np.zeros(tops.shape, np.float32), np.zeros(tops.shape, np.float32)
-    k.bounded(
+    pk.bounded(
         tops,
         feet,
         footprint.legs,
@@ -94,7 +94,7 @@ def bounded_safety(
     block = footprint.block_cells(block_side, grid.posting)
     feet = footprint_maximum(z, footprint.pad_windows, footprint)
     tops = np.empty(z.shape, np.float32)
-    k.block_tops(z, block, tops)
+    pk.block_tops(z, block, tops)
     tangent, roughness = bound_planes(tops, feet, footprint, block, grid.posting)
     slope = np.arctan(tangent)
     safe = observed & (slope < lander.slope_limit) & (roughness < lander.roughness_limit)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
+from lunarsim.hazards.safety import _plane_kernels as pk
 from lunarsim.hazards.safety.footprint import BLOCK, Footprint, PlaneTables, footprint_of
 from lunarsim.vehicle.lander import Lander
 
@@ -165,11 +166,11 @@ def _evaluate(
     """Return tan(slope) and roughness of the sites to do, 0 elsewhere."""
     feet = footprint_maximum(z, footprint.pad_windows, footprint)
     blocks = np.empty(z.shape, np.float32)
-    k.block_tops(z, BLOCK, blocks)
+    pk.block_tops(z, BLOCK, blocks)
     offsets, lowest = tables.offsets(z.shape[1])
     tangent = np.zeros(z.shape, np.float32)
     roughness = np.zeros(z.shape, np.float32)
-    k.exact(
+    pk.exact(
         z,
         feet,
         blocks,

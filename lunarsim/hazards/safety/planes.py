@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from lunarsim.grid import Grid
-from lunarsim.hazards.safety import _kernels as k
+from lunarsim.hazards.safety import _plane_kernels as pk
 from lunarsim.hazards.safety.bounded import BLOCK_SIDE, bound_planes
 from lunarsim.hazards.safety.conservative import StochasticSafety
 from lunarsim.hazards.safety.exact import check_raster, footprint_maximum, known_ground
@@ -65,8 +65,8 @@ def plane_stochastic_safety(
     feet, leg_sigma = _pad_heights(high, low, footprint)
     tops, bottoms = np.empty_like(z), np.empty_like(z)
     block = footprint.block_cells(block_side, grid.posting)
-    k.block_tops(high, block, tops)
-    k.block_tops(low, block, bottoms)
+    pk.block_tops(high, block, tops)
+    pk.block_tops(low, block, bottoms)
     middle = np.float32(0.5) * (tops + bottoms)
     tangent, nominal = bound_planes(middle, feet, footprint, block, grid.posting)
     _, raised = bound_planes(tops, feet, footprint, block, grid.posting)
