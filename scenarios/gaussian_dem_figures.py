@@ -14,19 +14,20 @@ _VIEW = 10.0  # side of the segment that the paper shows, m
 
 
 def draw_conservativeness(pictures: list[Any], path: Path) -> None:
-    """Terrain, exact and conservative safety by complexity: the paper's Figure 12."""
-    figure = new_figure(2.4 * len(pictures), 9.5)
-    axes = figure.subplots(3, len(pictures), sharex=True, sharey=True)
+    """Terrain and safety by three tests, by complexity: the paper's Figure 12 and one row more."""
+    figure = new_figure(2.4 * len(pictures), 12.5)
+    axes = figure.subplots(4, len(pictures), sharex=True, sharey=True)
     palette = ListedColormap(["#303030", "#ffffff"])
-    for n, (c, z, exact, ours, grid) in enumerate(pictures):
+    for n, (c, z, exact, ours, through, grid) in enumerate(pictures):
         show(axes[0, n], hillshade(z, grid.posting), grid, cmap="gray", vmin=0, vmax=1)
         map_axes(axes[0, n], f"c = {c}: relief")
-        for row, layer, title in ((1, exact, "exactly safe"), (2, ours, "conservative")):
+        layers = ((exact, "exactly safe"), (ours, "conservative"), (through, "support planes"))
+        for row, (layer, title) in enumerate(layers, start=1):
             show(axes[row, n], layer, grid, cmap=palette, vmin=0, vmax=1)
             map_axes(axes[row, n], f"{title}: {100 * layer.mean():.1f} %")
     for ax in axes[:, 1:].ravel():
         ax.set_ylabel("")
-    for ax in axes[:2].ravel():
+    for ax in axes[:3].ravel():
         ax.set_xlabel("")
     figure.suptitle("White: safe. Terrain of Eq. 20 on the HiRISE crop, 0.1 m posting")
     save(figure, path)

@@ -157,7 +157,7 @@ def table_3(seeds: int) -> dict[str, Any]:
             precision.append(hits / max(hits + wrong, 1))
             recall.append(hits / max(int(exact.safe.sum()), 1))
             if seed == 0:
-                pictures.append((c, z, exact.safe, ours.safe, grid))
+                pictures.append((c, z, exact.safe, ours.safe, through.safe, grid))
         rows.append(
             {
                 "c": c,
