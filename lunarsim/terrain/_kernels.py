@@ -438,8 +438,8 @@ def cast(origin, direction, max_range, z, x0, y0, p, leaf, top, rocks, start, in
 def drop_rocks(radius, west, east, south, north, z, x0, y0, p, seed, tries):
     """Drop discs at random without overlap; radii must fall.
 
-    Discs are kept in buckets as wide as the largest diameter, one chained list a bucket, so a
-    trial looks at nine buckets only.
+    Discs no wider than a bucket are kept in buckets, one chained list a bucket, so a trial looks
+    at nine of them; the few wider ones are all looked at.
 
     Returns
     -------
@@ -451,7 +451,7 @@ def drop_rocks(radius, west, east, south, north, z, x0, y0, p, seed, tries):
     x = np.empty(count)
     y = np.empty(count)
     base = np.empty(count)
-    # Buckets of the median diameter keep lists short; large rocks are listed apart.
+    # Twice the median diameter keeps the lists short.
     side = max(4.0 * radius[count // 2], 0.25)
     small = 0
     while small < count and 2.0 * radius[small] > side:
@@ -460,7 +460,6 @@ def drop_rocks(radius, west, east, south, north, z, x0, y0, p, seed, tries):
     height = int((north - south) / side) + 1
     head = np.full((height, width), -1, np.int64)
     follow = np.full(count, -1, np.int64)
-    # Each disc is entered in every bucket within reach of the largest small disc.
     for n in range(count):
         r = radius[n]
         done = False
