@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import exp1
 
 from lunarsim.errors import InputError
-from lunarsim.terrain._kernels import drop_rocks
+from lunarsim.terrain._placement_kernels import drop_rocks
 from lunarsim.terrain.heightfield import Heightfield
 
 

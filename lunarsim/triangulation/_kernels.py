@@ -319,6 +319,18 @@ def _previous_on_outline(vertex, twin, e):
 
 
 @kernel()
+def _runs_forward(x, y, first, step, count):
+    """Tell whether every edge along a side of the mesh points towards its far end."""
+    last = first + step * (count - 1)
+    ux = x[last] - x[first]
+    uy = y[last] - y[first]
+    for v in range(first, last, step):
+        if (x[v + step] - x[v]) * ux + (y[v + step] - y[v]) * uy <= 0:
+            return False
+    return True
+
+
+@kernel()
 def flip_mesh(points, rows, cols):
     """Return the Delaunay triangles of a detector's mesh, or none if the mesh folds over."""
     n = rows * cols
@@ -390,27 +402,13 @@ def flip_mesh(points, rows, cols):
             south[j] = north
             west = east
     # The outline must run forward along each side, or the mesh may overlap itself.
-    for j in range(cols - 1):
-        ux = x[cols - 1] - x[0]
-        uy = y[cols - 1] - y[0]
-        if (x[j + 1] - x[j]) * ux + (y[j + 1] - y[j]) * uy <= 0:
-            return nothing
-        r = (rows - 1) * cols + j
-        ux = x[n - 1] - x[n - cols]
-        uy = y[n - 1] - y[n - cols]
-        if (x[r + 1] - x[r]) * ux + (y[r + 1] - y[r]) * uy <= 0:
-            return nothing
-    for i in range(rows - 1):
-        ux = x[n - cols] - x[0]
-        uy = y[n - cols] - y[0]
-        a = i * cols
-        if (x[a + cols] - x[a]) * ux + (y[a + cols] - y[a]) * uy <= 0:
-            return nothing
-        ux = x[n - 1] - x[cols - 1]
-        uy = y[n - 1] - y[cols - 1]
-        a += cols - 1
-        if (x[a + cols] - x[a]) * ux + (y[a + cols] - y[a]) * uy <= 0:
-            return nothing
+    if not (
+        _runs_forward(x, y, 0, 1, cols)
+        and _runs_forward(x, y, n - cols, 1, cols)
+        and _runs_forward(x, y, 0, cols, rows)
+        and _runs_forward(x, y, cols - 1, cols, rows)
+    ):
+        return nothing
     border = np.full(n, -1, np.int64)
     for e in range(size):
         if twin[e] < 0:

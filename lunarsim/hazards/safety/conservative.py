@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
-from lunarsim.hazards.safety.exact import SafetyMap, check_raster, footprint_extremes
+from lunarsim.hazards.safety.exact import (
+    SafetyMap,
+    check_raster,
+    check_variance,
+    footprint_extremes,
+)
 from lunarsim.hazards.safety.footprint import footprint_of
 from lunarsim.vehicle.lander import Lander
 
@@ -94,9 +99,7 @@ def stochastic_safety(
     """
     footprint = footprint_of(lander, grid.posting)
     z = check_raster("mean", mean, grid, footprint)
-    spread = check_raster("variance", variance, grid, footprint)
-    if float(np.nanmin(spread, initial=0.0)) < 0.0:
-        raise ValueError(f"variance = {float(np.nanmin(spread))}: must not be negative")
+    spread = check_variance(variance, grid, footprint)
     p_slope, p_rough, p_safe = (np.empty(grid.shape, np.float32) for _ in range(3))
     observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)

@@ -55,6 +55,15 @@ def check_raster(name: str, z: ArrayLike, grid: Grid, footprint: Footprint) -> F
     return raster
 
 
+def check_variance(variance: ArrayLike, grid: Grid, footprint: Footprint) -> FloatMap:
+    """Return a variance raster as float32, or raise ValueError as `check_raster` or if negative."""
+    raster = check_raster("variance", variance, grid, footprint)
+    least = float(np.nanmin(raster, initial=0.0))
+    if least < 0.0:
+        raise ValueError(f"variance = {least}: must not be negative")
+    return raster
+
+
 def known_ground(z: FloatMap, footprint: Footprint) -> tuple[FloatMap, BoolMap]:
     """Return `z` with unknown ground set to 0, and where whole footprints are known."""
     unknown = ~np.isfinite(z)

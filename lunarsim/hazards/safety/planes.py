@@ -10,7 +10,12 @@ from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _plane_kernels as pk
 from lunarsim.hazards.safety.bounded import BLOCK_SIDE, bound_planes
 from lunarsim.hazards.safety.conservative import StochasticSafety
-from lunarsim.hazards.safety.exact import check_raster, footprint_maximum, known_ground
+from lunarsim.hazards.safety.exact import (
+    check_raster,
+    check_variance,
+    footprint_maximum,
+    known_ground,
+)
 from lunarsim.hazards.safety.footprint import Footprint, footprint_of
 from lunarsim.vehicle.lander import Lander
 
@@ -56,9 +61,7 @@ def plane_stochastic_safety(
     """
     footprint = footprint_of(lander, grid.posting)
     z = check_raster("mean", mean, grid, footprint)
-    spread = check_raster("variance", variance, grid, footprint)
-    if float(np.nanmin(spread, initial=0.0)) < 0.0:
-        raise ValueError(f"variance = {float(np.nanmin(spread))}: must not be negative")
+    spread = check_variance(variance, grid, footprint)
     z, observed = known_ground(np.where(np.isfinite(spread), z, np.float32(np.nan)), footprint)
     band = 3.0 * np.sqrt(np.nan_to_num(spread, nan=0.0))
     high, low = (z + band).astype(np.float32), (z - band).astype(np.float32)
