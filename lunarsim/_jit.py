@@ -17,7 +17,9 @@ _FAST_FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 _FINITE_FLAGS = _FAST_FLAGS | {"nnan", "ninf"}
 
 
-def kernel(*, parallel: bool = False, fast: bool = False, finite: bool = False) -> Callable[[F], F]:
+def kernel(
+    *, parallel: bool = False, fast: bool = False, finite: bool = False, inline: bool = False
+) -> Callable[[F], F]:
     """Return a decorator that compiles a function with Numba.
 
     Parameters
@@ -30,7 +32,12 @@ def kernel(*, parallel: bool = False, fast: bool = False, finite: bool = False) 
     finite
         As `fast`, and promise that no NaN or infinity occurs, which it needs to vectorise a
         running minimum or maximum.
+    inline
+        For scalar helpers in the innermost loops, which allocate nothing: compile them into
+        their callers, fuse multiply-adds, and do not count references to their array arguments
+        (atomic operations that would cost more than the helper).
     """
+    flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
     def decorate(function: F) -> F:
         compiled = numba.njit(
@@ -38,7 +45,8 @@ def kernel(*, parallel: bool = False, fast: bool = False, finite: bool = False) 
             nogil=True,
             error_model="numpy",
             parallel=parallel,
-            fastmath=_FINITE_FLAGS if finite else _FAST_FLAGS if fast else False,
+            fastmath=flags,
+            **({"forceinline": True, "_nrt": False} if inline else {}),
         )(function)
         return cast(F, compiled)
 

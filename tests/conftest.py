@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, settings
 from lunarsim.grid import Grid
 from lunarsim.scenario import Scenario
 from lunarsim.terrain import Heightfield, RockField, Terrain
+from lunarsim.terrain.shapes import shape_table
 
 # The first example of a test may compile a kernel.
 settings.register_profile(
@@ -52,6 +53,7 @@ def random_terrain(rng: np.random.Generator, rocks: int = 60, relief: float = 1.
         radius * rng.uniform(0.5, 1.0, rocks),
         radius * rng.uniform(0.3, 1.2, rocks),
         rng.uniform(0.0, np.pi, rocks),
+        rng.integers(0, len(shape_table().count), rocks),
     )
     return Terrain(field, stones)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.terrain._kernels import relief_at
+from lunarsim.terrain._surface_kernels import relief_at
 
 
 @kernel()

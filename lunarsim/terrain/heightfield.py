@@ -31,6 +31,8 @@ class Heightfield:
     z: NDArray[np.float32]
 
     def __post_init__(self) -> None:
+        # Kernels are compiled for one layout.
+        object.__setattr__(self, "z", np.ascontiguousarray(self.z, dtype=np.float32))
         if self.z.shape != self.grid.shape:
             raise InputError("heightfield.z", self.z.shape, f"shape {self.grid.shape}")
         if min(self.z.shape) < 2:

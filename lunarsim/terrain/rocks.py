@@ -16,15 +16,16 @@ from scipy.special import exp1
 from lunarsim.errors import InputError
 from lunarsim.terrain._placement_kernels import drop_rocks
 from lunarsim.terrain.heightfield import Heightfield
+from lunarsim.terrain.shapes import shape_table
 
 
 @dataclass(frozen=True)
 class RockField:
-    """Rocks as arrays: hemi-ellipsoids that stand on the relief.
+    """Rocks as arrays: scaled and turned unit shapes that stand on the relief or sit in it.
 
-    The base plane is level and passes through the relief under the rock's centre. Where the
-    relief falls away below it, the outline is carried straight down, so that the surface stays
-    a function of (x, y) and nothing is hollow.
+    The base plane is level; it passes through the relief under the rock's centre, or below it
+    for a buried rock. Where the relief falls away below the base, the outline is carried straight
+    down, so that the surface stays a function of (x, y) and nothing is hollow.
 
     Attributes
     ----------
@@ -38,6 +39,9 @@ class RockField:
         Height above the base (n,), m.
     yaw
         Direction of the first semi-axis, counter-clockwise from east (n,), rad.
+    shape
+        Unit shape of each rock (n,), a row of `lunarsim.terrain.shapes.shape_table`; left out:
+        half spheres, scaled to hemi-ellipsoids.
     """
 
     x: NDArray[np.float64]
@@ -47,6 +51,11 @@ class RockField:
     b: NDArray[np.float64]
     height: NDArray[np.float64]
     yaw: NDArray[np.float64]
+    shape: NDArray[np.int64] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.shape is None:
+            object.__setattr__(self, "shape", np.zeros(self.x.size, np.int64))
 
     @classmethod
     def empty(cls) -> RockField:
@@ -64,6 +73,17 @@ class RockField:
 
     def __len__(self) -> int:
         return int(self.x.size)
+
+    def rows(self) -> NDArray[np.float64]:
+        """Return the rocks as the kernels take them (n, 9)."""
+        turn = (np.cos(self.yaw), np.sin(self.yaw))
+        return np.column_stack(
+            (self.x, self.y, self.base, self.a, self.b, self.height, *turn, self.shape)
+        )
+
+    def reach(self) -> NDArray[np.float64]:
+        """Return the radius of a disc about each centre that holds the outline (n,), m."""
+        return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
 
 
 def _exponent(k: float) -> float:

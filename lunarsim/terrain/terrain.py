@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.terrain import _kernels as k
+from lunarsim.terrain import _ray_kernels, _surface_kernels
 from lunarsim.terrain.heightfield import Heightfield
 from lunarsim.terrain.rocks import RockField
+from lunarsim.terrain.shapes import shape_table
 
 # Side of a bucket of the acceleration structure, m: about the size of a large rock.
 _BUCKET = 1.6
@@ -33,7 +34,7 @@ class RayHits:
 
     range: NDArray[np.float64]
     normal: NDArray[np.float64]
-    rock: NDArray[np.int64]
+    rock: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -54,20 +55,28 @@ class Terrain:
     relief: Heightfield
     rocks: RockField = field(default_factory=RockField.empty)
 
+    # What the kernels take: where the posts are; posts, rocks and their lists; the pyramid.
     _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)
-    _surface: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    _leaf: int = field(init=False, repr=False, compare=False)
+    _rock_arrays: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    _pyramid: tuple[Any, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         g = self.relief.grid
-        leaf = max(1, round(_BUCKET / g.posting))
+        base = max(0, round(np.log2(_BUCKET / g.posting)))
+        table = shape_table()
+        rows = self.rocks.rows()
         z = np.ascontiguousarray(self.relief.z)
-        r = self.rocks
-        rocks = np.column_stack(
-            (r.x, r.y, r.base, r.a, r.b, r.height, np.cos(r.yaw), np.sin(r.yaw))
+        high, wide = _levels(g.rows - 1, g.cols - 1, base)
+        offset = np.concatenate(([0], np.cumsum(high * wide)[:-1]))
+        start, index = _ray_kernels.list_rocks(
+            rows, self.rocks.reach(), g.x0, g.y0, g.posting * 2**base, high[base], wide[base]
         )
-        start, index, top = k.build_buckets(z, g.x0, g.y0, g.posting, leaf, rocks)
+        peak, ground = _ray_kernels.build_pyramid(z, rows, start, index, base, offset, high, wide)
         object.__setattr__(self, "_frame", (g.x0, g.y0, g.posting))
-        object.__setattr__(self, "_surface", (z, rocks, start, index, top, leaf))
+        object.__setattr__(self, "_leaf", 2**base)
+        object.__setattr__(self, "_rock_arrays", (rows, table.planes, table.count, start, index))
+        object.__setattr__(self, "_pyramid", (base, peak, ground, offset, high, wide))
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -86,43 +95,39 @@ class Terrain:
         """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
-        x0, y0, p = self._frame
-        z, rocks, start, index, _, leaf = self._surface
-        out = k.elevation_at(flat, z, x0, y0, p, leaf, rocks, start, index)
+        out = _surface_kernels.elevation_at(
+            flat, self.relief.z, *self._frame, self._leaf, *self._rock_arrays
+        )
         return np.asarray(out).reshape(xy.shape[:-1])
 
     def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the unit surface normal (..., 3) at points (..., 2); NaN where unknown."""
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
-        x0, y0, p = self._frame
-        z, rocks, start, index, _, leaf = self._surface
-        out = k.normal_at(flat, z, x0, y0, p, leaf, rocks, start, index)
+        out = _surface_kernels.normal_at(
+            flat, self.relief.z, *self._frame, self._leaf, *self._rock_arrays
+        )
         return np.asarray(out).reshape((*xy.shape[:-1], 3))
 
     def raster(self, grid: Grid) -> NDArray[np.float32]:
         """Return the elevation at every cell centre of `grid` (rows, cols), m."""
-        x0, y0, p = self._frame
-        z, rocks, start, index, _, leaf = self._surface
-        return np.asarray(
-            k.raster(
-                grid.x0,
-                grid.y0,
-                grid.posting,
-                grid.rows,
-                grid.cols,
-                z,
-                x0,
-                y0,
-                p,
-                leaf,
-                rocks,
-                start,
-                index,
-            )
-        )
+        g = grid
+        out = _surface_kernels.raster(
+            g.x0, g.y0, g.posting, g.rows, g.cols,
+            self.relief.z, *self._frame, self._leaf, *self._rock_arrays,
+        )  # fmt: skip
+        return np.asarray(out)
 
-    def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
+    def rock_raster(self, grid: Grid) -> NDArray[np.int32]:
+        """Return the rock on top at every cell centre of `grid` (rows, cols), -1 for none."""
+        g = grid
+        out = _surface_kernels.rock_raster(
+            g.x0, g.y0, g.posting, g.rows, g.cols,
+            self.relief.z, *self._frame, self._leaf, *self._rock_arrays,
+        )  # fmt: skip
+        return np.asarray(out)
+
+    def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf, *, normals: bool = True) -> RayHits:
         """Cast rays onto the surface.
 
         Parameters
@@ -133,23 +138,28 @@ class Terrain:
             Unit vectors (n, 3), ENU.
         max_range
             Longest distance that counts as a return, m.
+        normals
+            Whether to find the surface normals too; without them `normal` is empty.
         """
         direction = np.ascontiguousarray(direction, dtype=np.float64)
         origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
-        x0, y0, p = self._frame
-        z, rocks, start, index, top, leaf = self._surface
-        distance, normal, rock = k.cast(
+        distance, normal, rock = _ray_kernels.cast(
             origin,
             direction,
             float(max_range),
-            z,
-            x0,
-            y0,
-            p,
-            leaf,
-            top,
-            rocks,
-            start,
-            index,
+            normals,
+            self.relief.z,
+            *self._frame,
+            *self._pyramid,
+            *self._rock_arrays,
         )
         return RayHits(distance, normal, rock)
+
+
+def _levels(rows: int, cols: int, base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the heights and widths of the pyramid's levels over `rows` x `cols` cells."""
+    high, wide = [rows], [cols]
+    while max(high[-1], wide[-1]) > 1 or len(high) <= base:
+        high.append((high[-1] + 1) // 2)
+        wide.append((wide[-1] + 1) // 2)
+    return np.array(high), np.array(wide)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from lunarsim.terrain import Terrain
+from lunarsim.terrain.shapes import shape_table
 
 
 def elevation(terrain: Terrain, x: float, y: float) -> float:
@@ -26,9 +27,22 @@ def elevation(terrain: Terrain, x: float, y: float) -> float:
         dx, dy = x - r.x[k], y - r.y[k]
         e = (math.cos(r.yaw[k]) * dx + math.sin(r.yaw[k]) * dy) / r.a[k]
         f = (math.cos(r.yaw[k]) * dy - math.sin(r.yaw[k]) * dx) / r.b[k]
-        if e * e + f * f < 1.0:
-            height = max(height, r.base[k] + r.height[k] * math.sqrt(1.0 - e * e - f * f))
+        height = max(height, r.base[k] + r.height[k] * unit_height(int(r.shape[k]), e, f))
     return height
+
+
+def unit_height(shape: int, e: float, f: float) -> float:
+    """Height of a unit shape over (e, f), -inf outside its outline."""
+    table = shape_table()
+    if table.count[shape] == 0:
+        return math.sqrt(1.0 - e * e - f * f) if e * e + f * f < 1.0 else -math.inf
+    top = math.inf
+    for ne, nf, ng, d in table.planes[shape, : table.count[shape]]:
+        if ng > 0.0:
+            top = min(top, (d - ne * e - nf * f) / ng)
+        elif ne * e + nf * f > d:
+            return -math.inf
+    return top
 
 
 def march(terrain: Terrain, origin: np.ndarray, direction: np.ndarray, reach: float) -> float:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from lunarsim.grid import Grid
 from lunarsim.terrain import Heightfield, RockField, Terrain
+from lunarsim.terrain.shapes import CUBE, IRREGULAR, shape_table
 from tests.conftest import flat_terrain, random_terrain, sloped_terrain
 from tests.reference import terrain as reference
 
@@ -99,6 +100,61 @@ def test_hemisphere_closed_form():
     assert hits.range[0] == pytest.approx(np.sqrt(200.0) - 2.0, abs=1e-9)
     assert np.allclose(hits.normal[0], -d, atol=1e-9)
     assert hits.rock[0] == 0
+
+
+def test_cube_closed_form():
+    flat = flat_terrain().relief
+    one = np.ones(1)
+    cube = RockField(0 * one, 0 * one, 0 * one, one, one, 2 * one, 0 * one, np.array([CUBE]))
+    terrain = Terrain(flat, cube)
+    assert terrain.elevation([[0.99, -0.99], [1.01, 0.0]]) == pytest.approx([2.0, 0.0])
+    hits = terrain.cast([-10.0, 0.0, 1.0], [[1.0, 0.0, 0.0]])
+    assert hits.range[0] == pytest.approx(9.0, abs=1e-12)
+    assert np.allclose(hits.normal[0], [-1.0, 0.0, 0.0])
+    hits = terrain.cast([0.5, 0.5, 10.0], [[0.0, 0.0, -1.0]])
+    assert hits.range[0] == pytest.approx(8.0, abs=1e-12)
+    assert np.allclose(hits.normal[0], [0.0, 0.0, 1.0])
+
+
+def test_unit_shapes_stand_upright_with_top_one_and_the_outline_of_a_disc():
+    table = shape_table()
+    for shape in range(IRREGULAR, len(table.count)):
+        planes = table.planes[shape, : table.count[shape]]
+        assert np.all(planes[:, 2] >= 0.0)
+        e, f = np.meshgrid(np.linspace(-1.5, 1.5, 301), np.linspace(-1.5, 1.5, 301))
+        height = np.array([reference.unit_height(shape, *q) for q in zip(e.flat, f.flat, strict=True)])
+        inside = np.isfinite(height)
+        assert np.all(height[inside] >= -1e-9)
+        assert height.max() == pytest.approx(1.0, abs=0.03)
+        assert inside.sum() * 0.01**2 == pytest.approx(np.pi, rel=0.01)
+        assert np.hypot(e.flat[inside], f.flat[inside]).max() <= table.reach[shape] + 1e-9
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.6, 1.2, 1.5])
+def test_no_ray_passes_below_the_surface_before_its_hit(tilt):
+    """The pyramid and the lists of rocks leave nothing out, at any slant."""
+    rng = np.random.default_rng(int(10 * tilt))
+    terrain = random_terrain(rng, rocks=400, relief=0.3)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, 2000)
+    off = tilt + rng.uniform(0.0, 0.05, 2000)
+    direction = np.column_stack(
+        (np.sin(off) * np.cos(azimuth), np.sin(off) * np.sin(azimuth), -np.cos(off))
+    )
+    target = np.column_stack((rng.uniform(-14.0, 14.0, (2000, 2)), np.zeros(2000)))
+    origin = target - 20.0 * direction
+    hits = terrain.cast(origin, direction)
+    along = np.arange(0.0, 40.0, 0.01)
+    for k in range(0, 2000, 20):
+        points = origin[k] + along[:, None] * direction[k]
+        above = points[:, 2] - terrain.elevation(points[:, :2])
+        first = np.isfinite(above).argmax()
+        if above[first] < 0.0:
+            continue
+        sunk = np.flatnonzero(above <= -0.01)
+        if np.isfinite(hits.range[k]):
+            assert sunk.size == 0 or along[sunk[0]] >= hits.range[k] - 0.011
+        else:
+            assert sunk.size == 0
 
 
 def test_range_limit():
