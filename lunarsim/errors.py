@@ -29,6 +29,10 @@ class InputError(ValueError):
         return InputError, (self.field, self.value, self.expected)
 
 
+class RenderingError(RuntimeError):
+    """This machine cannot render; the message says what to install."""
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Return a sentence naming the known names closest to `name`."""
     known = sorted(known)

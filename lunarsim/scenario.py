@@ -53,6 +53,10 @@ class RocksSection(Section):
     cover: float = Field(0.05, ge=0.0, le=0.2, description="fraction k of ground under rocks")
     min_diameter_m: Positive = 0.15
     max_diameter_m: Positive = 3.0
+    shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"] = "hemisphere"
+    height_ratio: Vector2 = Field((0.5, 0.1), description="height over diameter, mean and sigma")
+    burial: Vector2 = Field((0.0, 0.5), description="buried fraction of the height, least and most")
+    axis_ratio: Vector2 = Field((0.6, 1.0), description="of the horizontal axes, least and most")
 
     @model_validator(mode="after")
     def _ordered(self) -> RocksSection:

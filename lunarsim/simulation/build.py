@@ -17,6 +17,7 @@ from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.terrain import (
     Heightfield,
     RockField,
+    RockModel,
     Terrain,
     fractal_relief,
     load_dtm,
@@ -108,7 +109,9 @@ def build_world(scenario: Scenario, streams: Streams) -> World:
             scenario.rocks.max_diameter_m,
             rng,
         )
-        rocks = place_rocks(relief, diameters, rng)
+        r = scenario.rocks
+        model = RockModel(r.shape, r.height_ratio, r.burial, r.axis_ratio)
+        rocks = place_rocks(relief, diameters, rng, model=model)
     return World(Terrain(relief, rocks), scenario.gravity_m_s2)
 
 

@@ -5,6 +5,7 @@ from lunarsim.terrain.heightfield import Heightfield
 from lunarsim.terrain.relief import fractal_relief
 from lunarsim.terrain.rocks import (
     RockField,
+    RockModel,
     golombek_cover,
     golombek_number,
     place_rocks,
@@ -17,6 +18,7 @@ __all__ = [
     "Heightfield",
     "RayHits",
     "RockField",
+    "RockModel",
     "Terrain",
     "fractal_relief",
     "golombek_cover",

@@ -8,6 +8,7 @@ shadow EKF paper), where k is the fraction covered by rocks of all sizes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +17,7 @@ from scipy.special import exp1
 from lunarsim.errors import InputError
 from lunarsim.terrain._placement_kernels import drop_rocks
 from lunarsim.terrain.heightfield import Heightfield
-from lunarsim.terrain.shapes import shape_table
+from lunarsim.terrain.shapes import CUBE, ELLIPSOID, IRREGULAR, IRREGULAR_COUNT, shape_table
 
 
 @dataclass(frozen=True)
@@ -132,40 +133,133 @@ def sample_diameters(
     return np.sort(np.exp(log_d))[::-1].copy()
 
 
+@dataclass(frozen=True)
+class RockModel:
+    """How rocks of a given diameter are shaped and how deep they sit.
+
+    Attributes
+    ----------
+    shape
+        "hemisphere"; "ellipsoid" (the top of an ellipsoid); "cube" (side D, the shadow EKF
+        paper's); "irregular" (faceted convex boulders); or "mixed" (ellipsoids and irregular
+        ones in equal numbers).
+    height_ratio
+        Mean and standard deviation of the height above ground over the diameter; drawn from a
+        normal law cut at 0.2 and 1. Not for hemispheres and cubes.
+    burial
+        Least and greatest fraction of the rock's height that lies under the ground, drawn
+        uniformly. Not for hemispheres.
+    axis_ratio
+        Least and greatest ratio of the horizontal axes, drawn uniformly. Not for hemispheres and
+        cubes.
+    """
+
+    shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"] = "hemisphere"
+    height_ratio: tuple[float, float] = (0.5, 0.1)
+    burial: tuple[float, float] = (0.0, 0.5)
+    axis_ratio: tuple[float, float] = (0.6, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.shape not in {"hemisphere", "ellipsoid", "cube", "irregular", "mixed"}:
+            raise InputError(
+                "rocks.shape", self.shape, "hemisphere, ellipsoid, cube, irregular or mixed"
+            )
+        if not (0.2 <= self.height_ratio[0] <= 1.0 and self.height_ratio[1] >= 0.0):
+            raise InputError(
+                "rocks.height_ratio", self.height_ratio, "a mean from 0.2 to 1 and a deviation"
+            )
+        if not 0.0 <= self.burial[0] <= self.burial[1] <= 0.9:
+            raise InputError("rocks.burial", self.burial, "two rising fractions from 0 to 0.9")
+        if not 0.0 < self.axis_ratio[0] <= self.axis_ratio[1] <= 1.0:
+            raise InputError("rocks.axis_ratio", self.axis_ratio, "two rising ratios up to 1")
+
+    def draw(self, diameter: NDArray[np.float64], rng: np.random.Generator) -> RockField:
+        """Return rocks (n) of the given diameters, all at the origin with the ground at 0.
+
+        The diameter is that of the disc whose area the rock covers at ground level (for a cube:
+        its side).
+        """
+        n = diameter.size
+        zero = np.zeros(n)
+        if self.shape == "hemisphere":
+            return RockField.hemispheres(zero, zero, zero, 0.5 * diameter)
+        burial = rng.uniform(*self.burial, n)
+        yaw = rng.uniform(0.0, 2.0 * np.pi, n)
+        if self.shape == "cube":
+            half = 0.5 * diameter
+            cube = np.full(n, CUBE)
+            return RockField(zero, zero, -burial * diameter, half, half, diameter, yaw, cube)
+        ratio = np.clip(rng.normal(*self.height_ratio, n), 0.2, 1.0)
+        stretch = np.sqrt(rng.uniform(*self.axis_ratio, n))
+        faceted = {
+            "ellipsoid": np.zeros(n, bool),
+            "irregular": np.ones(n, bool),
+        }.get(self.shape, rng.random(n) < 0.5)
+        shape = np.where(faceted, rng.integers(IRREGULAR, IRREGULAR + IRREGULAR_COUNT, n), ELLIPSOID)
+        # The buried part of an ellipsoid is the wider one.
+        widen = np.where(faceted, 1.0, 1.0 / np.sqrt(1.0 - burial**2))
+        radius = 0.5 * diameter * widen
+        height = ratio * diameter / (1.0 - burial)
+        return RockField(
+            zero, zero, -burial * height, radius / stretch, radius * stretch, height, yaw, shape
+        )
+
+
 def place_rocks(
-    relief: Heightfield, diameters: ArrayLike, rng: np.random.Generator, *, tries: int = 200
+    relief: Heightfield,
+    diameters: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    model: RockModel | None = None,
+    tries: int = 200,
 ) -> RockField:
-    """Place hemispheres at random on the relief without overlap, largest first.
+    """Place rocks at random on the relief without overlap, widest first.
 
     A rock that finds no free spot in `tries` draws means that the field is overfull.
+
+    Parameters
+    ----------
+    relief
+        The ground.
+    diameters
+        m (n,).
+    rng
+        Source of places and shapes.
+    model
+        Shapes and burial; left out: hemispheres.
+    tries
+        Draws a rock.
 
     Raises
     ------
     InputError
         If the rocks do not fit.
     """
-    radius = 0.5 * np.sort(np.asarray(diameters, dtype=np.float64))[::-1]
-    if radius.size == 0:
+    diameters = np.sort(np.asarray(diameters, dtype=np.float64))[::-1]
+    if diameters.size == 0:
         return RockField.empty()
+    field = (model or RockModel()).draw(diameters, rng)
+    reach = field.reach()
+    order = np.argsort(-reach, kind="stable")
     west, east, south, north = relief.bounds
+    g = relief.grid
     seed = int(rng.integers(2**32))
-    x, y, base, placed = drop_rocks(
-        radius,
-        west,
-        east,
-        south,
-        north,
-        np.ascontiguousarray(relief.z),
-        relief.grid.x0,
-        relief.grid.y0,
-        relief.grid.posting,
-        seed,
-        tries,
+    x, y, ground, placed = drop_rocks(
+        reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries
     )
-    if placed < radius.size:
+    if placed < reach.size:
         raise InputError(
             "rocks.cover",
-            f"{placed} of {radius.size} rocks placed",
+            f"{placed} of {reach.size} rocks placed",
             "a smaller cover: the rest found no room without overlap",
         )
-    return RockField.hemispheres(x, y, base, radius)
+    return RockField(
+        x,
+        y,
+        ground + field.base[order],
+        field.a[order],
+        field.b[order],
+        field.height[order],
+        field.yaw[order],
+        field.shape[order],
+    )

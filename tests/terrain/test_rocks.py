@@ -3,10 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.spatial import cKDTree
 from scipy.stats import kstest
 
 from lunarsim.errors import InputError
 from lunarsim.terrain import (
+    RockModel,
     golombek_cover,
     golombek_number,
     place_rocks,
@@ -69,3 +71,50 @@ def test_impossible_law_is_refused():
         golombek_cover(0.1, 0.0)
     with pytest.raises(InputError, match="min_diameter"):
         sample_diameters(1.0, 0.05, 2.0, 1.0, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("shape", ["hemisphere", "ellipsoid", "cube", "irregular", "mixed"])
+def test_rocks_of_every_shape_do_not_overlap_and_reach_the_ground(shape):
+    rng = np.random.default_rng(4)
+    ground = flat_terrain(60.0).relief
+    diameters = sample_diameters(3600.0, 0.15, 0.2, 3.0, rng)
+    rocks = place_rocks(ground, diameters, rng, model=RockModel(shape))
+    assert len(rocks) == diameters.size
+    centres = np.column_stack((rocks.x, rocks.y))
+    for i, j in cKDTree(centres).query_pairs(4.0):
+        gap = np.hypot(*(centres[i] - centres[j])) - rocks.reach()[i] - rocks.reach()[j]
+        assert gap >= -1e-9
+    assert np.all(rocks.base <= 1e-12)
+    assert np.all(rocks.base + rocks.height > 0.0)
+
+
+@pytest.mark.parametrize("shape", ["ellipsoid", "irregular"])
+def test_covered_area_and_height_above_ground_follow_the_model(shape):
+    """One rock of 1 m, many times: the area at ground level and the height above it."""
+    rng = np.random.default_rng(8)
+    model = RockModel(shape, height_ratio=(0.45, 0.08), burial=(0.1, 0.4))
+    rocks = model.draw(np.ones(4000), rng)
+    visible = rocks.base + rocks.height
+    assert visible.mean() == pytest.approx(0.45, abs=0.005)
+    assert visible.std() == pytest.approx(0.08, abs=0.005)
+    buried = -rocks.base / rocks.height
+    assert buried.min() >= 0.1 and buried.max() <= 0.4
+    if shape == "ellipsoid":  # its section at the ground has the area of the disc
+        section = np.pi * rocks.a * rocks.b * (1.0 - buried**2)
+    else:  # its outline has
+        section = np.pi * rocks.a * rocks.b
+    assert np.allclose(section, np.pi / 4.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("shape", {"shape": "sphere"}),
+        ("height_ratio", {"height_ratio": (0.0, 0.1)}),
+        ("burial", {"burial": (0.5, 0.2)}),
+        ("axis_ratio", {"axis_ratio": (0.0, 1.0)}),
+    ],
+)
+def test_bad_rock_models_are_refused(field, values):
+    with pytest.raises(InputError, match=f"rocks.{field}"):
+        RockModel(**values)

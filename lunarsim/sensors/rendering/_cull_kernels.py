@@ -1,0 +1,229 @@
+"""Compiled choice of what to draw.
+
+A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape); `reach` scales a rock's
+outline and `foot` is the elevation down to which its sides are drawn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+
+
+@kernel(parallel=True)
+def rock_feet(rocks, reach, z, x0, y0, p):
+    """Return an elevation (n,) below the relief everywhere under each rock's outline."""
+    rows, cols = z.shape
+    foot = np.empty(rocks.shape[0])
+    for n in prange(rocks.shape[0]):
+        lowest = rocks[n, 2]
+        j0 = max(int(np.floor((rocks[n, 0] - reach[n] - x0) / p)), 0)
+        j1 = min(int(np.ceil((rocks[n, 0] + reach[n] - x0) / p)), cols - 1)
+        i0 = max(int(np.floor((rocks[n, 1] - reach[n] - y0) / p)), 0)
+        i1 = min(int(np.ceil((rocks[n, 1] + reach[n] - y0) / p)), rows - 1)
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                if np.float64(z[i, j]) < lowest:
+                    lowest = np.float64(z[i, j])
+        foot[n] = lowest - 0.01
+    return foot
+
+
+@kernel(parallel=True)
+def tile_tables(z, side, levels, p):
+    """Return lowest, highest, steepest gradient and decimation errors of tiles.
+
+    Tile (i, j) spans `side` cells from post (i * side, j * side) on. Its error at level l is the
+    greatest distance in height between the relief and the relief through every 2^l-th post; it is
+    infinite where an elevation is missing.
+    """
+    rows, cols = z.shape
+    high = (rows - 2) // side + 1
+    wide = (cols - 2) // side + 1
+    low = np.full((high, wide), np.inf)
+    top = np.full((high, wide), -np.inf)
+    steep = np.zeros((high, wide))
+    error = np.zeros((levels, high, wide))
+    for ti in prange(high):
+        for tj in range(wide):
+            i1 = min((ti + 1) * side, rows - 1)
+            j1 = min((tj + 1) * side, cols - 1)
+            missing = False
+            for i in range(ti * side, i1 + 1):
+                for j in range(tj * side, j1 + 1):
+                    here = np.float64(z[i, j])
+                    if np.isnan(here):
+                        missing = True
+                    else:
+                        low[ti, tj] = min(low[ti, tj], here)
+                        top[ti, tj] = max(top[ti, tj], here)
+                    if i < i1 and j < j1:
+                        z00 = np.float64(z[i, j])
+                        z10 = np.float64(z[i, j + 1])
+                        z01 = np.float64(z[i + 1, j])
+                        z11 = np.float64(z[i + 1, j + 1])
+                        lower = (z10 - z00) ** 2 + (z11 - z10) ** 2
+                        upper = (z11 - z01) ** 2 + (z01 - z00) ** 2
+                        if lower > steep[ti, tj]:
+                            steep[ti, tj] = lower
+                        if upper > steep[ti, tj]:
+                            steep[ti, tj] = upper
+            steep[ti, tj] = np.sqrt(steep[ti, tj]) / p
+            for level in range(1, levels):
+                step = 1 << level
+                worst = np.inf if missing else 0.0
+                for ci in range(ti * side, i1, step):
+                    if missing:
+                        break
+                    for cj in range(tj * side, j1, step):
+                        ei = min(ci + step, i1)
+                        ej = min(cj + step, j1)
+                        z00 = np.float64(z[ci, cj])
+                        z10 = np.float64(z[ci, ej])
+                        z01 = np.float64(z[ei, cj])
+                        z11 = np.float64(z[ei, ej])
+                        for i in range(ci, ei + 1):
+                            v = (i - ci) / (ei - ci)
+                            for j in range(cj, ej + 1):
+                                u = (j - cj) / (ej - cj)
+                                if u >= v:
+                                    flat = z00 + u * (z10 - z00) + v * (z11 - z10)
+                                else:
+                                    flat = z00 + v * (z01 - z00) + u * (z11 - z01)
+                                worst = max(worst, abs(flat - np.float64(z[i, j])))
+                error[level, ti, tj] = worst
+    return low, top, steep, error
+
+
+@kernel(parallel=True)
+def slopes(z, p):
+    """Return the gradients (rows - 1, cols - 1, 4) of the two triangles of every cell."""
+    rows, cols = z.shape
+    out = np.empty((rows - 1, cols - 1, 4), np.float32)
+    for i in prange(rows - 1):
+        for j in range(cols - 1):
+            z00 = np.float64(z[i, j])
+            z10 = np.float64(z[i, j + 1])
+            z01 = np.float64(z[i + 1, j])
+            z11 = np.float64(z[i + 1, j + 1])
+            out[i, j, 0] = (z10 - z00) / p
+            out[i, j, 1] = (z11 - z10) / p
+            out[i, j, 2] = (z11 - z01) / p
+            out[i, j, 3] = (z01 - z00) / p
+    return out
+
+
+@kernel()
+def _corner(rocks, n, reach, k, foot):
+    """Return corner k (0 to 7) of the box that holds rock n."""
+    scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
+    e = rocks[n, 3] * scale * (1.0 if k & 1 else -1.0)
+    f = rocks[n, 4] * scale * (1.0 if k & 2 else -1.0)
+    x = rocks[n, 0] + rocks[n, 6] * e - rocks[n, 7] * f
+    y = rocks[n, 1] + rocks[n, 7] * e + rocks[n, 6] * f
+    z = rocks[n, 2] + rocks[n, 5] if k & 4 else foot[n]
+    return x, y, z
+
+
+@kernel(parallel=True)
+def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, height, near, box):
+    """Write the pixels that each rock may cover to `box` (n, 4); return whether any (n,).
+
+    A rock between the centres of pixels covers none and is left out: nothing changes.
+    """
+    count = rocks.shape[0]
+    seen = np.zeros(count, np.bool_)
+    for n in prange(count):
+        dx = rocks[n, 0] - eye[0]
+        dy = rocks[n, 1] - eye[1]
+        dz = rocks[n, 2] - eye[2]
+        depth = to_sensor[2, 0] * dx + to_sensor[2, 1] * dy + to_sensor[2, 2] * dz
+        ball = 1.5 * reach[n] + rocks[n, 5] + rocks[n, 2] - foot[n]
+        if depth < -ball:
+            continue
+        u0 = np.inf
+        u1 = -np.inf
+        v0 = np.inf
+        v1 = -np.inf
+        for k in range(8):
+            x, y, z = _corner(rocks, n, reach, k, foot)
+            x -= eye[0]
+            y -= eye[1]
+            z -= eye[2]
+            sz = to_sensor[2, 0] * x + to_sensor[2, 1] * y + to_sensor[2, 2] * z
+            if sz < near:  # reaches behind the camera: may cover anything
+                u0 = 0.0
+                v0 = 0.0
+                u1 = width
+                v1 = height
+                break
+            sx = to_sensor[0, 0] * x + to_sensor[0, 1] * y + to_sensor[0, 2] * z
+            sy = to_sensor[1, 0] * x + to_sensor[1, 1] * y + to_sensor[1, 2] * z
+            u = fx * sx / sz + cx
+            v = fy * sy / sz + cy
+            u0 = min(u0, u)
+            u1 = max(u1, u)
+            v0 = min(v0, v)
+            v1 = max(v1, v)
+        # Half a hundredth of a pixel covers what float32 loses in the shader.
+        u0 = max(np.ceil(u0 - 0.005), 0.0)
+        v0 = max(np.ceil(v0 - 0.005), 0.0)
+        u1 = min(np.floor(u1 + 0.005), width - 1.0)
+        v1 = min(np.floor(v1 + 0.005), height - 1.0)
+        if u0 <= u1 and v0 <= v1:
+            seen[n] = True
+            box[n, 0] = u0 - 0.5
+            box[n, 1] = v0 - 0.5
+            box[n, 2] = u1 + 0.5
+            box[n, 3] = v1 + 0.5
+    return seen
+
+
+@kernel(parallel=True)
+def shading_rocks(rocks, reach, foot, eye, lean, axes, corner, texel, width, height, box):
+    """Write the texels of the shadow map that each rock may darken; return whether any (n,).
+
+    `axes` (2, 2) turns ENU to the map's axes, `corner` is the map's corner in them, in metres.
+    """
+    count = rocks.shape[0]
+    seen = np.zeros(count, np.bool_)
+    for n in prange(count):
+        u0 = np.inf
+        u1 = -np.inf
+        v0 = np.inf
+        v1 = -np.inf
+        for k in range(8):
+            x, y, z = _corner(rocks, n, reach, k, foot)
+            z -= eye[2]
+            x -= eye[0] + z * lean[0]
+            y -= eye[1] + z * lean[1]
+            u = (axes[0, 0] * x + axes[0, 1] * y - corner[0]) / texel
+            v = (axes[1, 0] * x + axes[1, 1] * y - corner[1]) / texel
+            u0 = min(u0, u)
+            u1 = max(u1, u)
+            v0 = min(v0, v)
+            v1 = max(v1, v)
+        # Centres of texels lie at halves.
+        u0 = max(np.ceil(u0 - 0.505), 0.0)
+        v0 = max(np.ceil(v0 - 0.505), 0.0)
+        u1 = min(np.floor(u1 - 0.495), width - 1.0)
+        v1 = min(np.floor(v1 - 0.495), height - 1.0)
+        if u0 <= u1 and v0 <= v1:
+            seen[n] = True
+            box[n, 0] = u0 - 0.5
+            box[n, 1] = v0 - 0.5
+            box[n, 2] = u1 + 0.5
+            box[n, 3] = v1 + 0.5
+    return seen
+
+
+@kernel(parallel=True)
+def gather(box, rocks):
+    """Return the rows of `box` (n, 4), as float32 (m, 4), and the numbers (m,) where `rocks`."""
+    number = np.flatnonzero(rocks).astype(np.int32)
+    out = np.empty((number.size, 4), np.float32)
+    for m in prange(number.size):
+        for k in range(4):
+            out[m, k] = box[number[m], k]
+    return out, number

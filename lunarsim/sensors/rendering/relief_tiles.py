@@ -1,0 +1,109 @@
+"""Tiles of the relief: which to draw, and how finely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering import _cull_kernels as kernels
+from lunarsim.terrain import Heightfield
+
+SIDE = 64
+LEVELS = 7
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReliefTiles:
+    """Squares of 64 x 64 cells with their extent and the error of drawing them coarsely.
+
+    Attributes
+    ----------
+    first
+        First column and row of each tile (n, 2).
+    low, high
+        Corners of the box that holds each tile (n, 3), m; only tiles with any elevation.
+    steepness
+        Greatest gradient of each tile (n,).
+    error
+        Greatest vertical error of each level of detail (7, n), m: level l keeps every 2^l-th post.
+    """
+
+    first: NDArray[np.int32]
+    low: Array
+    high: Array
+    steepness: Array
+    error: Array
+
+    @classmethod
+    def of(cls, relief: Heightfield) -> ReliefTiles:
+        """Measure the tiles of a relief."""
+        g = relief.grid
+        low, top, steep, error = kernels.tile_tables(relief.z, SIDE, LEVELS, g.posting)
+        i, j = np.nonzero(np.isfinite(low))
+        x0 = g.x0 + g.posting * SIDE * j
+        y0 = g.y0 + g.posting * SIDE * i
+        x1 = g.x0 + g.posting * np.minimum(SIDE * (j + 1), g.cols - 1)
+        y1 = g.y0 + g.posting * np.minimum(SIDE * (i + 1), g.rows - 1)
+        return cls(
+            (SIDE * np.column_stack((j, i))).astype(np.int32),
+            np.column_stack((x0, y0, low[i, j])),
+            np.column_stack((x1, y1, top[i, j])),
+            steep[i, j],
+            error[:, i, j],
+        )
+
+    def corners(self) -> Array:
+        """Return the corners of every box (n, 8, 3), m."""
+        pick = (np.arange(8)[:, None] >> np.arange(3)) & 1
+        return np.asarray(np.where(pick, self.high[:, None, :], self.low[:, None, :]))
+
+    def distance(self, eye: Array) -> Array:
+        """Return the distance of each box from a point (n,), m."""
+        gap = np.maximum(np.maximum(self.low - eye, eye - self.high), 0.0)
+        return np.asarray(np.linalg.norm(gap, axis=1))
+
+    def level(self, tolerance: Array) -> NDArray[np.int64]:
+        """Return the coarsest level (n,) whose error keeps within `tolerance` (n,), m."""
+        fits = self.error <= tolerance
+        # Errors need not rise with the level: take the last of the first run that fits.
+        return np.asarray(np.argmin(np.vstack((fits, np.zeros_like(fits[:1]))), axis=0) - 1).clip(0)
+
+
+def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+    """Return the vertices (column, row, hanging) and triangles of one tile at a level.
+
+    A curtain hangs from the four edges, so that neighbours at other levels leave no gap.
+    """
+    step = 2**level
+    n = SIDE // step
+    k = np.arange(n + 1)
+    jj, ii = np.meshgrid(k, k)
+    flat = np.column_stack((jj.ravel(), ii.ravel(), np.zeros(jj.size, int)))
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    # The diagonal runs from south-west to north-east, as the terrain's does.
+    triangles = np.concatenate(
+        (np.column_stack((a, a + 1, a + n + 2)), np.column_stack((a, a + n + 2, a + n + 1)))
+    )
+    edges = [
+        np.arange(n + 1),
+        np.arange(n + 1) * (n + 1) + n,
+        (n * (n + 1) + np.arange(n + 1))[::-1],
+        (np.arange(n + 1) * (n + 1))[::-1],
+    ]
+    posts, faces = [flat], [triangles]
+    count = flat.shape[0]
+    for edge in edges:
+        hanging = flat[edge].copy()
+        hanging[:, 2] = 1
+        posts.append(hanging)
+        top, down = edge, count + np.arange(n + 1)
+        faces.append(np.column_stack((top[:-1], down[:-1], top[1:])))
+        faces.append(np.column_stack((top[1:], down[:-1], down[1:])))
+        count += n + 1
+    vertices = np.concatenate(posts)
+    vertices[:, :2] *= step
+    return vertices.astype(np.int32), np.concatenate(faces).astype(np.uint32)
