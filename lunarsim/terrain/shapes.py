@@ -22,8 +22,8 @@ IRREGULAR = 2
 IRREGULAR_COUNT = 16
 
 _SEED = 1997
-_RING = 7
-_DOME = 9
+_RING = 6
+_DOME = 4
 
 
 @dataclass(frozen=True)

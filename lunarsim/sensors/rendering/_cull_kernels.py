@@ -98,19 +98,22 @@ def tile_tables(z, side, levels, p):
 
 @kernel(parallel=True)
 def slopes(z, p):
-    """Return the gradients (rows - 1, cols - 1, 4) of the two triangles of every cell."""
+    """Return the gradients (rows - 1, 2 (cols - 1), 2) of the two triangles of every cell.
+
+    The south-eastern triangle stands in the even columns, the north-western one in the odd.
+    """
     rows, cols = z.shape
-    out = np.empty((rows - 1, cols - 1, 4), np.float32)
+    out = np.empty((rows - 1, 2 * (cols - 1), 2), np.float32)
     for i in prange(rows - 1):
         for j in range(cols - 1):
             z00 = np.float64(z[i, j])
             z10 = np.float64(z[i, j + 1])
             z01 = np.float64(z[i + 1, j])
             z11 = np.float64(z[i + 1, j + 1])
-            out[i, j, 0] = (z10 - z00) / p
-            out[i, j, 1] = (z11 - z10) / p
-            out[i, j, 2] = (z11 - z01) / p
-            out[i, j, 3] = (z01 - z00) / p
+            out[i, 2 * j, 0] = (z10 - z00) / p
+            out[i, 2 * j, 1] = (z11 - z10) / p
+            out[i, 2 * j + 1, 0] = (z11 - z01) / p
+            out[i, 2 * j + 1, 1] = (z01 - z00) / p
     return out
 
 
@@ -134,13 +137,27 @@ def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, hei
     """
     count = rocks.shape[0]
     seen = np.zeros(count, np.bool_)
+    left = np.hypot(fx, cx + 0.5)
+    right = np.hypot(fx, width - 0.5 - cx)
+    upper = np.hypot(fy, cy + 0.5)
+    lower = np.hypot(fy, height - 0.5 - cy)
     for n in prange(count):
         dx = rocks[n, 0] - eye[0]
         dy = rocks[n, 1] - eye[1]
         dz = rocks[n, 2] - eye[2]
-        depth = to_sensor[2, 0] * dx + to_sensor[2, 1] * dy + to_sensor[2, 2] * dz
-        ball = 1.5 * reach[n] + rocks[n, 5] + rocks[n, 2] - foot[n]
-        if depth < -ball:
+        sx = to_sensor[0, 0] * dx + to_sensor[0, 1] * dy + to_sensor[0, 2] * dz
+        sy = to_sensor[1, 0] * dx + to_sensor[1, 1] * dy + to_sensor[1, 2] * dz
+        sz = to_sensor[2, 0] * dx + to_sensor[2, 1] * dy + to_sensor[2, 2] * dz
+        # A ball that holds the rock, against the sides of the view.
+        ball = 1.5 * reach[n] + max(rocks[n, 5], rocks[n, 2] - foot[n])
+        outside = (
+            sz < near - ball
+            or fx * sx + (cx + 0.5) * sz < -ball * left
+            or fx * sx - (width - 0.5 - cx) * sz > ball * right
+            or fy * sy + (cy + 0.5) * sz < -ball * upper
+            or fy * sy - (height - 0.5 - cy) * sz > ball * lower
+        )
+        if outside:
             continue
         u0 = np.inf
         u1 = -np.inf
@@ -152,7 +169,7 @@ def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, hei
             y -= eye[1]
             z -= eye[2]
             sz = to_sensor[2, 0] * x + to_sensor[2, 1] * y + to_sensor[2, 2] * z
-            if sz < near:  # reaches behind the camera: may cover anything
+            if sz < 0.02:  # reaches behind the camera: may cover anything
                 u0 = 0.0
                 v0 = 0.0
                 u1 = width

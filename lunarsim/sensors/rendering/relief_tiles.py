@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.terrain import Heightfield
 
-SIDE = 64
-LEVELS = 7
+SIDE = 32
+LEVELS = 6
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ReliefTiles:
-    """Squares of 64 x 64 cells with their extent and the error of drawing them coarsely.
+    """Squares of 32 x 32 cells with their extent and the error of drawing them coarsely.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class ReliefTiles:
     steepness
         Greatest gradient of each tile (n,).
     error
-        Greatest vertical error of each level of detail (7, n), m: level l keeps every 2^l-th post.
+        Greatest vertical error of each level of detail (6, n), m: level l keeps every 2^l-th post.
     """
 
     first: NDArray[np.int32]

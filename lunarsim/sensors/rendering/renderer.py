@@ -136,6 +136,43 @@ class Image:
     identity: NDArray[np.int32] | None = None
 
 
+@dataclass(frozen=True)
+class _Target:
+    """What a picture of one size is drawn into: depth and rocks first, then the picture."""
+
+    depth: moderngl.Texture
+    stones: moderngl.Texture
+    colours: tuple[moderngl.Texture, ...]
+    depth_only: moderngl.Framebuffer
+    rocks: moderngl.Framebuffer
+    picture: moderngl.Framebuffer
+
+    @classmethod
+    def of(
+        cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]
+    ) -> _Target:
+        size = (width, height)
+        depth = ctx.depth_texture(size)
+        depth.compare_func = ""
+        depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        stones = ctx.texture(size, 4, dtype="f4")
+        colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
+        return cls(
+            depth,
+            stones,
+            colours,
+            ctx.framebuffer(depth_attachment=depth),
+            ctx.framebuffer([stones], depth),
+            ctx.framebuffer(list(colours)),
+        )
+
+    def release(self) -> None:
+        for item in (
+            self.depth_only, self.rocks, self.picture, self.depth, self.stones, *self.colours
+        ):  # fmt: skip
+            item.release()
+
+
 class Renderer:
     """All buffers of one terrain on the graphics device.
 
@@ -165,13 +202,12 @@ class Renderer:
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
         self._heights = _float_texture(ctx, relief.z[:, :, None])
         self._slopes = _float_texture(ctx, kernels.slopes(relief.z, g.posting))
-        self._table = shape_table()
         self._load_rocks(terrain)
         self._programs = _programs(ctx, holes)
         self._meshes = [_mesh(ctx, level) for level in range(LEVELS)]
         self._tile_buffer = ctx.buffer(reserve=8 * len(self._tiles.first))
         self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
-        self._targets: dict[tuple[int, int, bool], Any] = {}
+        self._targets: dict[tuple[int, int, bool], _Target] = {}
         self._shadow: tuple[moderngl.Texture, moderngl.Framebuffer] | None = None
 
     def _load_rocks(self, terrain: Terrain) -> None:
@@ -189,7 +225,6 @@ class Renderer:
         self._rock_texture = _float_texture(
             self._ctx, texels.reshape(lines, 3 * _ROCK_TEXTURE, 4)
         )
-        self._plane_texture = _float_texture(self._ctx, self._table.planes)
         self._box = np.empty((count, 4))
         self._box_buffer = self._ctx.buffer(reserve=max(16 * count, 16))
         self._number_buffer = self._ctx.buffer(reserve=max(4 * count, 4))
@@ -221,18 +256,33 @@ class Renderer:
         shown = self._tiles_in(view, near)
         level = self._levels(view, sun, shown, truth)
         target = self._target(view.width, view.height, truth)
-        with self._ctx.scope(target[0], moderngl.DEPTH_TEST):
-            shadow = None
+        with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
+            shadow: dict[str, Any] = {"shaded": 0, "shadow": 2}
             if lit and shadows and shown.any():
                 shadow = self._draw_shadows(view, sun, shown, level)
-            values = self._view_values(view, near, far) | _light_values(light, sun)
-            values |= shadow or self._no_shadows()
-            target[0].use()
-            target[0].clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
-            kind = "truth" if truth else "grey"
-            self._draw_relief(f"relief-{kind}", values, shown, level)
-            self._draw_rocks(f"rocks-{kind}", values, self._boxes(view, near))
-        return _read(target, view, truth)
+            values = self._view_values(view, near, far)
+            target.rocks.use()
+            target.rocks.clear(depth=1.0)
+            target.depth_only.use()
+            self._draw_relief("relief", values, shown, level)
+            target.rocks.use()
+            self._draw_rocks("rocks", values, self._boxes(view, near))
+            target.picture.use()
+            self._ctx.disable(moderngl.DEPTH_TEST)
+            target.picture.clear()
+            self._shade(target, values | _light_values(light, sun) | shadow, truth)
+            return _read(target, view, truth)
+
+    def _shade(self, target: _Target, values: dict[str, Any], truth: bool) -> None:
+        name = "shade-truth" if truth else "shade"
+        self._slopes.use(1)
+        target.depth.use(3)
+        target.stones.use(4)
+        program = self._programs[name]
+        _set(program, values | {"slopes": 1, "depths": 3, "stones": 4})
+        if (name, 0) not in self._vaos:
+            self._vaos[name, 0] = self._ctx.vertex_array(program, [])
+        self._vaos[name, 0].render(moderngl.TRIANGLES, vertices=3)
 
     def _check_above_ground(self, view: View) -> None:
         e, n, up = view.position
@@ -320,8 +370,7 @@ class Renderer:
     ) -> None:
         program = self._programs[name]
         self._heights.use(0)
-        self._slopes.use(1)
-        _set(program, values | {"relief": 0, "slopes": 1})
+        _set(program, values | {"relief": 0})
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
             if picked.size == 0:
@@ -345,10 +394,7 @@ class Renderer:
             return
         program = self._programs[name]
         self._rock_texture.use(3)
-        self._plane_texture.use(4)
-        faces = np.zeros(32, np.int32)
-        faces[: self._table.count.size] = self._table.count
-        _set(program, values | {"rocks": 3, "planes": 4, "faces": faces.tolist()})
+        _set(program, values | {"rocks": 3})
         if (name, 0) not in self._vaos:
             self._vaos[name, 0] = self._ctx.vertex_array(
                 program, [(self._box_buffer, "4f/i", "box"), (self._number_buffer, "i/i", "number")]
@@ -358,15 +404,6 @@ class Renderer:
         self._number_buffer.orphan()
         self._number_buffer.write(number)
         self._vaos[name, 0].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=number.size)
-
-    def _no_shadows(self) -> dict[str, Any]:
-        """Return a shadow map that no place lies on."""
-        texture, _ = self._shadow_map()
-        texture.use(2)
-        return {
-            "shadow": 2, "lean": (0.0, 0.0), "map_axes": (0.0, 0.0, 0.0, 0.0),
-            "map_origin": (1.0, 1.0), "heights": (1.0, 0.0), "slack": _SLACK, "map_size": (1.0, 1.0),
-        }  # fmt: skip
 
     def _shadow_map(self) -> tuple[moderngl.Texture, moderngl.Framebuffer]:
         if self._shadow is None:
@@ -425,7 +462,7 @@ class Renderer:
         self._draw_rocks("rocks-shadow", values, kernels.gather(self._box, boxes))
         texture.use(2)
         return {
-            "shadow": 2, "lean": tuple(lean), "map_axes": _columns(map_axes),
+            "shaded": 1, "shadow": 2, "lean": tuple(lean), "map_axes": _columns(map_axes),
             "map_origin": tuple(corner / span), "heights": heights, "slack": _SLACK,
             "map_size": (float(size[0]), float(size[1])),
         }  # fmt: skip
@@ -433,22 +470,16 @@ class Renderer:
     def _tallest_rock(self) -> float:
         return float(self._rows[:, 5].max(initial=0.0))
 
-    def _target(self, width: int, height: int, truth: bool) -> Any:
-        """Return a framebuffer and its textures."""
+    def _target(self, width: int, height: int, truth: bool) -> _Target:
         key = (width, height, truth)
         if key not in self._targets:
-            ctx = self._ctx
-            depth = ctx.depth_renderbuffer((width, height))
-            formats = (4, 2) if truth else (1,)
-            colours = [ctx.texture((width, height), n, dtype="f4") for n in formats]
-            self._targets[key] = (ctx.framebuffer(colours, depth), *colours)
+            self._targets[key] = _Target.of(self._ctx, width, height, (4, 2) if truth else (1,))
         return self._targets[key]
 
     def release(self) -> None:
         """Free everything on the graphics device."""
         for target in self._targets.values():
-            for item in target:
-                item.release()
+            target.release()
         if self._shadow is not None:
             for item in self._shadow[::-1]:
                 item.release()
@@ -457,7 +488,7 @@ class Renderer:
                 buffer.release()
         for thing in (
             *self._vaos.values(), *self._programs.values(), self._heights, self._slopes,
-            self._rock_texture, self._plane_texture, self._tile_buffer, self._box_buffer,
+            self._rock_texture, self._tile_buffer, self._box_buffer,
             self._number_buffer,
         ):  # fmt: skip
             thing.release()
@@ -496,24 +527,34 @@ def _mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moderngl.
 
 def _programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
     programs = {}
-    surface = ("view", "shadow", "light", "pixel")
+    table = shape_table()
+    most = f"MOST {table.planes.shape[1]}"
     to_map = "PLACE(rel) map_position(rel)"
-    for kind, more in (("grey", ()), ("truth", ("TRUTH",))):
-        programs[f"relief-{kind}"] = ctx.program(
-            shader("view", "relief_vertex", defines=("PLACE(rel) project(rel)", *holes)),
-            shader(*surface, "relief_fragment", defines=(*more, *holes)),
-        )
-        programs[f"rocks-{kind}"] = ctx.program(
-            shader("rock_vertex"),
-            shader(*surface, "ray", "rock", "rock_fragment", defines=more),
+    programs["relief"] = ctx.program(
+        shader("view", "relief_vertex", defines=("PLACE(rel) project(rel)", *holes)),
+        shader("depth_fragment", defines=holes),
+    )
+    programs["rocks"] = ctx.program(
+        shader("rock_vertex"), shader("view", "ray", "rock", "rock_fragment", defines=(most,))
+    )
+    for name, defines in (("shade", ()), ("shade-truth", ("TRUTH",))):
+        programs[name] = ctx.program(
+            shader("screen_vertex"),
+            shader("view", "ray", "shadow", "light", "shade_fragment", defines=defines),
         )
     programs["relief-shadow"] = ctx.program(
         shader("shadow", "map_position", "relief_vertex", defines=(to_map, *holes)),
         shader("depth_fragment", defines=holes),
     )
     programs["rocks-shadow"] = ctx.program(
-        shader("rock_vertex"), shader("rock", "rock_shadow_fragment")
+        shader("rock_vertex"), shader("rock", "rock_shadow_fragment", defines=(most,))
     )
+    for name, program in programs.items():
+        if name.startswith("rocks"):
+            faces = np.zeros(32, np.int32)
+            faces[: table.count.size] = table.count
+            program["faces"].value = faces.tolist()
+            program["planes"].write(table.planes.astype("f4").tobytes())
     return programs
 
 
@@ -567,13 +608,14 @@ def _map_extent(
     return least - margin, np.maximum(most - least, 0.0) + 2.0 * margin
 
 
-def _read(target: Any, view: View, truth: bool) -> Image:
+def _read(target: _Target, view: View, truth: bool) -> Image:
     shape = (view.height, view.width)
+    first = np.frombuffer(target.colours[0].read(), np.float32)
     if not truth:
-        return Image(np.frombuffer(target[1].read(), np.float32).reshape(shape))
-    first = np.frombuffer(target[1].read(), np.float32).reshape(*shape, 4)
-    second = np.frombuffer(target[2].read(), np.float32).reshape(*shape, 2)
-    identity = second[..., 1].astype(np.int32) - 2  # 0 is the cleared sky
+        return Image(first.reshape(shape))
+    first = first.reshape(*shape, 4)
+    second = np.frombuffer(target.colours[1].read(), np.float32).reshape(*shape, 2)
+    identity = second[..., 1].astype(np.int32) - 2
     sky = identity == -2
     normal = first[..., 1:].copy()
     normal[sky] = np.nan

@@ -1,5 +1,6 @@
 // Sunlight, shadow and reflection.
 uniform vec3 sun;            // unit vector towards the Sun, ENU
+uniform int shaded;          // whether there is a shadow map
 uniform sampler2D shadow;    // highest lee face along each sunray, see shadow.glsl
 uniform vec2 map_size;       // texels
 uniform vec2 heights;        // highest and lowest elevation of the shadow map, m above the camera
@@ -9,10 +10,16 @@ uniform int lunar_lambert;   // 0 Lambert, 1 McEwen's lunar-Lambert
 uniform float slack;         // elevation by which an occluder must rise above a point, m
 
 bool in_shadow(vec3 rel) {
-    vec2 where = shadow_place(rel);
-    if (any(lessThan(where, vec2(0.0))) || any(greaterThanEqual(where, vec2(1.0)))) return false;
-    float occluder = mix(heights.x, heights.y, texelFetch(shadow, ivec2(where * map_size), 0).r);
-    return occluder > rel.z + slack;
+    vec2 where = clamp(shadow_place(rel) * map_size, vec2(0.0), map_size - 1.0);
+    float occluder = texelFetch(shadow, ivec2(where), 0).r;
+    return occluder * (heights.x - heights.y) < heights.x - rel.z - slack;
+}
+
+// Arc cosine within 7e-5 rad: Abramowitz and Stegun (1964), 4.4.45.
+float angle_of(float cosine) {
+    float x = min(abs(cosine), 1.0);
+    float angle = sqrt(1.0 - x) * (1.5707288 + x * (-0.2121144 + x * (0.0742610 - 0.0187293 * x)));
+    return cosine < 0.0 ? 3.14159265 - angle : angle;
 }
 
 // Radiance factor I/F; McEwen (1991), Icarus 92, 298-311, with his polynomial in the phase angle.
@@ -21,13 +28,13 @@ float reflect_sun(vec3 n, vec3 towards_camera) {
     if (incidence <= 0.0) return 0.0;
     if (lunar_lambert == 0) return albedo * incidence;
     float emission = max(dot(n, towards_camera), 1e-4);
-    float phase = degrees(acos(clamp(dot(sun, towards_camera), -1.0, 1.0)));
+    float phase = degrees(angle_of(dot(sun, towards_camera)));
     float l = clamp(1.0 + phase * (-0.019 + phase * (2.42e-4 - 1.46e-6 * phase)), 0.0, 1.0);
     return albedo * incidence * (2.0 * l / (incidence + emission) + 1.0 - l);
 }
 
 float radiance(vec3 rel, vec3 n) {
     float direct = sun.z > 0.0 ? reflect_sun(n, -normalize(rel)) : 0.0;
-    if (direct > 0.0 && in_shadow(rel)) direct = 0.0;
+    if (shaded == 1 && in_shadow(rel)) direct = 0.0;
     return direct + albedo * ambient;
 }

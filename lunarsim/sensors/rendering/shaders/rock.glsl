@@ -1,6 +1,6 @@
 // A rock: a scaled, turned unit shape, as in lunarsim.terrain.
 uniform sampler2D rocks;    // three texels a rock: (x, y, base, a), (b, height, cos, sin), (shape)
-uniform sampler2D planes;   // half spaces of the unit shapes, one shape a row
+uniform vec4 planes[18 * MOST];   // half spaces of the unit shapes, MOST to each
 uniform int faces[32];      // number of half spaces of each shape, 0 for the half sphere
 uniform vec3 eye;           // camera, in the axes of the rocks
 
@@ -63,7 +63,7 @@ vec2 cross_rock(Rock r, vec3 o, vec3 d, out vec3 normal) {
     }
     float enter = -NEVER, leave = NEVER;
     for (int k = 0; k < faces[r.shape]; k++) {
-        vec4 face = texelFetch(planes, ivec2(k, r.shape), 0);
+        vec4 face = planes[r.shape * MOST + k];
         float speed = dot(face.xyz, d);
         float room = face.w - dot(face.xyz, o);
         if (speed < 0.0) {

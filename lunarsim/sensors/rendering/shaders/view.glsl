@@ -15,3 +15,7 @@ vec4 project(vec3 rel) {
 float window_depth(float z) {
     return 0.5 + 0.5 * ((clip.y + clip.x) - 2.0 * clip.y * clip.x / z) / (clip.y - clip.x);
 }
+
+float view_depth(float window) {
+    return 2.0 * clip.y * clip.x / (clip.y + clip.x - (2.0 * window - 1.0) * (clip.y - clip.x));
+}
