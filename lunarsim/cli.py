@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 import lunarsim
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, RenderingError
 
 _INTERRUPTED = 130
 
@@ -27,6 +27,9 @@ class _Group(click.Group):
         except InputError as error:
             click.echo(f"error: {error}", err=True)
             ctx.exit(2)
+        except RenderingError as error:
+            click.echo(f"error: {error}", err=True)
+            ctx.exit(1)
         except OSError as error:
             if error.filename is None:
                 raise
@@ -178,6 +181,65 @@ def compare(
     if not result.complete:
         click.echo("interrupted: only finished flights were written", err=True)
         sys.exit(_INTERRUPTED)
+
+
+@main.command()
+@_SCENARIO
+@click.option(
+    "--altitude", type=float, default=100.0, show_default=True,
+    help="Height of the camera above the ground at the target, m.",
+)  # fmt: skip
+@click.option("--sun-elevation", type=float, default=None, help="deg; left out: the scenario's.")
+@click.option("--sun-azimuth", type=float, default=None, help="deg from north, clockwise.")
+@click.option(
+    "--off-nadir", type=float, default=0.0, show_default=True,
+    help="Tilt of the boresight from straight down, deg; the target stays in the middle.",
+)  # fmt: skip
+@click.option(
+    "--heading", type=float, default=0.0, show_default=True,
+    help="Azimuth of the top of the picture, deg.",
+)  # fmt: skip
+@click.option(
+    "--exposure", type=click.FloatRange(min=0.0, min_open=True), default=None,
+    help="s; left out: so that the brightest ground nearly fills the detector.",
+)  # fmt: skip
+@click.option("--ideal", is_flag=True, help="Without blur, noise and distortion; 16 bits.")
+@_SEED
+@click.option(
+    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Index of the flight whose rocks are shown.",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.",
+)  # fmt: skip
+@click.option(
+    "--truth", type=click.Path(path_type=Path), default=None,
+    help="NPZ file for radiance, range, normal and identity of every pixel.",
+)  # fmt: skip
+def render(
+    scenario: Path, altitude: float, sun_elevation: float | None, sun_azimuth: float | None,
+    off_nadir: float, heading: float, exposure: float | None, ideal: bool, seed: int,
+    flight: int, out: Path, truth: Path | None,
+) -> None:  # fmt: skip
+    """Take a picture of SCENARIO's ground with its camera."""
+    from lunarsim.scenario import Scenario  # noqa: PLC0415
+    from lunarsim.simulation.picture import take_picture  # noqa: PLC0415
+
+    info = take_picture(
+        Scenario.load(scenario),
+        altitude=altitude,
+        sun_elevation_deg=sun_elevation,
+        sun_azimuth_deg=sun_azimuth,
+        off_nadir_deg=off_nadir,
+        heading_deg=heading,
+        exposure=exposure,
+        ideal=ideal,
+        seed=seed,
+        flight=flight,
+        out=out,
+        truth=truth,
+    )
+    click.echo(info)
 
 
 def _table(result: Any) -> Table:

@@ -30,7 +30,7 @@ class InputError(ValueError):
 
 
 class RenderingError(RuntimeError):
-    """This machine cannot render; the message says what to install."""
+    """The machine cannot render; the message says what to install."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -65,6 +65,34 @@ class RocksSection(Section):
         return self
 
 
+class SunSection(Section):
+    """Sunlight, and how the ground reflects it; only cameras look at it."""
+
+    azimuth_deg: Finite = Field(270.0, description="clockwise from north")
+    elevation_deg: float = Field(20.0, ge=-90.0, le=90.0)
+    albedo: float = Field(0.12, gt=0.0, le=1.0, description="normal albedo")
+    ambient: float = Field(0.0, ge=0.0, le=1.0, description="I/F of shadows over the albedo")
+    photometry: Literal["lambert", "lunar-lambert"] = "lunar-lambert"
+
+
+class CameraSection(Section):
+    """Camera fixed to the lander, looking along body -z."""
+
+    pixels: tuple[int, int] = Field((480, 640), description="rows and columns")
+    field_of_view_deg: float = Field(60.0, gt=0.0, lt=170.0, description="of the width")
+    distortion: tuple[Finite, Finite, Finite, Finite, Finite] = Field(
+        (0.0, 0.0, 0.0, 0.0, 0.0), description="Brown-Conrady k1, k2, p1, p2, k3"
+    )
+    exposure_s: Positive = 2e-3
+    sensitivity: Positive = Field(5e7, description="electrons a second for I/F = 1")
+    blur_sigma_px: NonNegative = 0.6
+    motion_blur: bool = True
+    shot_noise: bool = True
+    read_noise_electrons: NonNegative = 12.0
+    full_well_electrons: Positive = 20_000.0
+    bits: int = Field(8, ge=1, le=16)
+
+
 class LanderSection(Section):
     """The vehicle; defaults are those of `lunarsim.vehicle.Lander`."""
 
@@ -196,11 +224,13 @@ class Scenario(Section):
     gravity_m_s2: Positive = 1.622
     terrain: TerrainSection = TerrainSection()
     rocks: RocksSection = RocksSection()
+    sun: SunSection = SunSection()
     lander: LanderSection = LanderSection()
     start: StartSection = StartSection()
     target: TargetSection = TargetSection()
     guidance: GuidanceSection = GuidanceSection()
     lidar: LidarSection = LidarSection()
+    camera: CameraSection = CameraSection()
     mapper: MapperSection = MapperSection()
     navigation: NavigationSection = NavigationSection()
     decisions: DecisionsSection = DecisionsSection()

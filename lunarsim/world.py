@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from lunarsim.light import Light
 from lunarsim.terrain import Terrain
 
 
@@ -17,7 +18,10 @@ class World:
         The ground.
     gravity
         Downward acceleration, m/s^2; uniform, since a descent spans a kilometre.
+    light
+        The Sun and the ground's photometry; only cameras look at it.
     """
 
     terrain: Terrain
     gravity: float
+    light: Light = field(default_factory=Light)

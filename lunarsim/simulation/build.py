@@ -10,9 +10,11 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.guidance.divert import DivertLimits
 from lunarsim.hazards.gaussian_dem import GaussianDemMapper
+from lunarsim.light import Light
 from lunarsim.navigation.error_model import ErrorBudget
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario, TerrainSection
+from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.terrain import (
     Heightfield,
@@ -112,7 +114,15 @@ def build_world(scenario: Scenario, streams: Streams) -> World:
         r = scenario.rocks
         model = RockModel(r.shape, r.height_ratio, r.burial, r.axis_ratio)
         rocks = place_rocks(relief, diameters, rng, model=model)
-    return World(Terrain(relief, rocks), scenario.gravity_m_s2)
+    return World(Terrain(relief, rocks), scenario.gravity_m_s2, light_of(scenario))
+
+
+def light_of(scenario: Scenario) -> Light:
+    """Return the Sun and the ground's photometry."""
+    s = scenario.sun
+    return Light(
+        np.deg2rad(s.azimuth_deg), np.deg2rad(s.elevation_deg), s.albedo, s.ambient, s.photometry
+    )
 
 
 def dynamics_of(scenario: Scenario, lander: Lander) -> Dynamics:
@@ -131,6 +141,25 @@ def lidar_of(scenario: Scenario) -> FlashLidar:
     s = scenario.lidar
     return FlashLidar(
         s.pixels[0], s.pixels[1], s.half_width, s.noise_3sigma_m / 3.0 / 500.0, s.max_range_m
+    )
+
+
+def camera_of(scenario: Scenario) -> Camera:
+    """Return the camera."""
+    s = scenario.camera
+    return Camera.with_field_of_view(
+        s.pixels[1],
+        s.pixels[0],
+        s.field_of_view_deg,
+        distortion=s.distortion,
+        exposure=s.exposure_s,
+        sensitivity=s.sensitivity,
+        blur_sigma=s.blur_sigma_px,
+        motion_blur=s.motion_blur,
+        shot_noise=s.shot_noise,
+        read_noise=s.read_noise_electrons,
+        full_well=s.full_well_electrons,
+        bits=s.bits,
     )
 
 

@@ -53,8 +53,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
             # A comparison with NaN is false, so no-data never wins.
             for r in range(2):
                 for c in range(2):
-                    if z[i + r, j + c] > best:
-                        best = z[i + r, j + c]
+                    best = max(best, z[i + r, j + c])
             peak[i * wide[0] + j] = best
     ground = peak[: high[0] * wide[0]].copy()
     for level in range(offset.size):

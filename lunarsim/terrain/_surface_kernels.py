@@ -72,7 +72,9 @@ def elevation_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
     """Return the surface elevation (n,) at points (n, 2)."""
     out = np.empty(xy.shape[0])
     for i in range(xy.shape[0]):
-        out[i] = _surface(xy[i, 0], xy[i, 1], z, x0, y0, p, leaf, rocks, planes, count, start, index)
+        out[i] = _surface(
+            xy[i, 0], xy[i, 1], z, x0, y0, p, leaf, rocks, planes, count, start, index
+        )
     return out
 
 
@@ -83,7 +85,9 @@ def raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, planes, count, sta
     for i in prange(rows):
         y = gy + gp * i
         for j in range(cols):
-            out[i, j] = _surface(gx + gp * j, y, z, x0, y0, p, leaf, rocks, planes, count, start, index)
+            out[i, j] = _surface(
+                gx + gp * j, y, z, x0, y0, p, leaf, rocks, planes, count, start, index
+            )
     return out
 
 
@@ -124,7 +128,9 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
         top = -np.inf
         n = -1
         if rocks.shape[0] > 0:
-            top, n = _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1])
+            top, n = _top_rock(
+                x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1]
+            )
         if top > ground:
             rock_normal(x, y, top, rocks, n, planes, count, out[i])
         else:

@@ -61,7 +61,8 @@ class RockField:
     @classmethod
     def empty(cls) -> RockField:
         """Return a field without rocks."""
-        return cls(*(np.zeros(0) for _ in range(7)))
+        x, y, base, a, b, height, yaw = np.zeros((7, 0))
+        return cls(x, y, base, a, b, height, yaw)
 
     @classmethod
     def hemispheres(
@@ -195,7 +196,9 @@ class RockModel:
             "ellipsoid": np.zeros(n, bool),
             "irregular": np.ones(n, bool),
         }.get(self.shape, rng.random(n) < 0.5)
-        shape = np.where(faceted, rng.integers(IRREGULAR, IRREGULAR + IRREGULAR_COUNT, n), ELLIPSOID)
+        shape = np.where(
+            faceted, rng.integers(IRREGULAR, IRREGULAR + IRREGULAR_COUNT, n), ELLIPSOID
+        )
         # The buried part of an ellipsoid is the wider one.
         widen = np.where(faceted, 1.0, 1.0 / np.sqrt(1.0 - burial**2))
         radius = 0.5 * diameter * widen

@@ -127,7 +127,14 @@ class Terrain:
         )  # fmt: skip
         return np.asarray(out)
 
-    def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf, *, normals: bool = True) -> RayHits:
+    def cast(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        max_range: float = np.inf,
+        *,
+        normals: bool = True,
+    ) -> RayHits:
         """Cast rays onto the surface.
 
         Parameters

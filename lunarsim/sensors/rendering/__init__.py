@@ -1,5 +1,5 @@
 """Rendering of terrain through OpenGL: radiance, range, normal and identity of every pixel."""
 
-from lunarsim.sensors.rendering.renderer import Image, Light, Renderer, View, renderer_of
+from lunarsim.sensors.rendering.renderer import Image, Renderer, View, renderer_of
 
-__all__ = ["Image", "Light", "Renderer", "View", "renderer_of"]
+__all__ = ["Image", "Renderer", "View", "renderer_of"]

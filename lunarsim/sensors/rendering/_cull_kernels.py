@@ -24,8 +24,7 @@ def rock_feet(rocks, reach, z, x0, y0, p):
         i1 = min(int(np.ceil((rocks[n, 1] + reach[n] - y0) / p)), rows - 1)
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
-                if np.float64(z[i, j]) < lowest:
-                    lowest = np.float64(z[i, j])
+                lowest = min(lowest, np.float64(z[i, j]))
         foot[n] = lowest - 0.01
     return foot
 
@@ -65,10 +64,8 @@ def tile_tables(z, side, levels, p):
                         z11 = np.float64(z[i + 1, j + 1])
                         lower = (z10 - z00) ** 2 + (z11 - z10) ** 2
                         upper = (z11 - z01) ** 2 + (z01 - z00) ** 2
-                        if lower > steep[ti, tj]:
-                            steep[ti, tj] = lower
-                        if upper > steep[ti, tj]:
-                            steep[ti, tj] = upper
+                        steep[ti, tj] = max(steep[ti, tj], lower)
+                        steep[ti, tj] = max(steep[ti, tj], upper)
             steep[ti, tj] = np.sqrt(steep[ti, tj]) / p
             for level in range(1, levels):
                 step = 1 << level

@@ -19,7 +19,7 @@ _INSTALL = (
 @lru_cache(maxsize=1)
 def _context_of(process: int) -> moderngl.Context:
     try:
-        context = moderngl.create_context(standalone=True, backend="egl", require=330)
+        context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
         raise RenderingError(f"{_INSTALL} ({error})") from error
     # Objects of collected renderers are freed at once; the default would leak them.

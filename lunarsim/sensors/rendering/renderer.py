@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import moderngl
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, RenderingError
-from lunarsim.frames import direction_from_angles
+from lunarsim.light import Light
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering.context import gl_context, shader
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles, level_mesh
@@ -34,8 +35,9 @@ _SHADOW_ERROR = 0.5
 _SHADOW_DETAIL = 1.5
 _SHADOW_SIDE = 4096
 _SHADOW_AREA = 6_000_000
-# An occluder must rise this far above a point, m: several times the rounding of float32.
-_SLACK = 1e-3
+# Within this share of a texel behind a lee face a point is dark: at the foot of a rock no light
+# may leak in.
+_OVERHANG = 0.6
 _ROCK_TEXTURE = 1024
 
 
@@ -74,47 +76,6 @@ class View:
 
 
 @dataclass(frozen=True)
-class Light:
-    """The Sun and how the ground reflects it.
-
-    Attributes
-    ----------
-    azimuth, elevation
-        Of the Sun, rad; below the horizon nothing but `ambient` is left.
-    albedo
-        Normal albedo; 0.12 is a bright mare.
-    ambient
-        Radiance factor of a shadowed surface over its albedo: Earthshine and scattered light. Full
-        Earthshine is about 1e-4.
-    photometry
-        "lambert" or "lunar-lambert" (McEwen 1991).
-    """
-
-    azimuth: float
-    elevation: float
-    albedo: float = 0.12
-    ambient: float = 0.0
-    photometry: str = "lunar-lambert"
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(self.azimuth):
-            raise InputError("sun.azimuth", self.azimuth, "an angle in radians")
-        if not -np.pi / 2 <= self.elevation <= np.pi / 2:
-            raise InputError("sun.elevation", self.elevation, "an angle from -pi/2 to pi/2")
-        if not 0.0 < self.albedo <= 1.0:
-            raise InputError("sun.albedo", self.albedo, "above 0, at most 1")
-        if not 0.0 <= self.ambient <= 1.0:
-            raise InputError("sun.ambient", self.ambient, "from 0 to 1")
-        if self.photometry not in {"lambert", "lunar-lambert"}:
-            raise InputError("sun.photometry", self.photometry, "lambert or lunar-lambert")
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector towards the Sun (3,), ENU."""
-        return direction_from_angles(self.azimuth, self.elevation)
-
-
-@dataclass(frozen=True)
 class Image:
     """What a view shows.
 
@@ -148,9 +109,7 @@ class _Target:
     picture: moderngl.Framebuffer
 
     @classmethod
-    def of(
-        cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]
-    ) -> _Target:
+    def of(cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]) -> _Target:
         size = (width, height)
         depth = ctx.depth_texture(size)
         depth.compare_func = ""
@@ -165,12 +124,6 @@ class _Target:
             ctx.framebuffer([stones], depth),
             ctx.framebuffer(list(colours)),
         )
-
-    def release(self) -> None:
-        for item in (
-            self.depth_only, self.rocks, self.picture, self.depth, self.stones, *self.colours
-        ):  # fmt: skip
-            item.release()
 
 
 class Renderer:
@@ -222,9 +175,7 @@ class Renderer:
         lines = max(1, -(-count // _ROCK_TEXTURE))
         texels = np.zeros((lines * _ROCK_TEXTURE, 12), np.float32)
         texels[:count, :9] = self._rows
-        self._rock_texture = _float_texture(
-            self._ctx, texels.reshape(lines, 3 * _ROCK_TEXTURE, 4)
-        )
+        self._rock_texture = _float_texture(self._ctx, texels.reshape(lines, 3 * _ROCK_TEXTURE, 4))
         self._box = np.empty((count, 4))
         self._box_buffer = self._ctx.buffer(reserve=max(16 * count, 16))
         self._number_buffer = self._ctx.buffer(reserve=max(4 * count, 4))
@@ -305,7 +256,7 @@ class Renderer:
         # No ray meets anything before it has come down to the highest rock.
         steepest = np.linalg.norm([self._tan(view), 1.0])
         drop = float(view.position[2] - self._tiles.high[:, 2].max() - tallest)
-        return max(0.5 * drop / steepest, 2e-4 * far, 0.02), far
+        return max(0.5 * drop / float(steepest), 2e-4 * far, 0.02), far
 
     @staticmethod
     def _tan(view: View) -> float:
@@ -363,7 +314,8 @@ class Renderer:
             np.ascontiguousarray(view.axes.T), view.fx, view.fy, view.cx, view.cy,
             float(view.width), float(view.height), near, self._box,
         )  # fmt: skip
-        return kernels.gather(self._box, seen)
+        box, number = kernels.gather(self._box, seen)
+        return box, number
 
     def _draw_relief(
         self, name: str, values: dict[str, Any], shown: NDArray[np.bool_], level: NDArray[np.int64]
@@ -376,7 +328,10 @@ class Renderer:
             if picked.size == 0:
                 continue
             finite = self._tiles.error[: k + 1, picked]
-            _set(program, {"skirt": float(2.0 * finite.max() + 0.01)})
+            # Curtains would throw shadows, and where all tiles are finest there is no gap.
+            bare = name == "relief-shadow" or not level[shown].any()
+            skirt = 0.0 if bare else float(2.0 * finite.max() + 0.01)
+            _set(program, {"skirt": skirt})
             if (name, k) not in self._vaos:
                 posts, triangles = self._meshes[k]
                 self._vaos[name, k] = self._ctx.vertex_array(
@@ -463,7 +418,8 @@ class Renderer:
         texture.use(2)
         return {
             "shaded": 1, "shadow": 2, "lean": tuple(lean), "map_axes": _columns(map_axes),
-            "map_origin": tuple(corner / span), "heights": heights, "slack": _SLACK,
+            "map_origin": tuple(corner / span), "heights": heights,
+            "slack": -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0),
             "map_size": (float(size[0]), float(size[1])),
         }  # fmt: skip
 
@@ -476,31 +432,8 @@ class Renderer:
             self._targets[key] = _Target.of(self._ctx, width, height, (4, 2) if truth else (1,))
         return self._targets[key]
 
-    def release(self) -> None:
-        """Free everything on the graphics device."""
-        for target in self._targets.values():
-            target.release()
-        if self._shadow is not None:
-            for item in self._shadow[::-1]:
-                item.release()
-        for mesh in self._meshes:
-            for buffer in mesh:
-                buffer.release()
-        for thing in (
-            *self._vaos.values(), *self._programs.values(), self._heights, self._slopes,
-            self._rock_texture, self._tile_buffer, self._box_buffer,
-            self._number_buffer,
-        ):  # fmt: skip
-            thing.release()
-
 
 _RENDERERS: dict[int, Renderer] = {}
-
-
-def _forget(key: int) -> None:
-    renderer = _RENDERERS.pop(key, None)
-    if renderer is not None:
-        renderer.release()
 
 
 def renderer_of(terrain: Terrain) -> Renderer:
@@ -508,7 +441,8 @@ def renderer_of(terrain: Terrain) -> Renderer:
     key = id(terrain)
     if key not in _RENDERERS:
         _RENDERERS[key] = Renderer(terrain)
-        weakref.finalize(terrain, _forget, key).atexit = False
+        # Its buffers are freed when the last reference to the renderer goes.
+        weakref.finalize(terrain, _RENDERERS.pop, key, None).atexit = False
     return _RENDERERS[key]
 
 
@@ -520,12 +454,15 @@ def _float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Textur
     return texture
 
 
+@lru_cache(maxsize=LEVELS)
 def _mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
     posts, triangles = level_mesh(level)
     return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
 
 
+@lru_cache(maxsize=2)
 def _programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
+    """Return all programs; terrains of one context share them."""
     programs = {}
     table = shape_table()
     most = f"MOST {table.planes.shape[1]}"
@@ -553,15 +490,17 @@ def _programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, modern
         if name.startswith("rocks"):
             faces = np.zeros(32, np.int32)
             faces[: table.count.size] = table.count
-            program["faces"].value = faces.tolist()
-            program["planes"].write(table.planes.astype("f4").tobytes())
+            _set(program, {"faces": faces.tolist()})
+            planes = program["planes"]
+            assert isinstance(planes, moderngl.Uniform)
+            planes.write(table.planes.astype("f4").tobytes())
     return programs
 
 
 def _set(program: moderngl.Program, values: dict[str, Any]) -> None:
     for name, value in values.items():
         if name in program:  # the compiler drops what a shader does not use
-            program[name].value = value
+            program.__setitem__(name, value)
 
 
 def _columns(matrix: Array) -> tuple[float, ...]:
@@ -586,7 +525,7 @@ def _map_extent(
     It must hold the places of all that is seen: the part of the view's pyramid between the
     lowest and the highest elevation in it, and inside the tiles in it.
     """
-    low, high = tiles.low[shown].min(0), tiles.high[shown].max(0) + [0.0, 0.0, rock]
+    low, high = tiles.low[shown].min(0), tiles.high[shown].max(0) + np.array([0.0, 0.0, rock])
     u = np.array([-0.5, view.width - 0.5]) - view.cx
     v = np.array([-0.5, view.height - 0.5]) - view.cy
     border = np.array([[a / view.fx, b / view.fy, 1.0] for a in u for b in v]) @ view.axes.T

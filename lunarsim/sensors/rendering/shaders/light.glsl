@@ -7,7 +7,7 @@ uniform vec2 heights;        // highest and lowest elevation of the shadow map, 
 uniform float albedo;        // of the surface
 uniform float ambient;       // radiance factor of an unlit surface over the albedo
 uniform int lunar_lambert;   // 0 Lambert, 1 McEwen's lunar-Lambert
-uniform float slack;         // elevation by which an occluder must rise above a point, m
+uniform float slack;         // elevation of an occluder over a point from which on it shades it, m
 
 bool in_shadow(vec3 rel) {
     vec2 where = clamp(shadow_place(rel) * map_size, vec2(0.0), map_size - 1.0);

@@ -40,7 +40,6 @@ vec2 cross_rock(Rock r, vec3 o, vec3 d, out vec3 normal) {
             if (o.z + (tc - half_chord) * d.z >= 0.0) enter = tc - half_chord;
             if (o.z + (tc + half_chord) * d.z >= 0.0) leave = tc + half_chord;
         }
-        normal = o + enter * d;
         if (enter == NEVER || leave == -NEVER) {
             // The skirt below the base: a unit cylinder.
             float ff = dot(d.xy, d.xy);
@@ -51,14 +50,16 @@ vec2 cross_rock(Rock r, vec3 o, vec3 d, out vec3 normal) {
                 if (gap > 0.0) {
                     float half_width = sqrt(gap / ff);
                     float first = tc + tw - half_width, last = tc + tw + half_width;
-                    if (enter == NEVER && o.z + first * d.z < 0.0) {
-                        enter = first;
-                        normal = vec3(o.xy + first * d.xy, 0.0);
-                    }
+                    if (enter == NEVER && o.z + first * d.z < 0.0) enter = first;
                     if (leave == -NEVER && o.z + last * d.z < 0.0) leave = last;
                 }
             }
         }
+        // Rounding may find a point on the rim neither above the base nor below it.
+        if (room > 0.0 && enter == NEVER && leave != -NEVER) enter = tc - sqrt(room / dd);
+        if (room > 0.0 && leave == -NEVER && enter != NEVER) leave = tc + sqrt(room / dd);
+        normal = o + enter * d;
+        normal.z = max(normal.z, 0.0);
         return vec2(enter, leave);
     }
     float enter = -NEVER, leave = NEVER;

@@ -1,0 +1,54 @@
+"""The Sun, and how the ground reflects its light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import direction_from_angles
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Light:
+    """The Sun and how the ground reflects it.
+
+    Attributes
+    ----------
+    azimuth, elevation
+        Of the Sun, rad; below the horizon nothing but `ambient` is left.
+    albedo
+        Normal albedo; 0.12 is a bright mare.
+    ambient
+        Radiance factor of a shadowed surface over its albedo: Earthshine and scattered light. Full
+        Earthshine is about 1e-4.
+    photometry
+        "lambert" or "lunar-lambert" (McEwen 1991).
+    """
+
+    azimuth: float = 1.5 * np.pi
+    elevation: float = np.pi / 9
+    albedo: float = 0.12
+    ambient: float = 0.0
+    photometry: str = "lunar-lambert"
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.azimuth):
+            raise InputError("sun.azimuth", self.azimuth, "an angle in radians")
+        if not -np.pi / 2 <= self.elevation <= np.pi / 2:
+            raise InputError("sun.elevation", self.elevation, "an angle from -pi/2 to pi/2")
+        if not 0.0 < self.albedo <= 1.0:
+            raise InputError("sun.albedo", self.albedo, "above 0, at most 1")
+        if not 0.0 <= self.ambient <= 1.0:
+            raise InputError("sun.ambient", self.ambient, "from 0 to 1")
+        if self.photometry not in {"lambert", "lunar-lambert"}:
+            raise InputError("sun.photometry", self.photometry, "lambert or lunar-lambert")
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector towards the Sun (3,), ENU."""
+        return direction_from_angles(self.azimuth, self.elevation)

@@ -1,0 +1,273 @@
+"""Camera: a pin-hole with the faults of a real one, each of which can be switched off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
+from lunarsim.sensors.rendering import Image, View, renderer_of
+from lunarsim.vehicle.state import State
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+# Body z points up through the lander: a camera that looks straight down, its x along body -y.
+_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# Steps of the shutter whose mean is the blurred picture.
+_MOST_STEPS = 48
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """One exposure.
+
+    Attributes
+    ----------
+    time
+        Middle of the exposure, s.
+    counts
+        What the detector's converter gives (height, width): uint8 up to 8 bits, else uint16.
+    truth
+        Range, normal and identity of every pixel, without blur and noise; None unless asked.
+    """
+
+    time: float
+    counts: NDArray[np.unsignedinteger[Any]]
+    truth: Image | None = None
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A framing camera fixed to the lander.
+
+    Attributes
+    ----------
+    width, height
+        Pixels.
+    fx, fy
+        Focal lengths, pixels.
+    cx, cy
+        Principal point, pixels, the centre of the first pixel being (0, 0); left out: the middle.
+    distortion
+        Brown-Conrady k1, k2, p1, p2, k3 as OpenCV orders them.
+    offset
+        Position on the body (3,), m.
+    mount
+        Rotation (3, 3), sensor to body; left out: straight down, image up along body x.
+    exposure
+        s.
+    sensitivity
+        Electrons a second for a radiance factor of 1. With the defaults 0.2 fills the well.
+    blur_sigma
+        Standard deviation of the point spread, pixels; 0: none.
+    motion_blur
+        Whether the lander's turning smears the picture.
+    shot_noise
+        Whether photons arrive at random.
+    read_noise
+        Electrons, 1 sigma; 0: none.
+    full_well
+        Electrons at which a pixel saturates.
+    bits
+        Of the converter, 1 to 16, full scale at the full well.
+    """
+
+    width: int = 640
+    height: int = 480
+    fx: float = 554.3
+    fy: float = 554.3
+    cx: float | None = None
+    cy: float | None = None
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount: Array = field(default_factory=_DOWN.copy)
+    exposure: float = 2e-3
+    sensitivity: float = 5e7
+    blur_sigma: float = 0.6
+    motion_blur: bool = True
+    shot_noise: bool = True
+    read_noise: float = 12.0
+    full_well: float = 20_000.0
+    bits: int = 8
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError("camera.pixels", (self.width, self.height), "at least 1 x 1")
+        for name in ("fx", "fy", "exposure", "sensitivity", "full_well"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
+        for name in ("blur_sigma", "read_noise"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise InputError(f"camera.{name}", getattr(self, name), "0 or a positive number")
+        if not (isinstance(self.bits, int) and 1 <= self.bits <= 16):
+            raise InputError("camera.bits", self.bits, "a whole number from 1 to 16")
+        mount = np.asarray(self.mount, dtype=np.float64)
+        if mount.shape != (3, 3) or not np.allclose(mount @ mount.T, np.eye(3), atol=1e-6):
+            raise InputError("camera.mount", self.mount, "a rotation matrix (3, 3)")
+        if self.cx is None:
+            object.__setattr__(self, "cx", 0.5 * (self.width - 1))
+        if self.cy is None:
+            object.__setattr__(self, "cy", 0.5 * (self.height - 1))
+
+    @classmethod
+    def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
+        """Return a camera with square pixels whose width covers `degrees`."""
+        if not 0.0 < degrees < 170.0:
+            raise InputError("camera.field_of_view_deg", degrees, "between 0 and 170")
+        focal = 0.5 * width / np.tan(0.5 * np.deg2rad(degrees))
+        return cls(width, height, focal, focal, **more)  # type: ignore[arg-type]
+
+    @property
+    def matrix(self) -> Array:
+        """Intrinsic matrix (3, 3), as OpenCV's."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def view(self, state: State) -> View:
+        """Return what the pin-hole sees from a state, distortion left out."""
+        assert self.cx is not None
+        assert self.cy is not None
+        rotation = quat_to_matrix(state.attitude)
+        position = state.position + rotation @ np.asarray(self.offset)
+        return View(
+            position, rotation @ self.mount, self.fx, self.fy, self.cx, self.cy,
+            self.width, self.height,
+        )  # fmt: skip
+
+    def expose(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        *,
+        truth: bool = False,
+    ) -> Photograph:
+        """Take a picture.
+
+        Parameters
+        ----------
+        world, state, time
+            The truth in the middle of the exposure.
+        rng
+            Source of shot and read noise.
+        truth
+            Whether to return range, normal and identity too. They are distorted as the picture is,
+            but neither blurred nor noisy.
+
+        Raises
+        ------
+        InputError
+            If the camera is under the ground.
+        RenderingError
+            Where OpenGL is missing.
+        """
+        renderer = renderer_of(world.terrain)
+        view = self._drawn(self.view(state))
+        image = renderer.render(view, world.light, truth=truth)
+        rate = self.mount.T @ np.asarray(state.rate)
+        radiance = self._smear(image.radiance, view, rate)
+        radiance = self._distort(radiance, cv2.INTER_LINEAR)
+        if self.blur_sigma > 0.0:
+            radiance = cv2.GaussianBlur(
+                radiance, (0, 0), self.blur_sigma, borderType=cv2.BORDER_REPLICATE
+            )
+        kept = None
+        if truth:
+            assert image.range is not None
+            assert image.normal is not None
+            assert image.identity is not None
+            identity = self._distort(image.identity.astype(np.float64), cv2.INTER_NEAREST)
+            kept = Image(
+                self._distort(image.radiance, cv2.INTER_NEAREST),
+                self._distort(image.range, cv2.INTER_NEAREST),
+                self._distort(image.normal, cv2.INTER_NEAREST),
+                identity.astype(np.int32),
+            )
+        return Photograph(time, self._detect(radiance.astype(np.float64), rng), kept)
+
+    @cached_property
+    def _border(self) -> int:
+        """Pixels that must be drawn beyond each edge so that distortion finds its light."""
+        if not any(self.distortion):
+            return 0
+        x, y = self._sources
+        assert self.cx is not None
+        over = max(
+            -float(x.min()), float(x.max()) - self.width + 1,
+            -float(y.min()), float(y.max()) - self.height + 1, 0.0,
+        )  # fmt: skip
+        if over > 2.0 * max(self.width, self.height):
+            raise InputError(
+                "camera.distortion", self.distortion, "coefficients that can be undone in the image"
+            )
+        return int(np.ceil(over)) + 2
+
+    @cached_property
+    def _sources(self) -> tuple[Array, Array]:
+        """Pixel of the undistorted image that each pixel (height, width) shows."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2).astype(np.float64)
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+        ideal = cv2.undistortPoints(
+            pixels, self.matrix, np.array(self.distortion), P=self.matrix, criteria=stop
+        ).reshape(self.height, self.width, 2)
+        return ideal[..., 0], ideal[..., 1]
+
+    def _drawn(self, view: View) -> View:
+        """Return the view with the border that distortion needs."""
+        b = self._border
+        return View(
+            view.position, view.axes, view.fx, view.fy, view.cx + b, view.cy + b,
+            view.width + 2 * b, view.height + 2 * b,
+        )  # fmt: skip
+
+    def _distort(self, image: NDArray[Any], how: int) -> NDArray[Any]:
+        if self._border == 0:
+            return image
+        x, y = ((s + self._border).astype(np.float32) for s in self._sources)
+        return np.asarray(cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE))
+
+    def _smear(self, image: NDArray[np.float32], view: View, rate: Array) -> NDArray[np.float32]:
+        """Return the mean of the pictures that a turning camera has during the exposure.
+
+        A turn moves pixels by the homography K R K^-1, the same at every range; the lander's own
+        motion during an exposure is far below a pixel and is left out.
+        """
+        turn = rate * self.exposure
+        reach = np.hypot(view.width, view.height) * 0.5
+        travel = np.hypot(turn[0], turn[1]) * max(view.fx, view.fy) + abs(turn[2]) * reach
+        if not self.motion_blur or travel < 0.05:
+            return image
+        steps = int(min(max(4, np.ceil(2.0 * travel)), _MOST_STEPS))
+        k = np.array([[view.fx, 0.0, view.cx], [0.0, view.fy, view.cy], [0.0, 0.0, 1.0]])
+        inverse = np.linalg.inv(k)
+        total = np.zeros_like(image)
+        for part in (np.arange(steps) + 0.5) / steps - 0.5:
+            # From a pixel at this moment to the same ground in the drawn picture.
+            rotation = quat_to_matrix(quat_from_rotation_vector(turn * part))
+            total += cv2.warpPerspective(
+                image, k @ rotation @ inverse, (view.width, view.height),
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
+            )  # fmt: skip
+        return np.asarray(total / np.float32(steps))
+
+    def _detect(
+        self, radiance: Array, rng: np.random.Generator
+    ) -> NDArray[np.unsignedinteger[Any]]:
+        electrons = radiance * (self.sensitivity * self.exposure)
+        if self.shot_noise:
+            electrons = rng.poisson(electrons).astype(np.float64)
+        if self.read_noise > 0.0:
+            electrons = electrons + self.read_noise * rng.standard_normal(electrons.shape)
+        top = 2**self.bits - 1
+        counts = np.rint(np.clip(electrons / self.full_well, 0.0, 1.0) * top)
+        narrow: NDArray[np.unsignedinteger[Any]]
+        narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
+        return narrow

@@ -1,0 +1,131 @@
+"""One picture of a scenario's ground, for the command line and for figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.frames import matrix_to_quat, sensor_axes
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.camera import Camera, Photograph
+from lunarsim.sensors.rendering import renderer_of
+from lunarsim.simulation.build import build_world, camera_of
+from lunarsim.vehicle import State
+from lunarsim.world import World
+
+
+def camera_state(
+    camera: Camera, world: World, target: tuple[float, float], altitude: float,
+    off_nadir: float, heading: float,
+) -> State:  # fmt: skip
+    """Return a state in which the camera looks at the ground at `target` (E, N; m).
+
+    Parameters
+    ----------
+    camera, world
+        What looks, and at what.
+    target
+        Middle of the picture.
+    altitude
+        Of the camera above the ground there, m.
+    off_nadir
+        Angle of the boresight from straight down, rad.
+    heading
+        Azimuth of the top of the picture, rad.
+    """
+    ground = float(world.terrain.elevation(target))
+    if not np.isfinite(ground):
+        raise InputError("target.position_m", target, "a point with known elevation")
+    if not altitude > 0.0:
+        raise InputError("altitude", altitude, "a height above the ground in metres")
+    if not 0.0 <= off_nadir < np.deg2rad(85.0):
+        raise InputError("off-nadir", float(np.rad2deg(off_nadir)), "from 0 to 85 deg")
+    forward = np.array([np.sin(heading), np.cos(heading), 0.0])
+    boresight = np.sin(off_nadir) * forward - np.array([0.0, 0.0, np.cos(off_nadir)])
+    if off_nadir < 1e-6:
+        right = np.array([forward[1], -forward[0], 0.0])
+        axes = np.column_stack((right, -forward, boresight))
+    else:
+        axes = sensor_axes(boresight)
+    position = np.array([*target, ground]) - boresight * altitude / np.cos(off_nadir)
+    attitude = matrix_to_quat(axes @ camera.mount.T)
+    return State(position, np.zeros(3), attitude, np.zeros(3), 1.0)
+
+
+def metered(camera: Camera, world: World, state: State) -> float:
+    """Return the exposure (s) at which all but the brightest 0.5 % stay below 0.9 of the well."""
+    radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
+    bright = float(np.percentile(radiance, 99.5))
+    if bright <= 0.0:
+        return camera.exposure
+    return 0.9 * camera.full_well / (camera.sensitivity * bright)
+
+
+def take_picture(
+    scenario: Scenario, *, altitude: float, out: Path, sun_elevation_deg: float | None = None,
+    sun_azimuth_deg: float | None = None, off_nadir_deg: float = 0.0, heading_deg: float = 0.0,
+    exposure: float | None = None, ideal: bool = False, seed: int = 1,
+    flight: int = 0, truth: Path | None = None,
+) -> str:  # fmt: skip
+    """Write a picture of the scenario's target to a PNG file and return what it shows in words.
+
+    Without an `exposure` (s) the camera sets its own.
+
+    Raises
+    ------
+    InputError
+        If a value cannot be used; nothing is written.
+    """
+    if out.suffix.lower() != ".png":
+        raise InputError("out", str(out), "a file name that ends in .png")
+    if truth is not None and truth.suffix.lower() != ".npz":
+        raise InputError("truth", str(truth), "a file name that ends in .npz")
+    for path in (out, truth):
+        if path is not None and not path.parent.is_dir():
+            raise InputError("out", str(path), "a file in an existing folder")
+    changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
+    given = {name: value for name, value in changes.items() if value is not None}
+    data = scenario.model_dump()
+    data["sun"] |= given
+    scenario = Scenario.from_dict(data)
+    camera = camera_of(scenario)
+    if ideal:
+        camera = replace(
+            camera, distortion=(0.0,) * 5, blur_sigma=0.0, motion_blur=False, shot_noise=False,
+            read_noise=0.0, bits=16,
+        )  # fmt: skip
+    streams = Streams(flight_seed(seed, flight))
+    world = build_world(scenario, streams)
+    state = camera_state(
+        camera, world, scenario.target.position_m, altitude,
+        np.deg2rad(off_nadir_deg), np.deg2rad(heading_deg),
+    )  # fmt: skip
+    camera = replace(camera, exposure=exposure or metered(camera, world, state))
+    photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
+    if not cv2.imwrite(str(out), photo.counts):
+        raise InputError("out", str(out), "a file that can be written")
+    if truth is not None:
+        _save_truth(photo, truth)
+    sun = scenario.sun
+    return (
+        f"{out}: {camera.width} x {camera.height} pixels from {altitude:g} m, Sun "
+        f"{sun.elevation_deg:g} deg high at azimuth {sun.azimuth_deg:g} deg, "
+        f"{len(world.terrain.rocks)} rocks, exposed for {1e3 * camera.exposure:.3g} ms, "
+        f"{altitude / np.cos(np.deg2rad(off_nadir_deg)) / camera.fx:.3g} m a pixel"
+    )
+
+
+def _save_truth(photo: Photograph, path: Path) -> None:
+    assert photo.truth is not None
+    t = photo.truth
+    assert t.range is not None
+    assert t.normal is not None
+    assert t.identity is not None
+    np.savez_compressed(
+        path, radiance=t.radiance, range=t.range, normal=t.normal, identity=t.identity
+    )
