@@ -1,6 +1,17 @@
 """Sensors: each turns the true world and state into a measurement with its own noise figures."""
 
+from lunarsim.sensors.altimeter import AltimeterReading, RadarAltimeter
 from lunarsim.sensors.camera import Camera, Photograph
+from lunarsim.sensors.imu import Imu, InertialErrors
 from lunarsim.sensors.lidar import FlashLidar, LidarScan
 
-__all__ = ["Camera", "FlashLidar", "LidarScan", "Photograph"]
+__all__ = [
+    "AltimeterReading",
+    "Camera",
+    "FlashLidar",
+    "Imu",
+    "InertialErrors",
+    "LidarScan",
+    "Photograph",
+    "RadarAltimeter",
+]

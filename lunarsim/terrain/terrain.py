@@ -91,6 +91,12 @@ class Terrain:
             high = max(high, float(np.max(self.rocks.base + self.rocks.height)))
         return low, high
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of posts, rocks and the ray caster's lists, bytes."""
+        arrays = (self.relief.z, *self._rock_arrays, *self._pyramid)
+        return sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
+
     def elevation(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
         xy = np.asarray(xy, dtype=np.float64)

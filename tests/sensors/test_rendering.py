@@ -156,9 +156,8 @@ _PLANE = flat_terrain(400.0, 4.0)
 
 def test_sky_night_and_underground_are_defined():
     renderer = renderer_of(_PLANE)
-    up = View(
-        np.array([0.0, 0.0, 10.0]), sensor_axes([0.1, 0.0, 1.0]), 50.0, 50.0, 15.5, 15.5, 32, 32
-    )
+    axes = sensor_axes([0.1, 0.0, 1.0])
+    up = View(np.array([0.0, 0.0, 10.0]), axes, 50.0, 50.0, 15.5, 15.5, 32, 32)
     sky = renderer.render(up, Light(), truth=True)
     assert np.all(sky.radiance == 0.0)
     assert np.isnan(sky.range).all() and np.all(sky.identity == -2)
@@ -221,7 +220,8 @@ from tests.conftest import flat_terrain
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
 
-view = View(np.array([0.0, 0.0, 30.0]), sensor_axes([0.0, 0.0, -1.0]), 60.0, 60.0, 31.5, 23.5, 64, 48)
+axes = sensor_axes([0.0, 0.0, -1.0])
+view = View(np.array([0.0, 0.0, 30.0]), axes, 60.0, 60.0, 31.5, 23.5, 64, 48)
 sizes = []
 for cycle in range(int(sys.argv[1])):
     renderer_of(flat_terrain()).render(view, Light())

@@ -1,0 +1,79 @@
+"""Radar altimeter: slant range along its boresight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_rotate
+from lunarsim.vehicle.state import State
+from lunarsim.world import World
+
+
+@dataclass(frozen=True)
+class AltimeterReading:
+    """One reading.
+
+    Attributes
+    ----------
+    time
+        s.
+    range
+        Slant range, m; NaN without a return.
+    sigma
+        Standard deviation, m; NaN without a return.
+    """
+
+    time: float
+    range: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class RadarAltimeter:
+    """An altimeter fixed to the body.
+
+    Attributes
+    ----------
+    boresight
+        Unit vector (3,), body axes.
+    noise_ratio, noise_floor
+        Standard deviation: a share of the range, and metres, added in quadrature.
+    max_range
+        m.
+    max_incidence
+        Greatest angle between beam and surface normal with a return, rad.
+    """
+
+    boresight: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    noise_ratio: float = 0.01
+    noise_floor: float = 0.1
+    max_range: float = 3000.0
+    max_incidence: float = np.deg2rad(60.0)
+
+    def __post_init__(self) -> None:
+        if not np.isclose(np.linalg.norm(self.boresight), 1.0, atol=1e-6):
+            raise InputError("altimeter.boresight", self.boresight, "a unit vector")
+        for name in ("noise_ratio", "noise_floor"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise InputError(f"altimeter.{name}", getattr(self, name), "0 or a positive number")
+        if not self.max_range > 0.0:
+            raise InputError("altimeter.max_range", self.max_range, "a positive length")
+        if not 0.0 < self.max_incidence <= np.pi / 2:
+            raise InputError("altimeter.max_incidence", self.max_incidence, "up to pi/2")
+
+    def measure(
+        self, world: World, state: State, time: float, rng: np.random.Generator
+    ) -> AltimeterReading:
+        """Return one reading; noise is drawn whether or not there is a return."""
+        noise = float(rng.standard_normal())
+        beam = quat_rotate(state.attitude, self.boresight)
+        hit = world.terrain.cast(state.position, beam[None, :], self.max_range)
+        incidence = np.arccos(np.clip(-hit.normal[0] @ beam, -1.0, 1.0))
+        if not incidence <= self.max_incidence:  # NaN without a hit
+            return AltimeterReading(time, np.nan, np.nan)
+        distance = float(hit.range[0])
+        sigma = float(np.hypot(self.noise_floor, self.noise_ratio * distance))
+        return AltimeterReading(time, distance + sigma * noise, sigma)

@@ -1,0 +1,135 @@
+"""Strap-down inertial measurement unit: increments of angle and velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InertialErrors:
+    """Error model of one triad; u is rad for gyroscopes and m/s for accelerometers.
+
+    Attributes
+    ----------
+    bias
+        Of one power-on, 1 sigma an axis, u/s.
+    random_walk
+        White noise on the rate, u/sqrt(s): angle or velocity random walk, N of an Allan plot.
+    bias_walk
+        Random walk of the bias, u/s per sqrt(s): rate random walk, K of an Allan plot.
+    scale_factor
+        Relative, 1 sigma an axis.
+    misalignment
+        Of each axis towards each of the others, 1 sigma, rad.
+    quantum
+        Least increment, u; 0: none. What is not yet a whole quantum is kept for the next sample.
+    """
+
+    bias: float = 0.0
+    random_walk: float = 0.0
+    bias_walk: float = 0.0
+    scale_factor: float = 0.0
+    misalignment: float = 0.0
+    quantum: float = 0.0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"imu.{f.name}", value, "0 or a positive number")
+
+
+# A tactical unit: 1 deg/h, 0.1 deg/sqrt(h), 100 ppm; 300 micro-g, 0.05 m/s/sqrt(h), 200 ppm.
+GYROSCOPES = InertialErrors(4.8e-6, 2.9e-5, 1e-7, 1e-4, 1e-4, 1e-6)
+ACCELEROMETERS = InertialErrors(2.9e-3, 8e-4, 1e-5, 2e-4, 1e-4, 1e-4)
+
+
+class _Triad:
+    """Three axes with errors drawn once, and a bias that walks."""
+
+    def __init__(self, errors: InertialErrors, step: float, rng: np.random.Generator) -> None:
+        self.errors = errors
+        self.step = step
+        self.rng = rng
+        self.bias = errors.bias * rng.standard_normal(3)
+        mixed = errors.misalignment * rng.standard_normal((3, 3))
+        np.fill_diagonal(mixed, errors.scale_factor * rng.standard_normal(3))
+        self.matrix = np.eye(3) + mixed
+        self.remainder = np.zeros(3)
+
+    def increments(self, truth: Array) -> Array:
+        """Return increments (n, 3) for the mean rates `truth` (n, 3) of n samples."""
+        e, dt = self.errors, self.step
+        n = len(truth)
+        walk = e.bias_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
+        noise = e.random_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
+        bias = self.bias + np.cumsum(walk, axis=0)
+        self.bias = bias[-1].copy()
+        steps = (truth @ self.matrix.T + bias) * dt + noise
+        if e.quantum == 0.0:
+            return np.asarray(steps)
+        # The sum is rounded, not the increments, so that no angle or velocity is lost.
+        total = self.remainder + np.cumsum(steps, axis=0)
+        whole = e.quantum * np.rint(total / e.quantum)
+        self.remainder = total[-1] - whole[-1]
+        return np.diff(whole, axis=0, prepend=np.zeros((1, 3)))
+
+
+class Imu:
+    """Gyroscopes and accelerometers of one power-on.
+
+    Parameters
+    ----------
+    rng
+        Source of the constants of this power-on and of all noise.
+    rate
+        Samples a second, Hz.
+    gyroscopes, accelerometers
+        Their errors; left out: a tactical unit.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        rate: float = 100.0,
+        gyroscopes: InertialErrors = GYROSCOPES,
+        accelerometers: InertialErrors = ACCELEROMETERS,
+    ) -> None:
+        if not (np.isfinite(rate) and rate > 0.0):
+            raise InputError("imu.rate", rate, "a positive number of samples a second")
+        self.step = 1.0 / rate
+        first, second = rng.spawn(2)
+        self._gyroscopes = _Triad(gyroscopes, self.step, first)
+        self._accelerometers = _Triad(accelerometers, self.step, second)
+
+    def measure(self, rate: ArrayLike, specific_force: ArrayLike) -> tuple[Array, Array]:
+        """Return what the unit gives for consecutive samples.
+
+        Parameters
+        ----------
+        rate
+            Mean angular velocity of each sample (n, 3) or (3,), body axes, rad/s.
+        specific_force
+            Mean acceleration less gravity (n, 3) or (3,), body axes, m/s^2; in flight thrust over
+            mass along body z.
+
+        Returns
+        -------
+        angle, velocity
+            Increments, in the shape of the input, rad and m/s.
+        """
+        shape = np.shape(rate)
+        rate = np.atleast_2d(np.asarray(rate, dtype=np.float64))
+        force = np.atleast_2d(np.asarray(specific_force, dtype=np.float64))
+        if rate.shape != force.shape or rate.shape[1:] != (3,):
+            raise InputError("imu.specific_force", force.shape, f"the shape of rate, {rate.shape}")
+        angle = self._gyroscopes.increments(rate)
+        velocity = self._accelerometers.increments(force)
+        return angle.reshape(shape), velocity.reshape(shape)

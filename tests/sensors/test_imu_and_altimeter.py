@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector
+from lunarsim.sensors import Imu, InertialErrors, RadarAltimeter
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from tests.conftest import flat_terrain, sloped_terrain
+
+STILL = np.zeros((400_000, 3))
+
+
+def allan_deviation(increments, step, samples):
+    """Overlapping Allan deviation of the rate at an averaging time of `samples` steps."""
+    angle = np.concatenate((np.zeros((1, 3)), np.cumsum(increments, axis=0)))
+    m = samples
+    second = angle[2 * m :] - 2.0 * angle[m:-m] + angle[: -2 * m]
+    tau = m * step
+    return np.sqrt(np.mean(second**2) / 2.0) / tau
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0, 10.0])
+def test_allan_deviation_of_white_noise(seconds):
+    errors = InertialErrors(random_walk=3e-4)
+    imu = Imu(np.random.default_rng(1), 100.0, errors, InertialErrors())
+    angle, _ = imu.measure(STILL, STILL)
+    samples = round(seconds * 100)
+    # Relative error of the estimate: about one over the root of the number of intervals.
+    intervals = 3 * len(STILL) / samples
+    found = allan_deviation(angle, 0.01, samples)
+    assert found == pytest.approx(3e-4 / np.sqrt(seconds), rel=3.0 / np.sqrt(intervals))
+
+
+@pytest.mark.parametrize("seconds", [10.0, 40.0])
+def test_allan_deviation_of_a_walking_bias(seconds):
+    errors = InertialErrors(bias_walk=2e-4)
+    imu = Imu(np.random.default_rng(2), 100.0, InertialErrors(), errors)
+    _, velocity = imu.measure(STILL, STILL)
+    samples = round(seconds * 100)
+    intervals = 3 * len(STILL) / samples
+    found = allan_deviation(velocity, 0.01, samples)
+    assert found == pytest.approx(2e-4 * np.sqrt(seconds / 3.0), rel=3.0 / np.sqrt(intervals))
+
+
+def test_constants_of_a_power_on_have_their_spread():
+    errors = InertialErrors(bias=1e-3, scale_factor=1e-2, misalignment=5e-3)
+    rows = []
+    for seed in range(3000):
+        imu = Imu(np.random.default_rng(seed), 100.0, errors, InertialErrors())
+        still, _ = imu.measure(np.zeros(3), np.zeros(3))
+        turning, _ = imu.measure([1.0, 0.0, 0.0], np.zeros(3))
+        rows.append(np.concatenate((still, turning - still)) * 100.0)
+    rows = np.array(rows)
+    assert rows[:, :3].std() == pytest.approx(1e-3, rel=0.04)
+    assert (rows[:, 3] - 1.0).std() == pytest.approx(1e-2, rel=0.05)
+    assert rows[:, 4:].std() == pytest.approx(5e-3, rel=0.05)
+    assert abs(rows[:, :3].mean()) < 4.0 * 1e-3 / np.sqrt(9000)
+
+
+def test_quantised_sums_lose_nothing():
+    errors = InertialErrors(quantum=1e-3)
+    imu = Imu(np.random.default_rng(0), 100.0, errors, errors)
+    total = np.zeros(3)
+    for _ in range(997):
+        angle, _ = imu.measure([0.0137, -0.2, 0.0], np.zeros(3))
+        assert np.allclose(angle / 1e-3, np.rint(angle / 1e-3))
+        total += angle
+    assert np.all(np.abs(total - 997 * 0.01 * np.array([0.0137, -0.2, 0.0])) <= 0.5e-3 + 1e-9)
+
+
+def test_one_by_one_or_together_without_noise_is_the_same():
+    errors = InertialErrors(bias=1e-3, scale_factor=1e-2, misalignment=1e-3, quantum=1e-4)
+    rate = np.random.default_rng(5).normal(size=(50, 3))
+    at_once, _ = Imu(np.random.default_rng(3), 50.0, errors, errors).measure(rate, rate)
+    imu = Imu(np.random.default_rng(3), 50.0, errors, errors)
+    assert np.allclose(at_once, [imu.measure(r, r)[0] for r in rate], atol=1e-12)
+
+
+def test_bad_units_are_refused():
+    with pytest.raises(InputError, match=r"imu\.rate"):
+        Imu(np.random.default_rng(0), 0.0)
+    with pytest.raises(InputError, match=r"imu\.bias"):
+        InertialErrors(bias=-1.0)
+    with pytest.raises(InputError, match=r"imu\.specific_force"):
+        Imu(np.random.default_rng(0)).measure(np.zeros((2, 3)), np.zeros((3, 3)))
+
+
+def state(height, tilt=0.0):
+    attitude = quat_from_rotation_vector([0.0, tilt, 0.0])
+    return State(np.array([0.0, 0.0, height]), np.zeros(3), attitude, np.zeros(3), 1000.0)
+
+
+def test_altimeter_reads_the_slant_range_with_its_noise():
+    world = World(flat_terrain(400.0, 4.0), 1.622)
+    altimeter = RadarAltimeter()
+    rng = np.random.default_rng(0)
+    slant = 100.0 / np.cos(0.3)
+    readings = [altimeter.measure(world, state(100.0, 0.3), 0.0, rng) for _ in range(4000)]
+    sigma = np.hypot(0.1, 0.01 * slant)
+    assert readings[0].sigma == pytest.approx(sigma)
+    values = np.array([r.range for r in readings])
+    assert values.mean() == pytest.approx(slant, abs=4.0 * sigma / np.sqrt(4000))
+    assert values.std() == pytest.approx(sigma, rel=0.05)
+
+
+def test_altimeter_is_blind_too_far_too_slanted_and_off_the_map():
+    rng = np.random.default_rng(0)
+    world = World(flat_terrain(400.0, 4.0), 1.622)
+    altimeter = RadarAltimeter(max_range=150.0, max_incidence=np.radians(30.0))
+    assert np.isnan(altimeter.measure(world, state(151.0), 0.0, rng).range)
+    assert np.isfinite(altimeter.measure(world, state(149.0), 0.0, rng).range)
+    assert np.isnan(altimeter.measure(world, state(50.0, np.radians(31.0)), 0.0, rng).range)
+    assert np.isfinite(altimeter.measure(world, state(50.0, np.radians(29.0)), 0.0, rng).range)
+    # The angle is that with the slope, not with the vertical.
+    slope = World(sloped_terrain((np.tan(np.radians(31.0)), 0.0)), 1.622)
+    assert np.isnan(altimeter.measure(slope, state(10.0), 0.0, rng).range)
+
+
+def test_bad_altimeters_are_refused():
+    with pytest.raises(InputError, match=r"altimeter\.boresight"):
+        RadarAltimeter(boresight=(0.0, 0.0, -2.0))
+    with pytest.raises(InputError, match=r"altimeter\.max_incidence"):
+        RadarAltimeter(max_incidence=2.0)
