@@ -28,6 +28,15 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
+# Median Hurst exponents of maria and highlands, and their slopes carried to 1 m by them, from
+# Rosenburg et al. (2011), J. Geophys. Res. 116, E02001. The south pole is highland.
+_PRESETS: dict[str, dict[str, float]] = {
+    "mare": {"hurst": 0.76, "rms_slope_deg": 3.9, "crater_density": 0.079},
+    "highland": {"hurst": 0.95, "rms_slope_deg": 8.6, "crater_density": 0.079},
+    "polar": {"hurst": 0.95, "rms_slope_deg": 8.6, "crater_density": 0.079},
+}
+
+
 class TerrainSection(Section):
     """The relief."""
 
@@ -37,8 +46,28 @@ class TerrainSection(Section):
     relief_scale: NonNegative = Field(1.0, description="c of Eq. 20 of the Gaussian DEM paper")
     posting_m: Positive = Field(0.25, description="working posting of the relief")
     size_m: Positive = Field(160.0, description="side of the square (fractal)")
-    hurst: float = Field(0.85, gt=0.0, lt=1.0, description="Hurst exponent (fractal)")
-    rms_slope_deg: float = Field(2.5, ge=0.0, lt=45.0, description="at 1 m baseline (fractal)")
+    preset: Literal["none", "mare", "highland", "polar"] = Field(
+        "none", description="roughness and craters that keys below may override"
+    )
+    hurst: float = Field(0.85, gt=0.0, lt=1.0, description="Hurst exponent (fractal, detail)")
+    rms_slope_deg: float = Field(
+        2.5, ge=0.0, lt=45.0, description="at 1 m baseline (fractal, detail)"
+    )
+    crater_density: float = Field(
+        0.0, ge=0.0, le=0.3, description="craters of 1 m or more on 1 m^2 in equilibrium; 0: none"
+    )
+    crater_saturation_m: Positive = Field(200.0, description="diameter where equilibrium ends")
+    crater_min_diameter_m: Positive = Field(2.0, description="least diameter drawn")
+    detail: bool = Field(
+        False, description="add roughness and craters between the posts of a DTM (dtm)"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_preset(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("preset") in _PRESETS:
+            return _PRESETS[data["preset"]] | data
+        return data
 
     @model_validator(mode="after")
     def _path_with_dtm(self) -> TerrainSection:

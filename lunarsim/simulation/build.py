@@ -17,10 +17,13 @@ from lunarsim.scenario import Scenario, TerrainSection
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.terrain import (
+    CraterLaw,
     Heightfield,
     RockField,
     RockModel,
     Terrain,
+    add_craters,
+    add_detail,
     fractal_relief,
     load_dtm,
     place_rocks,
@@ -72,16 +75,23 @@ def lander_of(scenario: Scenario) -> Lander:
 def relief_of(section: TerrainSection) -> Heightfield:
     """Return the relief of a scenario, at its working posting."""
     if section.kind == "fractal":
-        grid = Grid.centred((0.0, 0.0), section.size_m, section.posting_m)
-        return fractal_relief(
-            grid,
-            np.random.default_rng(_RELIEF_SEED),
-            hurst=section.hurst,
-            rms_slope=np.deg2rad(section.rms_slope_deg),
-        )
+        return _procedural(Grid.centred((0.0, 0.0), section.size_m, section.posting_m), section)
     assert section.path is not None
-    measured = load_dtm(section.path, posting=section.dtm_posting_m)
-    return measured.scaled(section.relief_scale).refined(section.posting_m)
+    measured = load_dtm(section.path, posting=section.dtm_posting_m).scaled(section.relief_scale)
+    fine = measured.refined(section.posting_m)
+    return add_detail(measured, _procedural(fine.grid, section)) if section.detail else fine
+
+
+def _procedural(grid: Grid, section: TerrainSection) -> Heightfield:
+    """Return fractal relief, with craters if any are asked for."""
+    rng = np.random.default_rng(_RELIEF_SEED)
+    relief = fractal_relief(
+        grid, rng, hurst=section.hurst, rms_slope=np.deg2rad(section.rms_slope_deg)
+    )
+    if section.crater_density == 0.0:
+        return relief
+    law = CraterLaw(section.crater_density, section.crater_saturation_m)
+    return add_craters(relief, rng, minimum=section.crater_min_diameter_m, law=law)
 
 
 def build_world(scenario: Scenario, streams: Streams) -> World:

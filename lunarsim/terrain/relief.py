@@ -62,3 +62,30 @@ def fractal_relief(
     )
     z *= np.tan(rms_slope) / np.sqrt(mean_square)
     return Heightfield(grid, (z - z.mean()).astype(np.float32))
+
+
+def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
+    """Return measured relief with detail between its posts, which keep their elevations.
+
+    What the detail would do to the measured posts is taken away again: the spline through its
+    values there. So it acts only below the measured posting.
+
+    Parameters
+    ----------
+    measured
+        Relief at the posting of the measurement.
+    detail
+        Relief whose grid is that of ``measured.refined(...)``.
+
+    Raises
+    ------
+    InputError
+        If the grids do not belong together.
+    """
+    fine = measured.refined(detail.grid.posting)
+    if fine.grid != detail.grid:
+        raise InputError("terrain.detail", detail.grid.shape, f"the grid {fine.grid}")
+    factor = round(measured.grid.posting / fine.grid.posting)
+    coarse = Heightfield(measured.grid, detail.z[::factor, ::factor])
+    added = detail.z.astype(np.float64) - coarse.refined(detail.grid.posting).z
+    return Heightfield(fine.grid, (fine.z + added).astype(np.float32))
