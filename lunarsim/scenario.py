@@ -43,6 +43,9 @@ class TerrainSection(Section):
     kind: Literal["dtm", "fractal"] = Field("fractal", description="measured or procedural")
     path: Path | None = Field(None, description="raster, relative to the scenario file (dtm)")
     dtm_posting_m: Positive | None = Field(None, description="for a raster without metric frame")
+    height_step_m: Positive | None = Field(
+        None, description="for a raster whose elevations come in steps: smooth within them (dtm)"
+    )
     relief_scale: NonNegative = Field(1.0, description="c of Eq. 20 of the Gaussian DEM paper")
     posting_m: Positive = Field(0.25, description="working posting of the relief")
     size_m: Positive = Field(160.0, description="side of the square (fractal)")

@@ -77,13 +77,20 @@ def relief_of(section: TerrainSection) -> Heightfield:
     if section.kind == "fractal":
         return _procedural(Grid.centred((0.0, 0.0), section.size_m, section.posting_m), section)
     assert section.path is not None
-    measured = load_dtm(section.path, posting=section.dtm_posting_m).scaled(section.relief_scale)
+    measured = load_dtm(section.path, posting=section.dtm_posting_m)
+    if section.height_step_m is not None:
+        measured = measured.dequantised(section.height_step_m)
+    measured = measured.scaled(section.relief_scale)
     fine = measured.refined(section.posting_m)
-    return add_detail(measured, _procedural(fine.grid, section)) if section.detail else fine
+    if not section.detail:
+        return fine
+    # Craters that the posts could show are in the measurement already.
+    largest = 2.0 * measured.grid.posting
+    return add_detail(measured, _procedural(fine.grid, section, largest))
 
 
-def _procedural(grid: Grid, section: TerrainSection) -> Heightfield:
-    """Return fractal relief, with craters if any are asked for."""
+def _procedural(grid: Grid, section: TerrainSection, largest: float | None = None) -> Heightfield:
+    """Return fractal relief, with craters (the largest as given, m) if any are asked for."""
     rng = np.random.default_rng(_RELIEF_SEED)
     relief = fractal_relief(
         grid, rng, hurst=section.hurst, rms_slope=np.deg2rad(section.rms_slope_deg)
@@ -91,7 +98,7 @@ def _procedural(grid: Grid, section: TerrainSection) -> Heightfield:
     if section.crater_density == 0.0:
         return relief
     law = CraterLaw(section.crater_density, section.crater_saturation_m)
-    return add_craters(relief, rng, minimum=section.crater_min_diameter_m, law=law)
+    return add_craters(relief, rng, minimum=section.crater_min_diameter_m, maximum=largest, law=law)
 
 
 def build_world(scenario: Scenario, streams: Streams) -> World:

@@ -62,6 +62,28 @@ class Heightfield:
         """Return the relief times `factor`: c of Eq. 20 of the Gaussian DEM paper."""
         return Heightfield(self.grid, (self.z * np.float32(factor)).astype(np.float32))
 
+    def dequantised(self, step: float) -> Heightfield:
+        """Return a smooth relief that rounds to this one: for elevations kept in coarse steps.
+
+        It is smoothed again and again and held within half a step of what was measured, so slopes
+        are no longer those of the stairs and no post leaves its rounding error.
+
+        Parameters
+        ----------
+        step
+            Distance between neighbouring values of the file, m.
+        """
+        if not (np.isfinite(step) and step > 0.0):
+            raise InputError("terrain.height_step_m", step, "a positive step in metres")
+        measured = self.z.astype(np.float64)
+        known = np.isfinite(measured)
+        z = np.where(known, measured, 0.0)
+        weight = np.maximum(ndimage.gaussian_filter(known.astype(np.float64), 1.0), 1e-12)
+        for _ in range(60):
+            z = ndimage.gaussian_filter(np.where(known, z, 0.0), 1.0) / weight
+            z = np.clip(z, measured - 0.5 * step, measured + 0.5 * step)
+        return Heightfield(self.grid, np.where(known, z, np.nan).astype(np.float32))
+
     def refined(self, posting: float) -> Heightfield:
         """Return the relief at a posting no coarser than `posting`, by cubic spline.
 

@@ -66,10 +66,26 @@ def test_detail_leaves_the_measured_posts_where_they_are():
     both = add_detail(measured, detail)
     assert np.allclose(both.z[::8, ::8], measured.z, atol=1e-5)
     assert np.std(both.z - fine.z) > 0.01
+    elsewhere = Heightfield(Grid.centred((0.0, 0.0), 40.0, 0.5), np.zeros((80, 80), np.float32))
     with pytest.raises(InputError, match=r"terrain\.detail"):
-        add_detail(
-            measured, Heightfield(measured.grid, measured.z).refined(1.0).scaled(0.0).refined(0.7)
-        )
+        add_detail(measured, elsewhere)
+
+
+def test_smoothing_of_steps_stays_within_the_rounding():
+    rng = np.random.default_rng(1)
+    true = fractal_relief(
+        Grid.centred((0.0, 0.0), 200.0, 2.0), rng, hurst=0.95, rms_slope=0.05, baseline=2.0
+    )
+    rounded = Heightfield(true.grid, np.round(true.z / 0.2) * 0.2)
+    smooth = rounded.dequantised(0.2)
+    assert np.abs(smooth.z - rounded.z).max() <= 0.1 + 1e-5
+
+    def slope_error(z):
+        return np.sqrt(np.mean((np.diff(z) - np.diff(true.z)) ** 2))
+
+    assert slope_error(smooth.z) < 0.6 * slope_error(rounded.z)
+    with pytest.raises(InputError, match=r"terrain\.height_step_m"):
+        rounded.dequantised(0.0)
 
 
 @pytest.mark.parametrize("preset", ["mare", "highland", "polar"])

@@ -409,6 +409,7 @@ class Renderer:
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._ctx.cull_face = "front"
         self._draw_relief("relief-shadow", values, shades & steep, level)
+        patched = int(np.unique(level[shades & steep]).size > 1)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         boxes = kernels.shading_rocks(
             self._rows, self._reach, self._feet, view.position, lean, axes, corner, texel,
@@ -417,7 +418,7 @@ class Renderer:
         self._draw_rocks("rocks-shadow", values, kernels.gather(self._box, boxes))
         texture.use(2)
         return {
-            "shaded": 1, "shadow": 2, "lean": tuple(lean), "map_axes": _columns(map_axes),
+            "shaded": 1, "patched": patched, "shadow": 2, "lean": tuple(lean), "map_axes": _columns(map_axes),
             "map_origin": tuple(corner / span), "heights": heights,
             "slack": -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0),
             "map_size": (float(size[0]), float(size[1])),

@@ -1,6 +1,7 @@
 // Sunlight, shadow and reflection.
 uniform vec3 sun;            // unit vector towards the Sun, ENU
 uniform int shaded;          // whether there is a shadow map
+uniform int patched;         // whether relief at several levels of detail is in it
 uniform sampler2D shadow;    // highest lee face along each sunray, see shadow.glsl
 uniform vec2 map_size;       // texels
 uniform vec2 heights;        // highest and lowest elevation of the shadow map, m above the camera
@@ -10,9 +11,18 @@ uniform int lunar_lambert;   // 0 Lambert, 1 McEwen's lunar-Lambert
 uniform float slack;         // elevation of an occluder over a point from which on it shades it, m
 
 bool in_shadow(vec3 rel) {
-    vec2 where = clamp(shadow_place(rel) * map_size, vec2(0.0), map_size - 1.0);
-    float occluder = texelFetch(shadow, ivec2(where), 0).r;
-    return occluder * (heights.x - heights.y) < heights.x - rel.z - slack;
+    vec2 where = clamp(shadow_place(rel) * map_size, vec2(1.0), map_size - 2.0);
+    ivec2 at = ivec2(where);
+    float limit = (heights.x - rel.z - slack) / (heights.x - heights.y);
+    if (texelFetch(shadow, at, 0).r < limit) return true;
+    if (patched == 0) return false;
+    // Tiles at different levels of detail leave cracks a texel wide, through which light would
+    // leak: ground counts as lit where three of the four neighbours are.
+    int dark = int(texelFetch(shadow, at + ivec2(1, 0), 0).r < limit)
+             + int(texelFetch(shadow, at - ivec2(1, 0), 0).r < limit)
+             + int(texelFetch(shadow, at + ivec2(0, 1), 0).r < limit)
+             + int(texelFetch(shadow, at - ivec2(0, 1), 0).r < limit);
+    return dark > 1;
 }
 
 // Arc cosine within 7e-5 rad: Abramowitz and Stegun (1964), 4.4.45.
