@@ -242,6 +242,56 @@ def render(
     click.echo(info)
 
 
+@main.group(cls=_Group)
+def terrain() -> None:
+    """Look at measured and procedural ground."""
+
+
+@terrain.command()
+@click.argument("file", type=click.Path(path_type=Path))
+def info(file: Path) -> None:
+    """Print what a terrain model FILE (GeoTIFF, PDS .IMG) says of itself."""
+    from lunarsim.terrain import read_info  # noqa: PLC0415
+
+    found = read_info(file)
+    table = Table(show_header=False, box=None)
+    posting = "not given: set terrain.dtm_posting_m" if found.posting is None else None
+    for name, value in (
+        ("file", str(found.path)),
+        ("format", found.driver),
+        ("posts", f"{found.rows} x {found.cols} (rows x columns)"),
+        ("posting", posting or f"{found.posting:.4g} m"),
+        ("frame", found.frame),
+        ("elevation", f"{found.z_range[0]:.2f} to {found.z_range[1]:.2f} m"),
+        ("no data", f"{100.0 * found.no_data_share:.2f} %"),
+    ):
+        table.add_row(name, value)
+    Console().print(table)
+
+
+@terrain.command()
+@_SCENARIO
+@_SEED
+@click.option(
+    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Index of the flight whose rocks are shown.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.")
+def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
+    """Draw the ground of SCENARIO: shaded relief, slopes, rocks."""
+    from lunarsim.rng import Streams, flight_seed  # noqa: PLC0415
+    from lunarsim.scenario import Scenario  # noqa: PLC0415
+    from lunarsim.simulation.build import build_world  # noqa: PLC0415
+    from lunarsim.viz.terrain import draw_terrain  # noqa: PLC0415
+
+    loaded = Scenario.load(scenario)
+    if out.suffix.lower() != ".png":
+        raise InputError("out", str(out), "a file name that ends in .png")
+    world = build_world(loaded, Streams(flight_seed(seed, flight)))
+    draw_terrain(world.terrain, loaded.name, out)
+    click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
+
+
 def _table(result: Any) -> Table:
     from lunarsim.campaign import summarise  # noqa: PLC0415
 

@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import cv2
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -15,7 +17,7 @@ def run(*args: str):
     return CliRunner().invoke(main, list(args))
 
 
-@pytest.mark.parametrize("command", [(), ("fly",), ("compare",)], ids=str)
+@pytest.mark.parametrize("command", [(), ("fly",), ("compare",), ("render",)], ids=str)
 def test_help(command):
     result = run(*command, "--help")
     assert result.exit_code == 0
@@ -99,3 +101,52 @@ def test_command_is_installed():
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr.startswith("error: scenario")
+
+
+def test_render_writes_the_picture_and_its_truth(tmp_path):
+    scenario = SCENARIOS / "hirise.toml"
+    out, truth = tmp_path / "x.png", tmp_path / "x.npz"
+    options = ["--altitude", "40", "--sun-elevation", "12", "--out", str(out)]
+    done = run("render", str(scenario), *options, "--truth", str(truth))
+    assert done.exit_code == 0, done.output
+    picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
+    assert picture.shape == (480, 640)
+    assert picture.std() > 5
+    with np.load(truth) as arrays:
+        assert arrays["range"].shape == (480, 640)
+        assert np.nanmin(arrays["range"]) > 20.0
+    again = tmp_path / "y.png"
+    assert run("render", str(scenario), *options[:-1], str(again)).exit_code == 0
+    assert again.read_bytes() == out.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--altitude", "-5"], "altitude"),
+        (["--off-nadir", "89"], "off-nadir"),
+        (["--sun-elevation", "95"], "sun.elevation_deg"),
+        (["--exposure", "0"], "--exposure"),
+    ],
+)
+def test_render_refuses_bad_values_and_writes_nothing(tmp_path, options, says):
+    out = tmp_path / "x.png"
+    done = run("render", str(SCENARIOS / "hirise.toml"), *options, "--out", str(out))
+    assert done.exit_code == 2
+    assert says in done.output
+    assert not out.exists()
+
+
+def test_terrain_info_and_preview(tmp_path):
+    data = SCENARIOS / "data" / "moon_apollo15_nac_dtm_2m.tif"
+    done = run("terrain", "info", str(data))
+    assert done.exit_code == 0
+    assert "257 x 257" in done.output
+    assert "dtm_posting_m" in done.output
+    out = tmp_path / "p.png"
+    done = run("terrain", "preview", str(SCENARIOS / "golombek.toml"), "--out", str(out))
+    assert done.exit_code == 0, done.output
+    assert out.stat().st_size > 10_000
+    assert run("terrain", "info", str(tmp_path / "none.tif")).exit_code == 2
+    bad = run("terrain", "preview", str(SCENARIOS / "golombek.toml"), "--out", str(tmp_path / "p"))
+    assert bad.exit_code == 2

@@ -170,7 +170,7 @@ class Camera:
         """
         renderer = renderer_of(world.terrain)
         view = self._drawn(self.view(state))
-        image = renderer.render(view, world.light, truth=truth)
+        image = renderer.render(view, world.light)
         rate = self.mount.T @ np.asarray(state.rate)
         radiance = self._smear(image.radiance, view, rate)
         radiance = self._distort(radiance, cv2.INTER_LINEAR)
@@ -180,6 +180,8 @@ class Camera:
             )
         kept = None
         if truth:
+            # Drawn apart, at the finest level: asking for the truth must not change the picture.
+            image = renderer.render(view, world.light, truth=True)
             assert image.range is not None
             assert image.normal is not None
             assert image.identity is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
+
+_REFERENCE_RANGE = 500.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class LidarScan:
         Rotation (3, 3), sensor to body, read from the gimbal.
     sigma
         Standard deviation of each range (rows * cols,), m.
+    incidence
+        Angle between each ray and the surface normal (rows * cols,), rad; NaN for no return.
     shape
         Rows and columns of the detector.
     """
@@ -40,6 +45,7 @@ class LidarScan:
     direction: Array
     mount: Array
     sigma: Array
+    incidence: Array
     shape: tuple[int, int]
 
     def points(self, position: Array, attitude: Array) -> Array:
@@ -50,7 +56,7 @@ class LidarScan:
 
 @dataclass(frozen=True)
 class FlashLidar:
-    """A flash LiDAR with a pin-hole detector (pixels even in the tangent of the angle).
+    """A flash LiDAR: pixels even in the tangent of the angle (a pin-hole) or in the angle itself.
 
     Defaults are those of section IV.B of the Gaussian DEM paper: 256 x 256 pixels that cover
     100 x 100 m from 500 m straight above, noise along each ray with 3 sigma = 5 cm at 500 m,
@@ -66,6 +72,14 @@ class FlashLidar:
         Standard deviation of the range over the range.
     max_range
         Longest range that gives a return, m.
+    spacing
+        "tangent" or "angle".
+    max_incidence
+        Greatest angle between ray and surface normal that gives a return, rad.
+    photons
+        Mean photons of a return from 500 m at normal incidence. They fall with the cosine of the
+        incidence and the square of the range, and a pixel without a photon has no return; infinite:
+        none is lost.
     """
 
     rows: int = 256
@@ -73,6 +87,9 @@ class FlashLidar:
     half_width: float = 0.1
     noise_ratio: float = 0.05 / 3.0 / 500.0
     max_range: float = 2000.0
+    spacing: Literal["tangent", "angle"] = "tangent"
+    max_incidence: float = np.pi / 2
+    photons: float = np.inf
 
     def __post_init__(self) -> None:
         if self.rows < 2 or self.cols < 2:
@@ -83,11 +100,22 @@ class FlashLidar:
             raise InputError("lidar.noise_ratio", self.noise_ratio, "from 0 to 0.1")
         if not self.max_range > 0.0:
             raise InputError("lidar.max_range", self.max_range, "a positive length")
+        if self.spacing not in {"tangent", "angle"}:
+            raise InputError("lidar.spacing", self.spacing, "tangent or angle")
+        if not 0.0 < self.max_incidence <= np.pi / 2:
+            raise InputError("lidar.max_incidence", self.max_incidence, "up to pi/2")
+        if not self.photons > 0.0:
+            raise InputError("lidar.photons", self.photons, "a positive number")
 
     def directions(self) -> Array:
         """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""
-        u = ((np.arange(self.cols) + 0.5) / self.cols * 2.0 - 1.0) * self.half_width
-        v = ((np.arange(self.rows) + 0.5) / self.rows * 2.0 - 1.0) * self.half_width
+        u = (np.arange(self.cols) + 0.5) / self.cols * 2.0 - 1.0
+        v = (np.arange(self.rows) + 0.5) / self.rows * 2.0 - 1.0
+        if self.spacing == "angle":
+            half = np.arctan(self.half_width)
+            u, v = np.tan(u * half), np.tan(v * half)
+        else:
+            u, v = u * self.half_width, v * self.half_width
         uu, vv = np.meshgrid(u, v)
         rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1).reshape(-1, 3)
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
@@ -108,7 +136,17 @@ class FlashLidar:
         """
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
-        hits = world.terrain.cast(state.position, direction @ rotation.T, self.max_range)
+        rays = direction @ rotation.T
+        hits = world.terrain.cast(state.position, rays, self.max_range)
+        cosine = np.clip(-np.einsum("ij,ij->i", hits.normal, rays), 0.0, 1.0)
+        incidence = np.arccos(cosine)
         sigma = self.noise_ratio * hits.range
         measured = hits.range + sigma * rng.standard_normal(hits.range.size)
-        return LidarScan(time, measured, direction, mount, sigma, (self.rows, self.cols))
+        lost = ~(incidence <= self.max_incidence)
+        if np.isfinite(self.photons):
+            mean = self.photons * cosine * (_REFERENCE_RANGE / hits.range) ** 2
+            lost |= rng.random(mean.size) < np.exp(-mean)
+        for values in (measured, sigma, incidence):
+            values[lost] = np.nan
+        shape = (self.rows, self.cols)
+        return LidarScan(time, measured, direction, mount, sigma, incidence, shape)

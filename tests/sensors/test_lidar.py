@@ -8,7 +8,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix, sensor_ax
 from lunarsim.sensors import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
-from tests.conftest import flat_terrain
+from tests.conftest import flat_terrain, sloped_terrain
 
 DOWN = sensor_axes([0.0, 0.0, -1.0])
 
@@ -65,8 +65,50 @@ def test_attitude_error_moves_the_points():
 
 
 @pytest.mark.parametrize(
-    "change", [{"rows": 1}, {"half_width": 0.0}, {"noise_ratio": -1.0}, {"max_range": 0.0}]
+    "change",
+    [
+        {"rows": 1},
+        {"half_width": 0.0},
+        {"noise_ratio": -1.0},
+        {"max_range": 0.0},
+        {"spacing": "x"},
+        {"max_incidence": 2.0},
+        {"photons": 0.0},
+    ],
 )
 def test_impossible_sensors(change):
     with pytest.raises(InputError, match="lidar"):
         FlashLidar(**change)
+
+
+def test_pixels_even_in_the_angle():
+    lidar = FlashLidar(5, 9, half_width=0.5, spacing="angle")
+    rays = lidar.directions().reshape(5, 9, 3)
+    across = np.arctan2(rays[2, :, 0], rays[2, :, 2])
+    assert np.allclose(np.diff(across), np.diff(across)[0])
+    assert np.arctan(0.5) - across.max() == pytest.approx(0.5 * np.diff(across)[0])
+
+
+def test_incidence_is_the_angle_to_the_slope():
+    slope = World(sloped_terrain((0.3, 0.0), 200.0), 1.622)
+    lidar = FlashLidar(32, 32, half_width=0.2)
+    scan = lidar.measure(slope, state(100.0), 0.0, np.random.default_rng(0), DOWN)
+    normal = np.array([-0.3, 0.0, 1.0]) / np.hypot(0.3, 1.0)
+    expected = np.arccos(-(scan.direction @ DOWN.T) @ normal)
+    assert np.allclose(scan.incidence, expected, atol=1e-4)
+    blind = FlashLidar(32, 32, half_width=0.2, max_incidence=np.arctan(0.3))
+    kept = blind.measure(slope, state(100.0), 0.0, np.random.default_rng(0), DOWN)
+    assert np.array_equal(np.isfinite(kept.range), expected <= np.arctan(0.3))
+
+
+@pytest.mark.parametrize("height", [500.0, 1000.0])
+def test_returns_are_lost_as_photons_get_few(height):
+    world = World(flat_terrain(800.0, 8.0), 1.622)
+    lidar = FlashLidar(photons=2.0)
+    scan = lidar.measure(world, state(height), 0.0, np.random.default_rng(1), DOWN)
+    cosine = -(scan.direction @ DOWN.T)[:, 2]
+    mean = 2.0 * cosine * (500.0 * cosine / height) ** 2
+    expected = np.mean(np.exp(-mean))
+    spread = np.sqrt(expected * (1.0 - expected) / cosine.size)
+    assert np.mean(np.isnan(scan.range)) == pytest.approx(expected, abs=4.0 * spread)
+    assert np.array_equal(np.isnan(scan.range), np.isnan(scan.incidence))

@@ -418,7 +418,8 @@ class Renderer:
         self._draw_rocks("rocks-shadow", values, kernels.gather(self._box, boxes))
         texture.use(2)
         return {
-            "shaded": 1, "patched": patched, "shadow": 2, "lean": tuple(lean), "map_axes": _columns(map_axes),
+            "shaded": 1, "patched": patched, "shadow": 2, "lean": tuple(lean),
+            "map_axes": _columns(map_axes),
             "map_origin": tuple(corner / span), "heights": heights,
             "slack": -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0),
             "map_size": (float(size[0]), float(size[1])),

@@ -1,0 +1,52 @@
+"""A look at a ground: shaded relief, slopes, rocks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.collections import EllipseCollection
+
+from lunarsim.grid import Grid
+from lunarsim.terrain import Terrain
+from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
+
+_MOST_POSTS = 1200
+
+
+def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
+    """Write shaded relief, slope map and rocks over relief to a PNG file.
+
+    Slopes are those of the relief without rocks, at the posting of the drawing, which is coarser
+    than the terrain's where that has more than 1200 posts a side.
+    """
+    g = terrain.relief.grid
+    step = -(-max(g.rows, g.cols) // _MOST_POSTS)
+    z = terrain.relief.z[::step, ::step].astype(np.float64)
+    grid = Grid(g.x0, g.y0, g.posting * step, *z.shape)
+    gy, gx = np.gradient(z, grid.posting)
+    slope = np.degrees(np.arctan(np.hypot(gx, gy)))
+    figure = new_figure(13.5, 4.6)
+    figure.suptitle(title)
+    left, middle, right = figure.subplots(1, 3, sharex=True, sharey=True)
+    shade = hillshade(z, grid.posting)
+    show(left, shade, grid, cmap="gray", vmin=0, vmax=1)
+    contours = left.contour(grid.x, grid.y, z, 8, colors="C0", linewidths=0.6)
+    left.clabel(contours, fontsize=6, fmt="%.3g")
+    map_axes(left, "shaded relief, elevation (m)")
+    top = float(np.nanpercentile(slope, 99.0))
+    drawn = show(middle, slope, grid, cmap="viridis", vmin=0.0, vmax=max(top, 0.1))
+    figure.colorbar(drawn, ax=middle, label="slope (deg)", shrink=0.8, extend="max")
+    map_axes(middle, f"slope at {grid.posting:.3g} m, median {np.nanmedian(slope):.1f} deg")
+    show(right, shade, grid, cmap="gray", vmin=0, vmax=1)
+    rocks = terrain.rocks
+    right.add_collection(
+        EllipseCollection(
+            2.0 * rocks.a, 2.0 * rocks.b, np.degrees(rocks.yaw), units="x",
+            offsets=np.column_stack((rocks.x, rocks.y)), offset_transform=right.transData,
+            facecolor="C3", edgecolor="none",
+        )
+    )  # fmt: skip
+    covered = float(np.sum(np.pi * rocks.a * rocks.b)) / (g.rows * g.cols * g.posting**2)
+    map_axes(right, f"{len(rocks)} rocks" + (f", {100 * covered:.1f} % cover" if covered else ""))
+    save(figure, path)
