@@ -189,6 +189,11 @@ class LidarSection(Section):
         0.05, description="along the ray at 500 m; grows with range"
     )
     max_range_m: Positive = 2000.0
+    spacing: Literal["tangent", "angle"] = Field("tangent", description="pixels even in this")
+    max_incidence_deg: float = Field(90.0, gt=0.0, le=90.0, description="no return beyond")
+    photons: Positive | None = Field(
+        None, description="mean of a return from 500 m head-on; left out: no return is lost"
+    )
     boresight: Literal["site", "nadir"] = "site"
     scan_altitudes_m: tuple[Positive, ...] = (350.0, 160.0)
 

@@ -157,7 +157,14 @@ def lidar_of(scenario: Scenario) -> FlashLidar:
     """Return the LiDAR."""
     s = scenario.lidar
     return FlashLidar(
-        s.pixels[0], s.pixels[1], s.half_width, s.noise_3sigma_m / 3.0 / 500.0, s.max_range_m
+        s.pixels[0],
+        s.pixels[1],
+        s.half_width,
+        s.noise_3sigma_m / 3.0 / 500.0,
+        s.max_range_m,
+        s.spacing,
+        np.deg2rad(s.max_incidence_deg),
+        np.inf if s.photons is None else s.photons,
     )
 
 
