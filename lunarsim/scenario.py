@@ -195,6 +195,10 @@ class LidarSection(Section):
         None, description="mean of a return from 500 m head-on; left out: no return is lost"
     )
     boresight: Literal["site", "nadir"] = "site"
+    gimbal_limit_deg: float = Field(
+        180.0, gt=0.0, le=180.0, description="greatest angle of the boresight from body -z"
+    )
+    divergence_mrad: float = Field(0.0, ge=0.0, lt=100.0, description="half angle at 1/e^2")
     scan_altitudes_m: tuple[Positive, ...] = (350.0, 160.0)
 
 

@@ -2,8 +2,10 @@
 
 from lunarsim.sensors.altimeter import AltimeterReading, RadarAltimeter
 from lunarsim.sensors.camera import Camera, Photograph
+from lunarsim.sensors.gimbal import gimbal_mount
 from lunarsim.sensors.imu import Imu, InertialErrors
 from lunarsim.sensors.lidar import FlashLidar, LidarScan
+from lunarsim.sensors.scanning import ScanningLidar
 
 __all__ = [
     "AltimeterReading",
@@ -14,4 +16,6 @@ __all__ = [
     "LidarScan",
     "Photograph",
     "RadarAltimeter",
+    "ScanningLidar",
+    "gimbal_mount",
 ]

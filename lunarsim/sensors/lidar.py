@@ -20,12 +20,12 @@ _REFERENCE_RANGE = 500.0
 
 @dataclass(frozen=True)
 class LidarScan:
-    """One flash.
+    """One flash or one raster.
 
     Attributes
     ----------
     time
-        s.
+        Of the flash, or of the first ray, s.
     range
         Measured range of each pixel (rows * cols,), m; NaN for no return.
     direction
@@ -37,7 +37,9 @@ class LidarScan:
     incidence
         Angle between each ray and the surface normal (rows * cols,), rad; NaN for no return.
     shape
-        Rows and columns of the detector.
+        Rows and columns of the detector or raster.
+    delay
+        Time of each ray after `time` (rows * cols,), s; None for a flash.
     """
 
     time: float
@@ -47,11 +49,19 @@ class LidarScan:
     sigma: Array
     incidence: Array
     shape: tuple[int, int]
+    delay: Array | None = None
 
     def points(self, position: Array, attitude: Array) -> Array:
-        """Return the returns (rows * cols, 3) in ENU as seen from a pose; NaN for no return."""
+        """Return the returns (rows * cols, 3) in ENU; NaN for no return.
+
+        Parameters
+        ----------
+        position, attitude
+            Pose of the lander, (3,) and (4,), or of each ray, (n, 3) and (n, 4).
+        """
         rotation = quat_to_matrix(attitude) @ self.mount
-        return np.asarray(position + self.range[:, None] * (self.direction @ rotation.T))
+        rays = np.einsum("...ij,...j->...i", rotation, self.direction)
+        return np.asarray(position + self.range[:, None] * rays)
 
 
 @dataclass(frozen=True)
@@ -80,6 +90,9 @@ class FlashLidar:
         Mean photons of a return from 500 m at normal incidence. They fall with the cosine of the
         incidence and the square of the range, and a pixel without a photon has no return; infinite:
         none is lost.
+    divergence
+        Half angle of the beam at 1/e^2 of its peak, rad; 0: a line. The range is the mean over the
+        footprint.
     """
 
     rows: int = 256
@@ -90,6 +103,7 @@ class FlashLidar:
     spacing: Literal["tangent", "angle"] = "tangent"
     max_incidence: float = np.pi / 2
     photons: float = np.inf
+    divergence: float = 0.0
 
     def __post_init__(self) -> None:
         if self.rows < 2 or self.cols < 2:
@@ -106,6 +120,8 @@ class FlashLidar:
             raise InputError("lidar.max_incidence", self.max_incidence, "up to pi/2")
         if not self.photons > 0.0:
             raise InputError("lidar.photons", self.photons, "a positive number")
+        if not 0.0 <= self.divergence < 0.1:
+            raise InputError("lidar.divergence", self.divergence, "from 0 to 0.1 rad")
 
     def directions(self) -> Array:
         """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""
@@ -136,17 +152,50 @@ class FlashLidar:
         """
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
-        rays = direction @ rotation.T
-        hits = world.terrain.cast(state.position, rays, self.max_range)
+        origin = np.asarray(state.position, dtype=np.float64)
+        measured, sigma, incidence = self._sense(world, origin, direction @ rotation.T, rng)
+        shape = (self.rows, self.cols)
+        return LidarScan(time, measured, direction, mount, sigma, incidence, shape)
+
+    def _sense(
+        self, world: World, origin: Array, rays: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        """Return measured range, its deviation and the incidence of rays (n, 3), ENU.
+
+        `origin` is (3,) for all or (n, 3).
+        """
+        hits = world.terrain.cast(origin, rays, self.max_range)
+        true = hits.range if self.divergence == 0.0 else self._beam(world, origin, rays, hits.range)
         cosine = np.clip(-np.einsum("ij,ij->i", hits.normal, rays), 0.0, 1.0)
         incidence = np.arccos(cosine)
-        sigma = self.noise_ratio * hits.range
-        measured = hits.range + sigma * rng.standard_normal(hits.range.size)
+        sigma = self.noise_ratio * true
+        measured = true + sigma * rng.standard_normal(true.size)
         lost = ~(incidence <= self.max_incidence)
         if np.isfinite(self.photons):
-            mean = self.photons * cosine * (_REFERENCE_RANGE / hits.range) ** 2
+            mean = self.photons * cosine * (_REFERENCE_RANGE / true) ** 2
             lost |= rng.random(mean.size) < np.exp(-mean)
         for values in (measured, sigma, incidence):
             values[lost] = np.nan
-        shape = (self.rows, self.cols)
-        return LidarScan(time, measured, direction, mount, sigma, incidence, shape)
+        return measured, sigma, incidence
+
+    def _beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
+        """Return the mean range over the beam's footprint, NaN where its centre finds nothing.
+
+        Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam.
+        """
+        across = np.cross(
+            rays, np.where(np.abs(rays[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+        )
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        third = np.cross(rays, across)
+        radius = 0.5 * self.divergence * np.sqrt(7.0 / 3.0)
+        total, count = centre.copy(), np.ones(centre.size)
+        for angle in np.arange(6) * np.pi / 3.0:
+            aside = radius * (np.cos(angle) * across + np.sin(angle) * third)
+            ray = rays + aside
+            ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+            found = world.terrain.cast(origin, ray, self.max_range, normals=False).range
+            seen = np.isfinite(found)
+            total[seen] += found[seen]
+            count += seen
+        return np.asarray(total / count)

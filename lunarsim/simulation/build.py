@@ -165,6 +165,7 @@ def lidar_of(scenario: Scenario) -> FlashLidar:
         s.spacing,
         np.deg2rad(s.max_incidence_deg),
         np.inf if s.photons is None else s.photons,
+        1e-3 * s.divergence_mrad,
     )
 
 

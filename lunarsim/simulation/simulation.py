@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import attitude_from_thrust, quat_rotate, quat_to_matrix, sensor_axes
+from lunarsim.frames import attitude_from_thrust, quat_rotate
 from lunarsim.guidance.apollo import ApolloGuidance
 from lunarsim.guidance.attitude import thrust_to_command
 from lunarsim.guidance.divert import DivertCost, divert_cost
@@ -23,6 +23,7 @@ from lunarsim.navigation.error_model import NavigationErrorModel
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
+from lunarsim.sensors.gimbal import gimbal_mount
 from lunarsim.simulation import build
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.recorder import Recorder
@@ -317,7 +318,8 @@ class Simulation:
         down = np.array([0.0, 0.0, -1.0])
         boresight = to_site if self.scenario.lidar.boresight == "site" else down
         # The gimbal is steered by the estimated attitude; the true one decides where it looks.
-        mount = quat_to_matrix(self.estimate.attitude).T @ sensor_axes(boresight)
+        limit = np.deg2rad(self.scenario.lidar.gimbal_limit_deg)
+        mount = gimbal_mount(self.estimate.attitude, boresight, limit)
         scan = self.lidar.measure(self.world, self.state, self.time, self._lidar_rng, mount)
         self.mapper.update(scan, self.estimate)
         self.map_error = self.navigation_error

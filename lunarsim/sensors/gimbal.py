@@ -1,0 +1,36 @@
+"""Gimbal: where a sensor can be pointed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.frames import normalised, quat_to_matrix, sensor_axes
+
+Array = NDArray[np.float64]
+
+_REST = np.array([0.0, 0.0, -1.0])
+
+
+def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi) -> Array:
+    """Return the rotation (3, 3), sensor to body, that points a sensor as nearly as it can.
+
+    Parameters
+    ----------
+    attitude
+        Quaternion (4,), body to ENU, by which the gimbal is steered.
+    boresight
+        Wanted direction (3,), ENU.
+    limit
+        Greatest angle of the boresight from straight down through the lander (body -z), rad. Beyond
+        it the sensor stops at the limit, on the side of the wanted direction.
+    """
+    rotation = quat_to_matrix(attitude)
+    wanted = rotation.T @ normalised(boresight)
+    if wanted @ _REST < np.cos(limit):
+        aside = wanted - (wanted @ _REST) * _REST
+        length = np.linalg.norm(aside)
+        aside = aside / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
+        wanted = np.cos(limit) * _REST + np.sin(limit) * aside
+        return np.asarray(rotation.T @ sensor_axes(rotation @ wanted))
+    return np.asarray(rotation.T @ sensor_axes(boresight))
