@@ -43,6 +43,9 @@ class TerrainSection(Section):
     kind: Literal["dtm", "fractal"] = Field("fractal", description="measured or procedural")
     path: Path | None = Field(None, description="raster, relative to the scenario file (dtm)")
     dtm_posting_m: Positive | None = Field(None, description="for a raster without metric frame")
+    dtm_window: tuple[int, int, int, int] | None = Field(
+        None, description="first and last row from the top, first and last column (dtm)"
+    )
     height_step_m: Positive | None = Field(
         None, description="for a raster whose elevations come in steps: smooth within them (dtm)"
     )

@@ -77,7 +77,7 @@ def relief_of(section: TerrainSection) -> Heightfield:
     if section.kind == "fractal":
         return _procedural(Grid.centred((0.0, 0.0), section.size_m, section.posting_m), section)
     assert section.path is not None
-    measured = load_dtm(section.path, posting=section.dtm_posting_m)
+    measured = load_dtm(section.path, posting=section.dtm_posting_m, window=section.dtm_window)
     if section.height_step_m is not None:
         measured = measured.dequantised(section.height_step_m)
     measured = measured.scaled(section.relief_scale)

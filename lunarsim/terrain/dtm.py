@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio.transform import array_bounds
+from rasterio.warp import Resampling, calculate_default_transform, reproject
+from rasterio.windows import Window
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -77,8 +81,12 @@ def _metric_posting(source: rasterio.io.DatasetReader) -> tuple[float | None, st
     return dx, name
 
 
-def _elevations(source: rasterio.io.DatasetReader) -> NDArray[np.float32]:
-    z: NDArray[np.float32] = source.read(1, masked=True).astype(np.float32).filled(np.nan)
+def _elevations(
+    source: rasterio.io.DatasetReader, part: Window | None = None
+) -> NDArray[np.float32]:
+    z: NDArray[np.float32] = (
+        source.read(1, masked=True, window=part).astype(np.float32).filled(np.nan)
+    )
     z[~np.isfinite(z) | (z < _MISSING_BELOW)] = np.nan
     return z
 
@@ -108,48 +116,106 @@ def read_info(path: str | Path) -> DtmInfo:
         )
 
 
-def load_dtm(path: str | Path, *, posting: float | None = None) -> Heightfield:
+def load_dtm(
+    path: str | Path,
+    *,
+    posting: float | None = None,
+    window: tuple[int, int, int, int] | None = None,
+) -> Heightfield:
     """Load a measured terrain into a local ENU frame.
 
-    The frame's origin is the centre of the raster at its mean elevation; rows are flipped so
-    that row 0 is the southernmost.
+    The frame's origin is the centre of the raster, or of the window, at its mean elevation; rows
+    are flipped so that row 0 is the southernmost. A raster in degrees, or turned from north, is
+    resampled by cubic convolution: the former into an azimuthal equidistant frame about its
+    centre, the latter into its own frame with north up.
 
     Parameters
     ----------
     path
         A GeoTIFF, a PDS .IMG, or any single-band raster that GDAL reads.
     posting
-        Distance between posts (m) for a file without a metric frame; must be left out
-        otherwise.
+        Distance between posts (m). Needed for a file without a coordinate reference; wanted
+        posting of a resampled one (left out: about that of the file); must be left out otherwise.
+    window
+        First and last row (from the top) and first and last column, the last not included; left
+        out: everything.
 
     Raises
     ------
     InputError
-        If the file is missing, is no raster, has no metric frame and no `posting` is given, or
-        holds no elevation at all.
+        If the file is missing, is no raster, has no metric frame and no `posting` is given, holds
+        no elevation at all, or the window lies outside.
     """
     path = Path(path)
     with _open(path) as source:
         found, frame = _metric_posting(source)
-        if found is None and posting is None:
-            raise InputError(
-                "terrain.path",
-                str(path),
-                f"a raster in a north-up metric frame (its frame: {frame}); "
-                "give terrain.dtm_posting_m if you know the distance between its posts",
-            )
-        if found is not None and posting is not None and abs(found - posting) > 1e-3 * found:
-            raise InputError(
-                "terrain.dtm_posting_m", posting, f"left out: the file says {found:.4g} m"
-            )
-        z = _elevations(source)[::-1]
+        part = _window(window, source.height, source.width)
+        if found is not None or source.crs is None or source.transform.is_identity:
+            step = _step(path, found, posting, frame)
+            z = _elevations(source, part)
+        else:
+            z, step = _north_up(source, part, posting)
+    z = z[::-1]
     if not np.isfinite(z).any():
         raise InputError("terrain.path", str(path), "a raster with at least one elevation")
     if min(z.shape) < 2:
         raise InputError("terrain.path", str(path), f"at least 2 x 2 posts, not {z.shape}")
-    step = found if found is not None else posting
-    assert step is not None
     rows, cols = z.shape
     grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
     centred = z - np.float32(np.nanmean(z.astype(np.float64)))
     return Heightfield(grid, np.ascontiguousarray(centred, dtype=np.float32))
+
+
+def _step(path: Path, found: float | None, posting: float | None, frame: str) -> float:
+    """Return the posting of a raster that is read as it is."""
+    if found is None and posting is None:
+        raise InputError(
+            "terrain.path",
+            str(path),
+            f"a raster in a north-up metric frame (its frame: {frame}); "
+            "give terrain.dtm_posting_m if you know the distance between its posts",
+        )
+    if found is not None and posting is not None and abs(found - posting) > 1e-3 * found:
+        raise InputError("terrain.dtm_posting_m", posting, f"left out: the file says {found:.4g} m")
+    step = found if found is not None else posting
+    assert step is not None
+    return step
+
+
+def _window(window: tuple[int, int, int, int] | None, rows: int, cols: int) -> Window:
+    if window is None:
+        return Window(0, 0, cols, rows)
+    top, bottom, left, right = window
+    if not (0 <= top < bottom <= rows and 0 <= left < right <= cols):
+        raise InputError(
+            "terrain.dtm_window", tuple(window),
+            f"rising rows within 0 to {rows} and rising columns within 0 to {cols}",
+        )  # fmt: skip
+    return Window(left, top, right - left, bottom - top)
+
+
+def _north_up(
+    source: rasterio.io.DatasetReader, part: Window, posting: float | None
+) -> tuple[NDArray[np.float32], float]:
+    """Return the elevations of a window resampled to a metric north-up grid, and its posting."""
+    transform = source.window_transform(part)
+    z = _elevations(source, part)
+    rows, cols = z.shape
+    target = source.crs
+    if source.crs.is_geographic:
+        lon, lat = transform @ (0.5 * cols, 0.5 * rows)
+        shape = source.crs.to_dict()
+        # The body's size, under whichever names the file gives it.
+        size = {k: shape[k] for k in ("R", "a", "b", "rf", "ellps", "datum") if k in shape}
+        target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | size)
+    bounds = array_bounds(rows, cols, transform)
+    placed, wide, high = calculate_default_transform(
+        source.crs, target, cols, rows, *bounds,
+        **({} if posting is None else {"resolution": posting}),
+    )  # fmt: skip
+    out = np.full((high, wide), np.nan, np.float32)
+    reproject(
+        z, out, src_transform=transform, src_crs=source.crs, src_nodata=np.nan,
+        dst_transform=placed, dst_crs=target, dst_nodata=np.nan, resampling=Resampling.cubic,
+    )  # fmt: skip
+    return out, float(placed.a) * float(target.linear_units_factor[1])

@@ -111,9 +111,9 @@ def test_bad_files(tmp_path):
     (tmp_path / "text.tif").write_text("not a raster")
     with pytest.raises(InputError, match="GDAL can read"):
         load_dtm(tmp_path / "text.tif")
-    degrees = write(tmp_path / "deg.tif", np.ones((4, 4)), crs="EPSG:4326", posting=0.1)
+    nowhere = write(tmp_path / "none.tif", np.ones((4, 4)), crs=None, posting=0.1)
     with pytest.raises(InputError, match="metric frame"):
-        load_dtm(degrees)
+        load_dtm(nowhere)
     empty = write(tmp_path / "nan.tif", np.full((4, 4), np.nan))
     with pytest.raises(InputError, match="at least one elevation"):
         load_dtm(empty)
@@ -168,3 +168,43 @@ def test_relief_refuses_nonsense():
         fractal_relief(grid, rng, hurst=0.5, rms_slope=2.0)
     with pytest.raises(InputError, match="all no-data"):
         Heightfield(grid, np.full(grid.shape, np.nan, np.float32))
+
+
+def test_a_window_is_the_same_ground():
+    path = SCENARIOS / "data" / "moon_apollo15_nac_dtm_2m.tif"
+    whole = load_dtm(path, posting=2.0)
+    part = load_dtm(path, posting=2.0, window=(10, 60, 20, 100))
+    assert part.grid.shape == (50, 80)
+    flipped = whole.z[::-1][10:60, 20:100][::-1]
+    assert np.allclose(part.z - part.z[0, 0], flipped - flipped[0, 0], atol=1e-4)
+    for window in ((60, 10, 0, 5), (0, 5, 0, 300), (-1, 5, 0, 5)):
+        with pytest.raises(InputError, match=r"terrain\.dtm_window"):
+            load_dtm(path, posting=2.0, window=window)
+
+
+def test_a_raster_in_degrees_becomes_metric(tmp_path):
+    """A cone at 60 deg south on the Moon: it must be round in metres, where it is."""
+    path = tmp_path / "cone.tif"
+    step = 1e-3  # 30.3 m of latitude
+    radius = 1_737_400.0
+    rows, cols = 120, 240
+    lat = -60.0 - step * (np.arange(rows) + 0.5 - rows / 2)
+    lon = 30.0 + step * (np.arange(cols) + 0.5 - cols / 2)
+    north = np.radians(lat + 60.0) * radius
+    east = np.radians(lon - 30.0) * radius * np.cos(np.radians(60.0))
+    z = 500.0 - 0.2 * np.hypot(east[None, :], north[:, None])
+    with rasterio.open(
+        path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32",
+        crs="+proj=longlat +R=1737400 +no_defs",
+        transform=from_origin(30.0 - 120 * step, -60.0 + 60 * step, step, step),
+    ) as out:  # fmt: skip
+        out.write(z.astype(np.float32), 1)
+    relief = load_dtm(path, posting=25.0)
+    assert relief.grid.posting == pytest.approx(25.0)
+    peak = np.unravel_index(np.nanargmax(relief.z), relief.z.shape)
+    top = relief.grid.centre_of(*peak)
+    assert np.all(np.abs(top) < 40.0)
+    distance = np.hypot(*(relief.grid.centres() - top).transpose(2, 0, 1))
+    fall = np.nanmax(relief.z) - relief.z
+    around = (distance > 200.0) & (distance < 1500.0) & np.isfinite(relief.z)
+    assert np.allclose(fall[around], 0.2 * distance[around], atol=0.2 * 40.0)
