@@ -255,7 +255,14 @@ def info(file: Path) -> None:
 
     found = read_info(file)
     table = Table(show_header=False, box=None)
-    posting = "not given: set terrain.dtm_posting_m" if found.posting is None else None
+    posting = None
+    if found.posting is None:
+        resampled = found.frame.startswith(("geographic", "rotated"))
+        posting = (
+            "resampled to a metric frame when loaded"
+            if resampled
+            else "not given: set terrain.dtm_posting_m"
+        )
     for name, value in (
         ("file", str(found.path)),
         ("format", found.driver),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -99,8 +101,8 @@ def test_shadows_are_those_that_rays_to_the_sun_find(rocky, elevation):
     assert np.mean(wrong[~edge]) < (1e-3 if elevation < 10.0 else 2e-4)
 
 
-def _one(shape, height):
-    one = np.ones(1)
+def _one(shape, height, size):
+    one = size * np.ones(1)
     number = None if shape is None else np.array([shape])
     field = RockField(0 * one, 0 * one, 0 * one, one, one, height * one, 0 * one, number)
     return Terrain(flat_terrain(80.0, 2.0).relief, field)
@@ -116,19 +118,20 @@ _TIPS = {
 
 @pytest.mark.parametrize("name", list(_TIPS))
 @pytest.mark.parametrize("elevation", [5.0, 10.0, 20.0, 45.0])
-@pytest.mark.parametrize(("distance", "tilt"), [(600.0, 0.0), (100.0, 0.785), (30.0, 0.0)])
-def test_length_of_a_shadow_is_the_analytic_one(name, elevation, distance, tilt):
+@pytest.mark.parametrize("tilt", [0.0, 0.785])
+@pytest.mark.parametrize(("distance", "size"), [(600.0, 1.0), (100.0, 1.0), (10.0, 0.2)])
+def test_length_of_a_shadow_is_the_analytic_one(name, elevation, distance, size, tilt):
     shape, height, tip = _TIPS[name]
     light = Light(1.5 * np.pi, np.radians(elevation))  # the Sun in the west: the shadow points east
-    length = tip(height, 1.0 / np.tan(light.elevation))
+    length = size * tip(height, 1.0 / np.tan(light.elevation))
     target = np.array([0.5 * length, 0.0, 0.0])
-    fov = 2.0 * np.degrees(np.arctan(max(0.8 * length, 3.0) / distance))
+    fov = 2.0 * np.degrees(np.arctan(max(0.8 * length, 3.0 * size) / distance))
     view = look(distance, tilt, 0.0, target=target, pixels=(640, 480), fov=min(fov, 60.0))
-    terrain = _one(shape, height)
+    terrain = _one(shape, height, size)
     image = Renderer(terrain).render(view, light, truth=True)
     points = view.position + image.range[..., None] * view.rays()
     dark = (image.radiance == 0.0) & (image.identity == -1)
-    beside = np.abs(points[..., 1]) < 0.35 if name == "cube" else np.abs(points[..., 1]) < 0.1
+    beside = np.abs(points[..., 1]) < size * (0.35 if name == "cube" else 0.1)
     row = dark & beside
     assert row.any()
     end = np.nanmax(points[..., 0][row])
@@ -253,3 +256,17 @@ def test_without_opengl_there_is_one_clear_error():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("RenderingError")
     assert "apt-get install libegl1" in done.stdout
+
+
+def _picture(seed):
+    rng = np.random.default_rng(seed)
+    ground = flat_terrain(60.0).relief
+    terrain = Terrain(ground, place_rocks(ground, rng.uniform(0.3, 2.0, 100), rng))
+    return Renderer(terrain).render(look(40.0), Light(0.5, 0.3)).radiance
+
+
+def test_processes_render_side_by_side_and_alike():
+    here = [_picture(seed) for seed in (1, 2, 1, 2)]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        there = list(pool.map(_picture, (1, 2, 1, 2)))
+    assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
