@@ -299,6 +299,39 @@ def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
     click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
 
 
+@terrain.command()
+@_SCENARIO
+@_SEED
+@click.option(
+    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Index of the flight whose rocks are surveyed.",
+)  # fmt: skip
+@click.option("--posting", type=float, default=0.2, show_default=True, help="Of the maps, m.")
+@click.option(
+    "--size", type=float, default=60.0, show_default=True,
+    help="Side of the square around the target, m.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file (.nc).")
+def truth(scenario: Path, seed: int, flight: int, posting: float, size: float, out: Path) -> None:
+    """Write true maps of SCENARIO's ground: elevation, slope, rocks, exact safety, shadow."""
+    from lunarsim.rng import Streams, flight_seed  # noqa: PLC0415
+    from lunarsim.scenario import Scenario  # noqa: PLC0415
+    from lunarsim.simulation.build import build_world, lander_of  # noqa: PLC0415
+    from lunarsim.simulation.products import TruthProducts, survey_grid  # noqa: PLC0415
+
+    loaded = Scenario.load(scenario)
+    if out.suffix.lower() != ".nc":
+        raise InputError("out", str(out), "a file name that ends in .nc")
+    world = build_world(loaded, Streams(flight_seed(seed, flight)))
+    grid = survey_grid(world, loaded.target.position_m, size, posting)
+    maps = TruthProducts.of(world, lander_of(loaded), grid)
+    maps.save(out)
+    click.echo(
+        f"{out}: {grid.rows} x {grid.cols} cells, {100 * maps.safe.mean():.1f} % exactly safe, "
+        f"{100 * (maps.rock >= 0).mean():.1f} % under rocks, {100 * maps.shadow.mean():.1f} % dark"
+    )
+
+
 def _table(result: Any) -> Table:
     from lunarsim.campaign import summarise  # noqa: PLC0415
 
