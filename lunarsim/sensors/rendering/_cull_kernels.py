@@ -126,6 +126,24 @@ def _corner(rocks, n, reach, k, foot):
     return x, y, z
 
 
+@kernel()
+def _fit(u0, v0, u1, v1, width, height, box):
+    """Write the whole pixels whose centres lie in a rectangle; return whether there are any.
+
+    Centres lie at whole numbers. Half a hundredth of a pixel covers what float32 loses in the
+    shader.
+    """
+    u0 = max(np.ceil(u0 - 0.005), 0.0)
+    v0 = max(np.ceil(v0 - 0.005), 0.0)
+    u1 = min(np.floor(u1 + 0.005), width - 1.0)
+    v1 = min(np.floor(v1 + 0.005), height - 1.0)
+    box[0] = u0 - 0.5
+    box[1] = v0 - 0.5
+    box[2] = u1 + 0.5
+    box[3] = v1 + 0.5
+    return u0 <= u1 and v0 <= v1
+
+
 @kernel(parallel=True)
 def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, height, near, box):
     """Write the pixels that each rock may cover to `box` (n, 4); return whether any (n,).
@@ -180,17 +198,7 @@ def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, hei
             u1 = max(u1, u)
             v0 = min(v0, v)
             v1 = max(v1, v)
-        # Half a hundredth of a pixel covers what float32 loses in the shader.
-        u0 = max(np.ceil(u0 - 0.005), 0.0)
-        v0 = max(np.ceil(v0 - 0.005), 0.0)
-        u1 = min(np.floor(u1 + 0.005), width - 1.0)
-        v1 = min(np.floor(v1 + 0.005), height - 1.0)
-        if u0 <= u1 and v0 <= v1:
-            seen[n] = True
-            box[n, 0] = u0 - 0.5
-            box[n, 1] = v0 - 0.5
-            box[n, 2] = u1 + 0.5
-            box[n, 3] = v1 + 0.5
+        seen[n] = _fit(u0, v0, u1, v1, width, height, box[n])
     return seen
 
 
@@ -219,16 +227,7 @@ def shading_rocks(rocks, reach, foot, eye, lean, axes, corner, texel, width, hei
             v0 = min(v0, v)
             v1 = max(v1, v)
         # Centres of texels lie at halves.
-        u0 = max(np.ceil(u0 - 0.505), 0.0)
-        v0 = max(np.ceil(v0 - 0.505), 0.0)
-        u1 = min(np.floor(u1 - 0.495), width - 1.0)
-        v1 = min(np.floor(v1 - 0.495), height - 1.0)
-        if u0 <= u1 and v0 <= v1:
-            seen[n] = True
-            box[n, 0] = u0 - 0.5
-            box[n, 1] = v0 - 0.5
-            box[n, 2] = u1 + 0.5
-            box[n, 3] = v1 + 0.5
+        seen[n] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box[n])
     return seen
 
 

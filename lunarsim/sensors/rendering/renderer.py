@@ -9,8 +9,6 @@ highest face turned away from the Sun: a lit face never lies on it, so nothing s
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import moderngl
@@ -20,10 +18,18 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, RenderingError
 from lunarsim.light import Light
 from lunarsim.sensors.rendering import _cull_kernels as kernels
-from lunarsim.sensors.rendering.context import gl_context, shader
-from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles, level_mesh
+from lunarsim.sensors.rendering.context import gl_context
+from lunarsim.sensors.rendering.programs import (
+    build_programs,
+    columns,
+    float_texture,
+    set_uniforms,
+    tile_mesh,
+)
+from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
+from lunarsim.sensors.rendering.target import Target, read_image
+from lunarsim.sensors.rendering.view import Image, View
 from lunarsim.terrain import Terrain
-from lunarsim.terrain.shapes import shape_table
 
 Array = NDArray[np.float64]
 
@@ -39,91 +45,6 @@ _SHADOW_AREA = 6_000_000
 # may leak in.
 _OVERHANG = 0.6
 _ROCK_TEXTURE = 1024
-
-
-@dataclass(frozen=True)
-class View:
-    """Where a pin-hole camera is and what it covers.
-
-    Attributes
-    ----------
-    position
-        ENU (3,), m.
-    axes
-        Rotation (3, 3), sensor (x right, y down, z along the boresight) to ENU.
-    fx, fy, cx, cy
-        Focal lengths and principal point, pixels; the centre of the first pixel is (0, 0).
-    width, height
-        Pixels.
-    """
-
-    position: Array
-    axes: Array
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-    def rays(self) -> Array:
-        """Return the unit vectors of all pixels (height, width, 3), ENU."""
-        u = (np.arange(self.width) - self.cx) / self.fx
-        v = (np.arange(self.height) - self.cy) / self.fy
-        uu, vv = np.meshgrid(u, v)
-        rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1) @ self.axes.T
-        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-
-
-@dataclass(frozen=True)
-class Image:
-    """What a view shows.
-
-    Attributes
-    ----------
-    radiance
-        Radiance factor I/F (height, width), float32; 0 for the sky.
-    range
-        Distance along the pixel's ray (height, width), m, NaN for the sky; None unless asked.
-    normal
-        Unit surface normal (height, width, 3), ENU, NaN for the sky; None unless asked.
-    identity
-        Rock number (height, width), -1 for relief, -2 for the sky; None unless asked.
-    """
-
-    radiance: NDArray[np.float32]
-    range: NDArray[np.float32] | None = None
-    normal: NDArray[np.float32] | None = None
-    identity: NDArray[np.int32] | None = None
-
-
-@dataclass(frozen=True)
-class _Target:
-    """What a picture of one size is drawn into: depth and rocks first, then the picture."""
-
-    depth: moderngl.Texture
-    stones: moderngl.Texture
-    colours: tuple[moderngl.Texture, ...]
-    depth_only: moderngl.Framebuffer
-    rocks: moderngl.Framebuffer
-    picture: moderngl.Framebuffer
-
-    @classmethod
-    def of(cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]) -> _Target:
-        size = (width, height)
-        depth = ctx.depth_texture(size)
-        depth.compare_func = ""
-        depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        stones = ctx.texture(size, 4, dtype="f4")
-        colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
-        return cls(
-            depth,
-            stones,
-            colours,
-            ctx.framebuffer(depth_attachment=depth),
-            ctx.framebuffer([stones], depth),
-            ctx.framebuffer(list(colours)),
-        )
 
 
 class Renderer:
@@ -153,14 +74,14 @@ class Renderer:
         self._tiles = ReliefTiles.of(relief)
         self._corners = self._tiles.corners()
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
-        self._heights = _float_texture(ctx, relief.z[:, :, None])
-        self._slopes = _float_texture(ctx, kernels.slopes(relief.z, g.posting))
+        self._heights = float_texture(ctx, relief.z[:, :, None])
+        self._slopes = float_texture(ctx, kernels.slopes(relief.z, g.posting))
         self._load_rocks(terrain)
-        self._programs = _programs(ctx, holes)
-        self._meshes = [_mesh(ctx, level) for level in range(LEVELS)]
+        self._programs = build_programs(ctx, holes)
+        self._meshes = [tile_mesh(ctx, level) for level in range(LEVELS)]
         self._tile_buffer = ctx.buffer(reserve=8 * len(self._tiles.first))
         self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
-        self._targets: dict[tuple[int, int, bool], _Target] = {}
+        self._targets: dict[tuple[int, int, bool], Target] = {}
         self._shadow: tuple[moderngl.Texture, moderngl.Framebuffer] | None = None
 
     def _load_rocks(self, terrain: Terrain) -> None:
@@ -175,7 +96,7 @@ class Renderer:
         lines = max(1, -(-count // _ROCK_TEXTURE))
         texels = np.zeros((lines * _ROCK_TEXTURE, 12), np.float32)
         texels[:count, :9] = self._rows
-        self._rock_texture = _float_texture(self._ctx, texels.reshape(lines, 3 * _ROCK_TEXTURE, 4))
+        self._rock_texture = float_texture(self._ctx, texels.reshape(lines, 3 * _ROCK_TEXTURE, 4))
         self._box = np.empty((count, 4))
         self._box_buffer = self._ctx.buffer(reserve=max(16 * count, 16))
         self._number_buffer = self._ctx.buffer(reserve=max(4 * count, 4))
@@ -222,15 +143,15 @@ class Renderer:
             self._ctx.disable(moderngl.DEPTH_TEST)
             target.picture.clear()
             self._shade(target, values | _light_values(light, sun) | shadow, truth)
-            return _read(target, view, truth)
+            return read_image(target, view, truth)
 
-    def _shade(self, target: _Target, values: dict[str, Any], truth: bool) -> None:
+    def _shade(self, target: Target, values: dict[str, Any], truth: bool) -> None:
         name = "shade-truth" if truth else "shade"
         self._slopes.use(1)
         target.depth.use(3)
         target.stones.use(4)
         program = self._programs[name]
-        _set(program, values | {"slopes": 1, "depths": 3, "stones": 4})
+        set_uniforms(program, values | {"slopes": 1, "depths": 3, "stones": 4})
         if (name, 0) not in self._vaos:
             self._vaos[name, 0] = self._ctx.vertex_array(program, [])
         self._vaos[name, 0].render(moderngl.TRIANGLES, vertices=3)
@@ -295,7 +216,7 @@ class Renderer:
         posts = (view.position[:2] - self._origin) / g.posting
         cell = np.floor(posts)
         return {
-            "to_sensor": _columns(view.axes.T),
+            "to_sensor": columns(view.axes.T),
             "intrinsics": (view.fx, view.fy, view.cx, view.cy),
             "image": (float(view.width), float(view.height)),
             "clip": (near, far),
@@ -322,7 +243,7 @@ class Renderer:
     ) -> None:
         program = self._programs[name]
         self._heights.use(0)
-        _set(program, values | {"relief": 0})
+        set_uniforms(program, values | {"relief": 0})
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
             if picked.size == 0:
@@ -331,7 +252,7 @@ class Renderer:
             # Curtains would throw shadows, and where all tiles are finest there is no gap.
             bare = name == "relief-shadow" or not level[shown].any()
             skirt = 0.0 if bare else float(2.0 * finite.max() + 0.01)
-            _set(program, {"skirt": skirt})
+            set_uniforms(program, {"skirt": skirt})
             if (name, k) not in self._vaos:
                 posts, triangles = self._meshes[k]
                 self._vaos[name, k] = self._ctx.vertex_array(
@@ -349,7 +270,7 @@ class Renderer:
             return
         program = self._programs[name]
         self._rock_texture.use(3)
-        _set(program, values | {"rocks": 3})
+        set_uniforms(program, values | {"rocks": 3})
         if (name, 0) not in self._vaos:
             self._vaos[name, 0] = self._ctx.vertex_array(
                 program, [(self._box_buffer, "4f/i", "box"), (self._number_buffer, "i/i", "number")]
@@ -397,10 +318,10 @@ class Renderer:
         map_axes = axes / span[:, None]
         values = self._view_values(view, 1.0, 2.0) | {
             "lean": tuple(lean),
-            "map_axes": _columns(map_axes),
+            "map_axes": columns(map_axes),
             "map_origin": tuple(corner / span),
             "heights": heights,
-            "from_map": _columns(axes.T * texel),
+            "from_map": columns(axes.T * texel),
             "map_corner": tuple(axes.T @ corner),
             "image": (float(size[0]), float(size[1])),
         }
@@ -419,7 +340,7 @@ class Renderer:
         texture.use(2)
         return {
             "shaded": 1, "patched": patched, "shadow": 2, "lean": tuple(lean),
-            "map_axes": _columns(map_axes),
+            "map_axes": columns(map_axes),
             "map_origin": tuple(corner / span), "heights": heights,
             "slack": -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0),
             "map_size": (float(size[0]), float(size[1])),
@@ -428,10 +349,10 @@ class Renderer:
     def _tallest_rock(self) -> float:
         return float(self._rows[:, 5].max(initial=0.0))
 
-    def _target(self, width: int, height: int, truth: bool) -> _Target:
+    def _target(self, width: int, height: int, truth: bool) -> Target:
         key = (width, height, truth)
         if key not in self._targets:
-            self._targets[key] = _Target.of(self._ctx, width, height, (4, 2) if truth else (1,))
+            self._targets[key] = Target.of(self._ctx, width, height, (4, 2) if truth else (1,))
         return self._targets[key]
 
 
@@ -446,68 +367,6 @@ def renderer_of(terrain: Terrain) -> Renderer:
         # Its buffers are freed when the last reference to the renderer goes.
         weakref.finalize(terrain, _RENDERERS.pop, key, None).atexit = False
     return _RENDERERS[key]
-
-
-def _float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture:
-    data = np.ascontiguousarray(data, np.float32)
-    rows, cols, parts = data.shape
-    texture = ctx.texture((cols, rows), parts, data.tobytes(), dtype="f4")
-    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-    return texture
-
-
-@lru_cache(maxsize=LEVELS)
-def _mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-    posts, triangles = level_mesh(level)
-    return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
-
-
-@lru_cache(maxsize=2)
-def _programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
-    """Return all programs; terrains of one context share them."""
-    programs = {}
-    table = shape_table()
-    most = f"MOST {table.planes.shape[1]}"
-    to_map = "PLACE(rel) map_position(rel)"
-    programs["relief"] = ctx.program(
-        shader("view", "relief_vertex", defines=("PLACE(rel) project(rel)", *holes)),
-        shader("depth_fragment", defines=holes),
-    )
-    programs["rocks"] = ctx.program(
-        shader("rock_vertex"), shader("view", "ray", "rock", "rock_fragment", defines=(most,))
-    )
-    for name, defines in (("shade", ()), ("shade-truth", ("TRUTH",))):
-        programs[name] = ctx.program(
-            shader("screen_vertex"),
-            shader("view", "ray", "shadow", "light", "shade_fragment", defines=defines),
-        )
-    programs["relief-shadow"] = ctx.program(
-        shader("shadow", "map_position", "relief_vertex", defines=(to_map, *holes)),
-        shader("depth_fragment", defines=holes),
-    )
-    programs["rocks-shadow"] = ctx.program(
-        shader("rock_vertex"), shader("rock", "rock_shadow_fragment", defines=(most,))
-    )
-    for name, program in programs.items():
-        if name.startswith("rocks"):
-            faces = np.zeros(32, np.int32)
-            faces[: table.count.size] = table.count
-            _set(program, {"faces": faces.tolist()})
-            planes = program["planes"]
-            assert isinstance(planes, moderngl.Uniform)
-            planes.write(table.planes.astype("f4").tobytes())
-    return programs
-
-
-def _set(program: moderngl.Program, values: dict[str, Any]) -> None:
-    for name, value in values.items():
-        if name in program:  # the compiler drops what a shader does not use
-            program.__setitem__(name, value)
-
-
-def _columns(matrix: Array) -> tuple[float, ...]:
-    """Return a matrix as OpenGL takes it, column by column."""
-    return tuple(float(x) for x in matrix.T.ravel())
 
 
 def _light_values(light: Light, sun: Array) -> dict[str, Any]:
@@ -547,18 +406,3 @@ def _map_extent(
     most = np.minimum(in_view.max(0), in_box.max(0))
     margin = 0.01 * np.maximum(most - least, 0.0) + 1e-3
     return least - margin, np.maximum(most - least, 0.0) + 2.0 * margin
-
-
-def _read(target: _Target, view: View, truth: bool) -> Image:
-    shape = (view.height, view.width)
-    first = np.frombuffer(target.colours[0].read(), np.float32)
-    if not truth:
-        return Image(first.reshape(shape))
-    first = first.reshape(*shape, 4)
-    second = np.frombuffer(target.colours[1].read(), np.float32).reshape(*shape, 2)
-    identity = second[..., 1].astype(np.int32) - 2
-    sky = identity == -2
-    normal = first[..., 1:].copy()
-    normal[sky] = np.nan
-    distance = np.where(sky, np.float32(np.nan), second[..., 0])
-    return Image(np.ascontiguousarray(first[..., 0]), distance, normal, identity)
