@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 import lunarsim
-from lunarsim.errors import InputError, RenderingError
+from lunarsim.errors import InputError, RenderingError, check_output
 
 _INTERRUPTED = 130
 
@@ -53,6 +53,10 @@ _SCENARIO = click.argument("scenario", type=click.Path(path_type=Path))
 _SEED = click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed."
 )
+_FLIGHT = click.option(
+    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Index of the flight: world and noise derive from the seed and this.",
+)  # fmt: skip
 
 
 @main.command()
@@ -62,10 +66,7 @@ _SEED = click.option(
     help="no-divert, safest, nearest-safe, fuel-aware or truth-oracle.",
 )  # fmt: skip
 @_SEED
-@click.option(
-    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Index of the flight: world and noise derive from the seed and this.",
-)  # fmt: skip
+@_FLIGHT
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None,
     help="New folder for the record and figures.",
@@ -205,10 +206,7 @@ def compare(
 )  # fmt: skip
 @click.option("--ideal", is_flag=True, help="Without blur, noise and distortion; 16 bits.")
 @_SEED
-@click.option(
-    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Index of the flight whose rocks are shown.",
-)  # fmt: skip
+@_FLIGHT
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.",
 )  # fmt: skip
@@ -279,10 +277,7 @@ def info(file: Path) -> None:
 @terrain.command()
 @_SCENARIO
 @_SEED
-@click.option(
-    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Index of the flight whose rocks are shown.",
-)  # fmt: skip
+@_FLIGHT
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.")
 def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
     """Draw the ground of SCENARIO: shaded relief, slopes, rocks."""
@@ -292,8 +287,7 @@ def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
     from lunarsim.viz.terrain import draw_terrain  # noqa: PLC0415
 
     loaded = Scenario.load(scenario)
-    if out.suffix.lower() != ".png":
-        raise InputError("out", str(out), "a file name that ends in .png")
+    check_output("out", out, ".png")
     world = build_world(loaded, Streams(flight_seed(seed, flight)))
     draw_terrain(world.terrain, loaded.name, out)
     click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
@@ -302,10 +296,7 @@ def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
 @terrain.command()
 @_SCENARIO
 @_SEED
-@click.option(
-    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Index of the flight whose rocks are surveyed.",
-)  # fmt: skip
+@_FLIGHT
 @click.option("--posting", type=float, default=0.2, show_default=True, help="Of the maps, m.")
 @click.option(
     "--size", type=float, default=60.0, show_default=True,
@@ -320,8 +311,7 @@ def truth(scenario: Path, seed: int, flight: int, posting: float, size: float, o
     from lunarsim.simulation.products import TruthProducts, survey_grid  # noqa: PLC0415
 
     loaded = Scenario.load(scenario)
-    if out.suffix.lower() != ".nc":
-        raise InputError("out", str(out), "a file name that ends in .nc")
+    check_output("out", out, ".nc")
     world = build_world(loaded, Streams(flight_seed(seed, flight)))
     grid = survey_grid(world, loaded.target.position_m, size, posting)
     maps = TruthProducts.of(world, lander_of(loaded), grid)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class InputError(ValueError):
@@ -31,6 +32,20 @@ class InputError(ValueError):
 
 class RenderingError(RuntimeError):
     """The machine cannot render; the message says what to install."""
+
+
+def check_output(field: str, path: Path, suffix: str) -> None:
+    """Refuse a file to write that has another suffix or no folder to lie in.
+
+    Raises
+    ------
+    InputError
+        Naming `field`.
+    """
+    if path.suffix.lower() != suffix:
+        raise InputError(field, str(path), f"a file name that ends in {suffix}")
+    if not path.parent.is_dir():
+        raise InputError(field, str(path), "a file in an existing folder")
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_output
 from lunarsim.frames import matrix_to_quat, sensor_axes
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
@@ -81,13 +81,9 @@ def take_picture(
     InputError
         If a value cannot be used; nothing is written.
     """
-    if out.suffix.lower() != ".png":
-        raise InputError("out", str(out), "a file name that ends in .png")
-    if truth is not None and truth.suffix.lower() != ".npz":
-        raise InputError("truth", str(truth), "a file name that ends in .npz")
-    for path in (out, truth):
-        if path is not None and not path.parent.is_dir():
-            raise InputError("out", str(path), "a file in an existing folder")
+    check_output("out", out, ".png")
+    if truth is not None:
+        check_output("truth", truth, ".npz")
     changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
     given = {name: value for name, value in changes.items() if value is not None}
     data = scenario.model_dump()

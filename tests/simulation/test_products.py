@@ -51,6 +51,8 @@ def test_command_writes_maps_that_open_without_the_package(tmp_path):
     with xarray.open_dataset(out, engine="h5netcdf") as maps:
         assert maps.elevation.attrs["units"] == "m"
         assert maps.safe.shape == (100, 100)
+    nowhere = str(tmp_path / "none" / "x.nc")
+    assert CliRunner().invoke(main, [*arguments, "--out", nowhere]).exit_code == 2
     for bad in (["--posting", "0"], ["--size", "1e4"]):
         again = tmp_path / "bad.nc"
         assert CliRunner().invoke(main, [*arguments, *bad, "--out", str(again)]).exit_code == 2
