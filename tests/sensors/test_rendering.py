@@ -215,7 +215,6 @@ _CYCLES = """
 import gc, resource, sys
 import numpy as np
 from lunarsim.sensors.rendering import Renderer, View, renderer_of
-from lunarsim.sensors.rendering.context import release_context
 from lunarsim.frames import sensor_axes
 from lunarsim.light import Light
 from tests.conftest import flat_terrain

@@ -30,7 +30,7 @@ def _context_of(process: int) -> moderngl.Context:
 def gl_context() -> moderngl.Context:
     """Return the context of this process.
 
-    A context does not survive a fork: start processes by "spawn" or "forkserver".
+    It lives as long as the process. A context does not survive a fork: start processes by "spawn" or "forkserver".
 
     Raises
     ------
@@ -38,13 +38,6 @@ def gl_context() -> moderngl.Context:
         Where EGL or OpenGL is missing; it says what to install.
     """
     return _context_of(os.getpid())
-
-
-def release_context() -> None:
-    """Release this process's context; the next picture makes a new one."""
-    if _context_of.cache_info().currsize:
-        gl_context().release()
-        _context_of.cache_clear()
 
 
 def shader(*names: str, defines: tuple[str, ...] = ()) -> str:
