@@ -30,7 +30,8 @@ def _context_of(process: int) -> moderngl.Context:
 def gl_context() -> moderngl.Context:
     """Return the context of this process.
 
-    It lives as long as the process. A context does not survive a fork: start processes by "spawn" or "forkserver".
+    It lives as long as the process. A context does not survive a fork: start processes by "spawn"
+    or "forkserver".
 
     Raises
     ------
