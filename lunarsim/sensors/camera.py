@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -194,6 +194,15 @@ class Camera:
             )
         return Photograph(time, self._detect(radiance.astype(np.float64), rng), kept)
 
+    @property
+    def tangents(self) -> tuple[Array, Array]:
+        """Tangents of each pixel's line of sight, right and down (height, width), undistorted."""
+        assert self.cx is not None
+        assert self.cy is not None
+        return _tangents(
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy, tuple(self.distortion)
+        )
+
     @cached_property
     def _border(self) -> int:
         """Pixels that must be drawn beyond each edge so that distortion finds its light."""
@@ -214,13 +223,10 @@ class Camera:
     @cached_property
     def _sources(self) -> tuple[Array, Array]:
         """Pixel of the undistorted image that each pixel (height, width) shows."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2).astype(np.float64)
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-        ideal = cv2.undistortPoints(
-            pixels, self.matrix, np.array(self.distortion), P=self.matrix, criteria=stop
-        ).reshape(self.height, self.width, 2)
-        return ideal[..., 0], ideal[..., 1]
+        x, y = self.tangents
+        assert self.cx is not None
+        assert self.cy is not None
+        return self.fx * x + self.cx, self.fy * y + self.cy
 
     def _drawn(self, view: View) -> View:
         """Return the view with the border that distortion needs."""
@@ -273,3 +279,25 @@ class Camera:
         narrow: NDArray[np.unsignedinteger[Any]]
         narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
         return narrow
+
+
+# A gimballed camera is a new object for every picture: what its optics cost is kept here.
+@lru_cache(maxsize=8)
+def _tangents(
+    width: int,
+    height: int,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    distortion: tuple[float, ...],
+) -> tuple[Array, Array]:
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    if not any(distortion):
+        return (u - cx) / fx, (v - cy) / fy
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    ideal = cv2.undistortPoints(pixels, matrix, np.array(distortion), criteria=stop)
+    ideal = ideal.reshape(height, width, 2)
+    return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])
