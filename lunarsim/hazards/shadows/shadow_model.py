@@ -84,6 +84,15 @@ class ShadowModel:
         Population of rocks that is expected; left out: half spheres, as in the paper. Its radius
         is half the diameter as `RockModel.draw` defines it.
 
+    Attributes
+    ----------
+    outline
+        Mean and standard deviation of the distance from a rock's centre to its outline, over all
+        directions and shapes, in radii.
+    radius_sigma, centre_sigma
+        What stays unknown of radius and centre, an axis, however often a rock is seen, in radii:
+        its shape.
+
     Raises
     ------
     InputError
@@ -100,6 +109,8 @@ class ShadowModel:
         self._table = RegularGridInterpolator(
             (_AZIMUTHS, _DEPRESSIONS), _tabulate(round(elevation, 3), self.shapes)
         )
+
+        self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
     def patch(self, azimuth: Any, depression: Any) -> Patch:
         """Return the patches seen from given directions.
@@ -194,3 +205,19 @@ def _dark_patch(scene: Terrain, sun: Array, camera: Array, reach: float) -> tupl
         along.max() + half, along.min() - half, across.min() - half, across.max() + half,
         float(shaded.sum()) * step**2,
     )  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
+    """Return `ShadowModel`'s outline, radius_sigma and centre_sigma of a population."""
+    if shapes.shape == "hemisphere":
+        return (1.0, 0.0), 0.05, 0.05
+    field = shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    radius = np.linspace(0.02, 2.4, 240)
+    points = radius[:, None, None] * np.stack((np.cos(angle), np.sin(angle)), -1)
+    reach = np.empty((len(field), angle.size))
+    for k in range(len(field)):
+        inside = _scene(field, k).elevation(points) > 0.0
+        reach[k] = radius[:, None].repeat(angle.size, 1).max(0, where=inside, initial=0.0)
+    return (float(reach.mean()), float(reach.std())), 0.05, 0.05

@@ -1,0 +1,98 @@
+"""Compiled parts of the probability map: one rock's reach, and painting all rocks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+
+_NODE, _WEIGHT = np.polynomial.legendre.leggauss(20)
+
+
+@kernel()
+def _i0e(x):
+    """Return exp(-x) I0(x) for x >= 0 (Abramowitz and Stegun 9.8.1 and 9.8.2)."""
+    if x < 3.75:
+        y = (x / 3.75) ** 2
+        inner = 1.2067492 + y * (0.2659732 + y * (0.0360768 + y * 0.0045813))
+        return math.exp(-x) * (1.0 + y * (3.5156229 + y * (3.0899424 + y * inner)))
+    y = 3.75 / x
+    inner = 0.02635537 + y * (-0.01647633 + y * 0.00392377)
+    inner = -0.00157565 + y * (0.00916281 + y * (-0.02057706 + y * inner))
+    return (0.39894228 + y * (0.01328592 + y * (0.00225319 + y * inner))) / math.sqrt(x)
+
+
+@kernel()
+def _normal(x):
+    return 0.5 * math.erfc(-x * 0.7071067811865476)
+
+
+@kernel()
+def _rice(d, sigma, mean, spread, node, weight):
+    """Return P(distance <= radius): Rice(d, sigma) against N(mean, spread)."""
+    if d > 8.0 * sigma:
+        # The distance is normal about d + sigma^2 / (2 d).
+        return _normal((mean - d - 0.5 * sigma * sigma / d) / math.hypot(sigma, spread))
+    low = max(d - 7.0 * sigma, 0.0)
+    high = d + 7.0 * sigma
+    # The radius cuts the distances within a few of its deviations: panels meet there.
+    total = 0.0
+    left = low
+    for panel in range(4):
+        if panel == 0:
+            right = mean - 4.0 * spread
+        elif panel == 1:
+            right = mean
+        elif panel == 2:
+            right = mean + 4.0 * spread
+        else:
+            right = high
+        right = min(max(right, left), high)
+        half = 0.5 * (right - left)
+        if half > 0.0:
+            for k in range(node.size):
+                rho = left + half * (1.0 + node[k])
+                z = rho * d / (sigma * sigma)
+                density = rho / (sigma * sigma) * _i0e(z)
+                density *= math.exp(-0.5 * ((rho - d) / sigma) ** 2)
+                total += half * weight[k] * density * _normal((mean - rho) / spread)
+        left = right
+    return min(max(total, 0.0), 1.0)
+
+
+@kernel(parallel=True)
+def rice_profiles(distance, sigma, mean, spread, node, weight):
+    """Return the probabilities (n, m) that rocks (n,) cover points at distances (n, m)."""
+    out = np.empty(distance.shape)
+    for j in prange(distance.shape[0]):
+        for k in range(distance.shape[1]):
+            out[j, k] = _rice(distance[j, k], sigma[j], mean[j], spread[j], node, weight)
+    return out
+
+
+@kernel()
+def paint(clear, x0, y0, posting, xy, reach, profile, weight):
+    """Multiply the probabilities that cells are clear (rows, cols) by those of every rock.
+
+    `profile` (n, m) is tabulated at equal steps from 0 to `reach` (n,), where it ends at 0.
+    """
+    rows, cols = clear.shape
+    last = profile.shape[1] - 1
+    for j in range(xy.shape[0]):
+        r = reach[j]
+        i0 = max(int(math.ceil((xy[j, 1] - r - y0) / posting)), 0)
+        i1 = min(int(math.floor((xy[j, 1] + r - y0) / posting)), rows - 1)
+        j0 = max(int(math.ceil((xy[j, 0] - r - x0) / posting)), 0)
+        j1 = min(int(math.floor((xy[j, 0] + r - x0) / posting)), cols - 1)
+        scale = last / r
+        for i in range(i0, i1 + 1):
+            dy = y0 + i * posting - xy[j, 1]
+            for c in range(j0, j1 + 1):
+                dx = x0 + c * posting - xy[j, 0]
+                at = math.sqrt(dx * dx + dy * dy) * scale
+                k = int(at)
+                if k < last:
+                    p = profile[j, k] + (at - k) * (profile[j, k + 1] - profile[j, k])
+                    clear[i, c] *= 1.0 - weight[j] * p

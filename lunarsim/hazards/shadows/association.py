@@ -1,0 +1,78 @@
+"""Which detection belongs to which tracked rock."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Chi-squared of pixel and radius, 3 degrees of freedom, at 99.9 %.
+GATE = 16.27
+
+
+def associate(
+    pixel: Array,
+    pixel_covariance: Array,
+    radius: Array,
+    radius_variance: Array,
+    predicted: Array,
+    predicted_covariance: Array,
+    tracked_radius: Array,
+    tracked_variance: Array,
+    gate: float = GATE,
+) -> tuple[Index, Index, NDArray[np.bool_]]:
+    """Pair detections with rocks so that the sum of squared Mahalanobis distances is least.
+
+    A detection that is left alone costs `gate`, so no pair lies farther apart than that.
+
+    Parameters
+    ----------
+    pixel, pixel_covariance, radius, radius_variance
+        Detections (d, 2), (d, 2, 2), (d,), (d,).
+    predicted, predicted_covariance, tracked_radius, tracked_variance
+        Rocks (t, 2), (t, 2, 2), (t,), (t,).
+
+    Returns
+    -------
+    detection, rock
+        The pairs (p,), by rising detection.
+    close
+        Whether a detection lies in the gate of some rock (d,), its own or another's.
+    """
+    none = np.empty(0, np.int64)
+    d, t = len(pixel), len(predicted)
+    if d == 0 or t == 0:
+        return none, none, np.zeros(d, bool)
+    spread = np.sqrt(
+        np.linalg.eigvalsh(predicted_covariance)[:, 1].max()
+        + np.linalg.eigvalsh(pixel_covariance)[:, 1]
+    )
+    near = cKDTree(predicted).query_ball_point(pixel, np.sqrt(gate) * spread)
+    many = np.array([len(n) for n in near])
+    i = np.repeat(np.arange(d), many)
+    j = np.fromiter((k for n in near for k in n), np.int64, int(many.sum()))
+    offset = pixel[i] - predicted[j]
+    s = pixel_covariance[i] + predicted_covariance[j]
+    distance = np.einsum("ni,ni->n", offset, np.linalg.solve(s, offset[:, :, None])[:, :, 0])
+    distance += (radius[i] - tracked_radius[j]) ** 2 / (radius_variance[i] + tracked_variance[j])
+    inside = distance < gate
+    i, j, distance = i[inside], j[inside], distance[inside]
+    close = np.zeros(d, bool)
+    close[i] = True
+    # One column a detection for "none of the rocks"; weights must not be 0, an absent entry.
+    alone = np.arange(d)
+    cost = csr_array(
+        (
+            np.concatenate((distance, np.full(d, gate))) + 1.0,
+            (np.concatenate((i, alone)), np.concatenate((j, t + alone))),
+        ),
+        shape=(d, t + d),
+    )
+    detection, column = min_weight_full_bipartite_matching(cost)
+    paired = column < t
+    return detection[paired].astype(np.int64), column[paired].astype(np.int64), close

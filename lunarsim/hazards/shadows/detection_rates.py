@@ -1,0 +1,59 @@
+"""How often a shadow of q pixels is missed, and how often one that is seen is no rock's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DetectionRates:
+    """Rates linear in q, the root of the number of dark pixels, cut at both ends.
+
+    The paper takes q along the shadow (III.C); the root of the area equals it for a square patch
+    and also tells what is left of a shadow that its rock hides.
+
+    Attributes
+    ----------
+    missed
+        False-negative rate at q = 0 and its slope; least rate at large q.
+    false
+        The same for detections that are no rock's.
+    """
+
+    missed: tuple[float, float, float] = (1.6, -0.45, 0.01)
+    false: tuple[float, float, float] = (0.3, -0.08, 0.005)
+
+    def __post_init__(self) -> None:
+        for name in ("missed", "false"):
+            _, slope, floor = getattr(self, name)
+            if not (slope <= 0.0 and 0.0 < floor < 1.0):
+                raise InputError(
+                    f"rates.{name}", getattr(self, name), "a slope up to 0, a floor from 0 to 1"
+                )
+
+    def false_negative(self, q: Any) -> Array:
+        """Return FN(q) (...)."""
+        return _line(self.missed, q)
+
+    def false_positive(self, q: Any) -> Array:
+        """Return FP(q) (...)."""
+        return _line(self.false, q)
+
+    @property
+    def least_q(self) -> float:
+        """The q below which every shadow is missed: what the paper calls the resolution."""
+        start, slope, _ = self.missed
+        return max((1.0 - start) / slope, 0.0) if slope < 0.0 else 0.0
+
+
+def _line(line: tuple[float, float, float], q: Any) -> Array:
+    start, slope, floor = line
+    return np.clip(start + slope * np.asarray(q, dtype=np.float64), floor, 1.0)

@@ -1,0 +1,366 @@
+"""The augmented multiplicative EKF: the lander and every rock it tracks (Eqs. 1-11).
+
+Rocks do not move and their radius is measured directly, in metres and with errors of its own
+(paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
+apart as scalar filters, which is exact. What is left is the error state of the lander (15) and
+two coordinates a rock. A measured rock depends on position, attitude and its own coordinates, so
+products with its Jacobian cost a few rows of the covariance; all rocks of one image are taken in
+one update, which equals the sequential one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
+from lunarsim.navigation.estimate import Estimate
+from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
+from lunarsim.sensors.camera import Camera
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# What a pixel depends on: position and attitude.
+_POSE = np.array([0, 1, 2, 9, 10, 11])
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where rocks should be seen, and how that depends on the state.
+
+    Attributes
+    ----------
+    pixel
+        Predicted pixels (n, 2), distortion left out (Eq. 10).
+    depth
+        Along the boresight (n,), m; not positive behind the camera.
+    by_pose
+        Derivatives by position and attitude error (n, 2, 6).
+    by_rock
+        Derivatives by the rock's east and north (n, 2, 2).
+    """
+
+    pixel: Array
+    depth: Array
+    by_pose: Array
+    by_rock: Array
+
+
+class RockFilter:
+    """Lander and rocks in one filter.
+
+    Parameters
+    ----------
+    inertial
+        The lander's state at the start.
+    errors
+        Its standard deviations.
+    ground
+        Elevation of the plane on which rocks stand, m.
+    capacity
+        Rocks for which room is made at first; it grows as needed.
+    """
+
+    def __init__(
+        self,
+        inertial: InertialState,
+        errors: InitialErrors | None = None,
+        *,
+        ground: float = 0.0,
+        capacity: int = 128,
+    ) -> None:
+        self.inertial = inertial
+        self.ground = float(ground)
+        self.count = 0
+        self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
+        self._p[:INERTIAL, :INERTIAL] = inertial.covariance(errors or InitialErrors())
+        self._xy = np.zeros((capacity, 2))
+        self._r = np.zeros((capacity, 2))
+
+    # --- the state ------------------------------------------------------------------------
+
+    @property
+    def covariance(self) -> Array:
+        """Of the lander's error state and the rocks' coordinates (15 + 2 n, 15 + 2 n)."""
+        size = INERTIAL + 2 * self.count
+        return self._p[:size, :size]
+
+    @property
+    def xy(self) -> Array:
+        """Rocks' centres (n, 2), ENU, m."""
+        return self._xy[: self.count]
+
+    @property
+    def radius(self) -> Array:
+        """Rocks' radii (n,), m."""
+        return self._r[: self.count, 0]
+
+    @property
+    def radius_variance(self) -> Array:
+        """Variance of the radii (n,), m^2."""
+        return self._r[: self.count, 1]
+
+    def rock_covariance(self) -> Array:
+        """Return the covariance of each rock's centre (n, 2, 2), m^2."""
+        i = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
+        return self._p[i[:, :, None], i[:, None, :]]
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state as the rest of the loop takes it."""
+        s = self.inertial
+        keep = np.r_[0:6, 9:12]
+        # Attitude errors are kept in body axes here, in ENU there.
+        turn = np.eye(9)
+        turn[6:, 6:] = quat_to_matrix(s.attitude)
+        covariance = turn @ self._p[np.ix_(keep, keep)] @ turn.T
+        return Estimate(
+            time, s.position.copy(), s.velocity.copy(), s.attitude.copy(), s.rate, mass, covariance
+        )
+
+    # --- time -----------------------------------------------------------------------------
+
+    def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
+        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        transition, noise = self.inertial.propagate(
+            np.asarray(angle, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+        )
+        p, n = self.covariance, INERTIAL
+        p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
+        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+        p[:n, n:] = transition @ p[:n, n:]
+        p[n:, :n] = p[:n, n:].T
+
+    # --- altimeter ------------------------------------------------------------------------
+
+    def update_range(
+        self,
+        distance: float,
+        sigma: float,
+        boresight: ArrayLike = (0.0, 0.0, -1.0),
+        gate: float = 4.0,
+    ) -> float:
+        """Take in a slant range (Eq. 9, for any boresight); return its squared innovation.
+
+        The innovation is in units of its standard deviation. A range that is no number or lies
+        more than `gate` deviations off leaves the filter as it was.
+        """
+        if not (np.isfinite(distance) and np.isfinite(sigma) and sigma > 0.0):
+            return float("nan")
+        rotation = quat_to_matrix(self.inertial.attitude)
+        b = np.asarray(boresight, dtype=np.float64)
+        down = float(rotation[2] @ b)
+        height = float(self.inertial.position[2] - self.ground)
+        if down > -0.1 or height <= 0.0:
+            return float("nan")
+        h = np.zeros(INERTIAL)
+        h[2] = -1.0 / down
+        h[9:12] = -height / down**2 * np.cross(rotation[2], b)
+        hp = h @ self._p[:INERTIAL, : INERTIAL + 2 * self.count]
+        s = float(hp[:INERTIAL] @ h) + sigma**2
+        innovation = distance + height / down
+        nis = innovation**2 / s
+        if nis <= gate**2:
+            w = hp / np.sqrt(s)
+            self._apply(w[None, :], np.array([innovation / np.sqrt(s)]))
+        return nis
+
+    # --- rocks ----------------------------------------------------------------------------
+
+    def sight(self, camera: Camera, xy: Array | None = None) -> Sight:
+        """Return where rocks at `xy` (n, 2), or those tracked, should be seen (Eqs. 10-11)."""
+        points = self.xy if xy is None else xy
+        s = self.inertial
+        rotation = quat_to_matrix(s.attitude)
+        to_rock = np.column_stack((points, np.full(len(points), self.ground))) - s.position
+        body = to_rock @ rotation
+        seen = (body - np.asarray(camera.offset)) @ camera.mount
+        x, y, z = seen.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tx, ty = x / z, y / z
+            zero = np.zeros_like(z)
+            by_seen = np.stack(
+                (
+                    np.stack((camera.fx / z, zero, -camera.fx * tx / z), -1),
+                    np.stack((zero, camera.fy / z, -camera.fy * ty / z), -1),
+                ),
+                axis=-2,
+            )
+        by_body = by_seen @ camera.mount.T
+        by_point = by_body @ rotation.T
+        # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
+        by_attitude = np.cross(by_body, body[:, None, :])
+        pixel = np.column_stack((camera.fx * tx + camera.cx, camera.fy * ty + camera.cy))
+        return Sight(
+            pixel, z, np.concatenate((-by_point, by_attitude), axis=-1), by_point[:, :, :2]
+        )
+
+    def innovation_covariance(self, sight: Sight) -> Array:
+        """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
+        columns = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
+        pose = self._p[np.ix_(_POSE, _POSE)]
+        cross = np.moveaxis(self._p[_POSE[:, None, None], columns[None]], 0, 1)  # (n, 6, 2)
+        own = self.rock_covariance()
+        a, b = sight.by_pose, sight.by_rock
+        mixed = a @ cross @ np.swapaxes(b, 1, 2)
+        return np.asarray(
+            a @ pose @ np.swapaxes(a, 1, 2)
+            + mixed
+            + np.swapaxes(mixed, 1, 2)
+            + b @ own @ np.swapaxes(b, 1, 2)
+        )
+
+    def update_rocks(
+        self,
+        index: Index,
+        sight: Sight,
+        pixel: Array,
+        pixel_covariance: Array,
+        radius: Array,
+        radius_variance: Array,
+    ) -> float:
+        """Take in what was seen of rocks in one image; return the normalised innovation squared.
+
+        Parameters
+        ----------
+        index
+            Rocks (m,), each at most once.
+        sight
+            Prediction for all rocks, made at the present state.
+        pixel, pixel_covariance
+            Measured centres (m, 2) and their covariances (m, 2, 2).
+        radius, radius_variance
+            Measured radii (m,), m and m^2.
+
+        Returns
+        -------
+        nis
+            Of the 2 m pixel coordinates; chi-squared with 2 m degrees of freedom.
+        """
+        m = len(index)
+        if m == 0:
+            return 0.0
+        size = INERTIAL + 2 * self.count
+        a, b = sight.by_pose[index], sight.by_rock[index]
+        columns = INERTIAL + 2 * np.asarray(index)[:, None] + np.arange(2)
+        rows = self._p[columns.ravel(), :size].reshape(m, 2, size)
+        hp = (a.reshape(2 * m, 6) @ self._p[_POSE, :size]).reshape(m, 2, size) + b @ rows
+        hp = hp.reshape(2 * m, size)
+        s = hp[:, _POSE] @ a.reshape(2 * m, 6).T
+        own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
+        s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
+        block = 2 * np.arange(m)[:, None] + np.arange(2)
+        s[block[:, :, None], block[:, None, :]] += pixel_covariance
+        lower = np.linalg.cholesky(0.5 * (s + s.T))
+        innovation = (pixel - sight.pixel[index]).ravel()
+        both = solve_triangular(
+            lower, np.column_stack((hp, innovation)), lower=True, check_finite=False
+        )
+        self._apply(both[:, :-1], both[:, -1])
+        r = self._r[index]
+        gain = r[:, 1] / (r[:, 1] + radius_variance)
+        self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
+        self._r[index, 1] = (1.0 - gain) * r[:, 1]
+        return float(both[:, -1] @ both[:, -1])
+
+    def _apply(self, w: Array, innovation: Array) -> None:
+        """Correct by whitened rows: gain times innovation is w' y, the covariance loses w' w."""
+        w = np.ascontiguousarray(w)
+        correction = innovation @ w
+        p = self.covariance
+        p -= w.T @ w
+        self.inertial.correct(correction[:INERTIAL])
+        self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
+
+    # --- coming and going -----------------------------------------------------------------
+
+    def add(
+        self,
+        camera: Camera,
+        xy: Array,
+        pixel_covariance: Array,
+        radius: Array,
+        radius_variance: Array,
+    ) -> Index:
+        """Begin to track rocks seen at `xy` (b, 2), with their full cross-covariance.
+
+        From ``by_pose d(pose) + by_rock d(rock) = d(pixel)`` a new rock's error is
+        ``by_rock^-1 (d(pixel) - by_pose d(pose))``.
+
+        Returns
+        -------
+        index
+            Of the new rocks (b,).
+        """
+        b = len(radius)
+        sight = self.sight(camera, xy)
+        inverse = np.linalg.inv(sight.by_rock)
+        by_pose = -(inverse @ sight.by_pose).reshape(2 * b, 6)
+        own = inverse @ pixel_covariance @ np.swapaxes(inverse, 1, 2)
+        if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
+            raise InputError("rocks", xy.tolist(), "points on the ground in front of the camera")
+        self._reserve(self.count + b)
+        old = INERTIAL + 2 * self.count
+        new = old + 2 * b
+        p = self._p
+        p[old:new, :old] = by_pose @ p[_POSE, :old]
+        p[:old, old:new] = p[old:new, :old].T
+        block = by_pose @ p[np.ix_(_POSE, _POSE)] @ by_pose.T
+        at = 2 * np.arange(b)[:, None] + np.arange(2)
+        block[at[:, :, None], at[:, None, :]] += own
+        p[old:new, old:new] = 0.5 * (block + block.T)
+        index = np.arange(self.count, self.count + b)
+        self.count += b
+        self._xy[index] = xy
+        self._r[index] = np.column_stack((radius, radius_variance))
+        return index
+
+    def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
+        """Begin to track rocks known beforehand (n,), with errors of their own."""
+        n = len(xy)
+        self._reserve(self.count + n)
+        old = INERTIAL + 2 * self.count
+        new = old + 2 * n
+        self._p[old:new, :new] = 0.0
+        self._p[:new, old:new] = 0.0
+        self._p[np.arange(old, new), np.arange(old, new)] = np.repeat(np.square(sigma), 2)
+        self._xy[self.count : self.count + n] = xy
+        self._r[self.count : self.count + n] = np.column_stack((radius, radius_variance))
+        self.count += n
+
+    def remove(self, index: Index) -> Index:
+        """Stop tracking rocks; return the old numbers (n,) of those kept, in their order."""
+        keep = np.setdiff1d(np.arange(self.count), index)
+        rows = np.concatenate(
+            (np.arange(INERTIAL), (INERTIAL + 2 * keep[:, None] + np.arange(2)).ravel())
+        )
+        kept = self._p[np.ix_(rows, rows)]
+        self._p[: len(rows), : len(rows)] = kept
+        self._xy[: len(keep)] = self._xy[keep]
+        self._r[: len(keep)] = self._r[keep]
+        self.count = len(keep)
+        return keep
+
+    def widen(self, radius_rate: float, seconds: float) -> None:
+        """Let radii wander by a share `radius_rate` in a second: a rock looks different from
+        each side."""
+        self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
+
+    def _reserve(self, count: int) -> None:
+        capacity = len(self._r)
+        if count <= capacity:
+            return
+        capacity = max(count, 2 * capacity)
+        grown = np.zeros((INERTIAL + 2 * capacity,) * 2)
+        size = INERTIAL + 2 * self.count
+        grown[:size, :size] = self._p[:size, :size]
+        self._p = grown
+        for name in ("_xy", "_r"):
+            old = getattr(self, name)
+            more = np.zeros((capacity, 2))
+            more[: self.count] = old[: self.count]
+            setattr(self, name, more)

@@ -1,0 +1,231 @@
+"""From detections to tracked rocks: association, birth, merging, splitting, pruning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from lunarsim.errors import InputError
+from lunarsim.hazards.shadows.association import associate
+from lunarsim.hazards.shadows.detection_rates import DetectionRates
+from lunarsim.hazards.shadows.detector import Detections
+from lunarsim.hazards.shadows.rock_filter import RockFilter, Sight
+from lunarsim.hazards.shadows.shadow_model import ShadowModel
+from lunarsim.sensors.camera import Camera
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# A second look at the same shadow is no independent one: what it may add to the odds.
+_MOST_EVIDENCE = 3.0
+_GONE = 0.05
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """When rocks come, go, join and part.
+
+    Attributes
+    ----------
+    least_radius
+        Smaller ones are not tracked, m.
+    region
+        West, east, south, north limits of where rocks are tracked, m; None: everywhere.
+    radius_wander
+        Share by which the measured radius changes in a second as the view turns.
+    radius_doubt
+        Standard deviation of a measured radius, a share of it, beyond the detector's.
+    most_rocks
+        Above this no rock is added.
+    """
+
+    least_radius: float = 0.1
+    region: tuple[float, float, float, float] | None = None
+    radius_wander: float = 0.02
+    radius_doubt: float = 0.15
+    most_rocks: int = 2000
+
+    def __post_init__(self) -> None:
+        for name in ("least_radius", "radius_wander", "radius_doubt"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
+
+
+class RockTracker:
+    """The rocks of one filter, with the probability that each is one.
+
+    Parameters
+    ----------
+    rocks
+        The filter; the tracker alone adds and removes its rocks.
+    model, rates
+        What rocks look like, and how often they are missed or made up.
+    settings
+        See `TrackerSettings`.
+    """
+
+    def __init__(
+        self,
+        rocks: RockFilter,
+        model: ShadowModel,
+        rates: DetectionRates | None = None,
+        settings: TrackerSettings | None = None,
+    ) -> None:
+        self.filter = rocks
+        self.model = model
+        self.rates = rates or DetectionRates()
+        self.settings = settings or TrackerSettings()
+        self.existence = np.empty(0)
+        self.hits = np.empty(0, np.int64)
+        self._time: float | None = None
+
+    def add_known(
+        self, xy: ArrayLike, sigma: ArrayLike, radius: ArrayLike, radius_sigma: ArrayLike
+    ) -> None:
+        """Begin with rocks known beforehand, as from orbit.
+
+        Parameters
+        ----------
+        xy, sigma
+            Centres (n, 2) and their standard deviation an axis (n,), m.
+        radius, radius_sigma
+            m (n,).
+        """
+        xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+        n = len(xy)
+        arrays = [np.broadcast_to(np.asarray(v, float), n) for v in (sigma, radius, radius_sigma)]
+        if not all(np.isfinite(a).all() and (a > 0.0).all() for a in arrays):
+            raise InputError("rocks.known", "sigma or radius", "positive numbers")
+        self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
+        self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
+        self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
+
+    def update(self, seen: Detections, camera: Camera, sun: Array, time: float) -> float:
+        """Take in the detections of one image; return the filter's squared innovation."""
+        s = self.settings
+        if self._time is not None:
+            self.filter.widen(s.radius_wander, max(time - self._time, 0.0))
+        self._time = time
+        radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
+        self._split(seen, camera, radius_variance)
+        sight = self.filter.sight(camera)
+        view = _in_view(sight, camera)
+        at = np.flatnonzero(view)
+        d, j, close = associate(
+            seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
+            sight.pixel[at], self.filter.innovation_covariance(sight)[at],
+            self.filter.radius[at], self.filter.radius_variance[at],
+        )  # fmt: skip
+        rock = at[j]
+        nis = self.filter.update_rocks(
+            rock, sight, seen.pixel[d], seen.pixel_covariance[d], seen.radius[d], radius_variance[d]
+        )
+        self.hits[rock] += 1
+        self._judge(rock, at, seen, d, camera, sun)
+        self._birth(~close, seen, camera, radius_variance)
+        self._merge()
+        self._drop(np.flatnonzero(self.existence < _GONE))
+        return nis
+
+    def _judge(
+        self, hit: Index, view: Index, seen: Detections, d: Index, camera: Camera, sun: Array
+    ) -> None:
+        """Change the odds that each rock in view is one, by Bayes."""
+        odds = self.existence / (1.0 - self.existence)
+        false = self.rates.false_positive(seen.q[d])
+        odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MOST_EVIDENCE)
+        lost = np.setdiff1d(view, hit)
+        miss = self.rates.false_negative(self._expected_q(lost, camera, sun))
+        odds[lost] *= np.clip(miss, 1.0 / _MOST_EVIDENCE, 1.0)
+        self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
+
+    def _expected_q(self, index: Index, camera: Camera, sun: Array) -> Array:
+        """Return q of the patches that rocks (n,) should show now."""
+        s = self.filter.inertial
+        away = s.position[None, :2] - self.filter.xy[index]
+        height = s.position[2] - self.filter.ground
+        level = np.hypot(away[:, 0], away[:, 1])
+        azimuth = np.arctan2(away[:, 0], away[:, 1]) - np.arctan2(sun[0], sun[1])
+        pixel = np.hypot(level, height) / np.sqrt(camera.fx * camera.fy)
+        return self.model.visible_pixels(
+            self.filter.radius[index], azimuth, np.arctan2(height, level), pixel
+        )
+
+    def _birth(
+        self, fresh: NDArray[np.bool_], seen: Detections, camera: Camera, variance: Array
+    ) -> None:
+        """Add detections that belong to no rock."""
+        s = self.settings
+        fresh = fresh & (seen.radius >= s.least_radius)
+        if s.region is not None:
+            west, east, south, north = s.region
+            x, y = seen.ground.T
+            fresh = fresh & (x >= west) & (x <= east) & (y >= south) & (y <= north)
+        new = np.flatnonzero(fresh)[: max(s.most_rocks - self.filter.count, 0)]
+        if new.size == 0:
+            return
+        self.filter.add(
+            camera, seen.ground[new], seen.pixel_covariance[new], seen.radius[new], variance[new]
+        )
+        born = 1.0 - self.rates.false_positive(seen.q[new])
+        self.existence = np.concatenate((self.existence, np.clip(born, 0.1, 0.99)))
+        self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
+
+    def _merge(self) -> None:
+        """Drop the less seen of two rocks of which one's centre lies in the other."""
+        f = self.filter
+        if f.count < 2:
+            return
+        pairs = cKDTree(f.xy).query_pairs(float(f.radius.max()), output_type="ndarray")
+        if len(pairs) == 0:
+            return
+        a, b = pairs.T
+        gap = np.hypot(*(f.xy[a] - f.xy[b]).T)
+        double = gap < 0.7 * np.maximum(f.radius[a], f.radius[b])
+        a, b = a[double], b[double]
+        first = (self.hits[a] > self.hits[b]) | (
+            (self.hits[a] == self.hits[b]) & (f.radius[a] >= f.radius[b])
+        )
+        kept, dropped = np.where(first, a, b), np.where(first, b, a)
+        # A chain of doubles keeps its first link.
+        dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
+        self._drop(dropped)
+
+    def _split(self, seen: Detections, camera: Camera, variance: Array) -> None:
+        """Replace a rock by the smaller ones into which a sharper image resolves it."""
+        f = self.filter
+        if f.count == 0 or len(seen) < 2:
+            return
+        inside = cKDTree(seen.ground).query_ball_point(f.xy, np.maximum(f.radius, 1e-3))
+        parts = [
+            (j, np.array(k)) for j, k in enumerate(inside)
+            if len(k) >= 2 and (seen.radius[k] < 0.6 * f.radius[j]).all()
+        ]  # fmt: skip
+        if not parts:
+            return
+        born = np.unique(np.concatenate([k for _, k in parts]))
+        self._drop(np.array([j for j, _ in parts]))
+        fresh = np.zeros(len(seen), bool)
+        fresh[born] = True
+        self._birth(fresh, seen, camera, variance)
+
+    def _drop(self, index: Index) -> None:
+        if len(index):
+            keep = self.filter.remove(index)
+            self.existence = self.existence[keep]
+            self.hits = self.hits[keep]
+
+
+def _in_view(sight: Sight, camera: Camera, margin: float = 4.0) -> NDArray[np.bool_]:
+    u, v = sight.pixel.T
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            (sight.depth > 0.0)
+            & (u > margin)
+            & (u < camera.width - 1 - margin)
+            & (v > margin)
+            & (v < camera.height - 1 - margin)
+        )

@@ -1,0 +1,120 @@
+"""Compiled strap-down propagation of state and error covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+
+@kernel()
+def _rotation(q, out):
+    """Write the rotation matrix (3, 3) of a unit quaternion, scalar last."""
+    x, y, z, w = q
+    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    out[0, 1] = 2.0 * (x * y - w * z)
+    out[0, 2] = 2.0 * (x * z + w * y)
+    out[1, 0] = 2.0 * (x * y + w * z)
+    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    out[1, 2] = 2.0 * (y * z - w * x)
+    out[2, 0] = 2.0 * (x * z - w * y)
+    out[2, 1] = 2.0 * (y * z + w * x)
+    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@kernel()
+def _turn(q, phi):
+    """Return q times the quaternion of the rotation vector phi (Eq. 5), at unit norm."""
+    angle = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    s = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
+    x, y, z = phi[0] * s, phi[1] * s, phi[2] * s
+    w = np.cos(0.5 * angle)
+    out = np.empty(4)
+    out[0] = q[3] * x + q[0] * w + q[1] * z - q[2] * y
+    out[1] = q[3] * y - q[0] * z + q[1] * w + q[2] * x
+    out[2] = q[3] * z + q[0] * y - q[1] * x + q[2] * w
+    out[3] = q[3] * w - q[0] * x - q[1] * y - q[2] * z
+    return out / np.sqrt(np.sum(out * out))
+
+
+@kernel()
+def propagate(state, held, angle, velocity, step, gravity, density, blind):
+    """Carry the state over consecutive inertial samples (Eqs. 2-6).
+
+    Parameters
+    ----------
+    state
+        Position, velocity, accelerometer bias, quaternion, gyroscope bias (16,).
+    held
+        Last good rate and specific force (6,), used and kept up to date: while samples are NaN
+        the lander is taken to go on as before.
+    angle, velocity
+        Increments (n, 3), rad and m/s.
+    step
+        s.
+    gravity
+        ENU (3,), m/s^2.
+    density
+        Random walk of velocity, angle, accelerometer bias and gyroscope bias (4,).
+    blind
+        The first two of them while samples are missing (2,).
+
+    Returns
+    -------
+    state, transition, noise
+        (16,), (15, 15) and (15, 15) over the whole span; errors are ordered as Eq. 1, attitude
+        as a small rotation in body axes.
+    """
+    x = state.copy()
+    total = np.eye(15)
+    noise = np.zeros((15, 15))
+    phi = np.eye(15)
+    r = np.empty((3, 3))
+    ra = np.empty((3, 3))
+    for n in range(angle.shape[0]):
+        good = True
+        for k in range(3):
+            good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
+        if good:
+            for k in range(3):
+                held[k] = angle[n, k] / step
+                held[3 + k] = velocity[n, k] / step
+        w = held[:3] - x[13:16]
+        a = held[3:] - x[6:9]
+        middle = _turn(x[9:13], 0.5 * step * w)
+        _rotation(middle, r)
+        accel = np.empty(3)
+        for i in range(3):
+            accel[i] = r[i, 0] * a[0] + r[i, 1] * a[1] + r[i, 2] * a[2] + gravity[i]
+            # R [a x]
+            ra[i, 0] = r[i, 1] * a[2] - r[i, 2] * a[1]
+            ra[i, 1] = r[i, 2] * a[0] - r[i, 0] * a[2]
+            ra[i, 2] = r[i, 0] * a[1] - r[i, 1] * a[0]
+        x[0:3] += step * (x[3:6] + 0.5 * step * accel)
+        x[3:6] += step * accel
+        x[9:13] = _turn(x[9:13], step * w)
+        for i in range(3):
+            phi[i, 3 + i] = step
+            phi[9 + i, 12 + i] = -step
+            for j in range(3):
+                phi[i, 6 + j] = -0.5 * step * step * r[i, j]
+                phi[3 + i, 6 + j] = -step * r[i, j]
+                phi[i, 9 + j] = -0.5 * step * step * ra[i, j]
+                phi[3 + i, 9 + j] = -step * ra[i, j]
+                phi[3 + i, 12 + j] = 0.5 * step * step * ra[i, j]
+        phi[9, 10], phi[9, 11] = step * w[2], -step * w[1]
+        phi[10, 9], phi[10, 11] = -step * w[2], step * w[0]
+        phi[11, 9], phi[11, 10] = step * w[1], -step * w[0]
+        total = phi @ total
+        noise = phi @ noise @ phi.T
+        white_v = density[0] if good else blind[0]
+        white_a = density[1] if good else blind[1]
+        for i in range(3):
+            noise[i, i] += white_v**2 * step**3 / 3.0
+            noise[i, 3 + i] += white_v**2 * step**2 / 2.0
+            noise[3 + i, i] += white_v**2 * step**2 / 2.0
+            noise[3 + i, 3 + i] += white_v**2 * step
+            noise[9 + i, 9 + i] += white_a**2 * step
+            noise[6 + i, 6 + i] += density[2] ** 2 * step
+            noise[12 + i, 12 + i] += density[3] ** 2 * step
+    return x, total, noise
