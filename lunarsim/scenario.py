@@ -126,6 +126,11 @@ class CameraSection(Section):
     read_noise_electrons: NonNegative = 12.0
     full_well_electrons: Positive = 20_000.0
     bits: int = Field(8, ge=1, le=16)
+    rate_hz: Positive = Field(10.0, description="pictures a second, for the shadow mapper")
+    first_altitude_m: Positive = Field(400.0, description="of the first picture above the site")
+    gimbal_limit_deg: float = Field(
+        180.0, gt=0.0, le=180.0, description="farthest that it points from straight down"
+    )
 
 
 class LanderSection(Section):
@@ -179,6 +184,9 @@ class GuidanceSection(Section):
     glideslope_deg: float = Field(8.0, ge=0.0, lt=80.0)
     reserve_kg: NonNegative = 15.0
     time_to_go_s: Positive | None = Field(None, description="left out: the cheapest admissible")
+    arrival_acceleration_m_s2: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="at the end of the approach; shapes the path before it"
+    )
     vertical_altitude_m: Positive = 10.0
     vertical_speed_m_s: Positive = 2.0
 
@@ -208,7 +216,9 @@ class LidarSection(Section):
 class MapperSection(Section):
     """The hazard mapper."""
 
-    kind: Literal["gaussian-dem"] = "gaussian-dem"
+    kind: Literal["gaussian-dem", "shadow"] = Field(
+        "gaussian-dem", description="LiDAR, or rocks by their shadows in the camera"
+    )
     posting_m: Positive = 0.2
     size_m: Positive = 100.0
     safety: Literal["level", "planes"] = Field(
@@ -216,6 +226,12 @@ class MapperSection(Section):
     )
     sigma_f_m: Positive = 0.5
     length_scale_m: Positive = 30.0
+    expected_shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"] = Field(
+        "hemisphere", description="of rocks, to read shadows by (shadow)"
+    )
+    expected_cover: float = Field(0.05, gt=0.0, le=0.2, description="of rocks, beforehand (shadow)")
+    hazard_diameter_m: Positive = Field(0.5, description="least diameter of a hazard (shadow)")
+    refresh_s: Positive = Field(1.0, description="between two evaluations of the map (shadow)")
 
 
 class NavigationSection(Section):

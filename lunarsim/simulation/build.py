@@ -197,16 +197,31 @@ def mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray) -> Gaussia
         If the map is smaller than the lander's footprint or its posting is too coarse.
     """
     s = scenario.mapper
+    return GaussianDemMapper(
+        map_grid(scenario, lander, centre),
+        lander,
+        sigma_f=s.sigma_f_m,
+        length_scale=s.length_scale_m,
+        safety=s.safety,
+    )
+
+
+def map_grid(scenario: Scenario, lander: Lander, centre: np.ndarray) -> Grid:
+    """Return the cells of the hazard map.
+
+    Raises
+    ------
+    InputError
+        If the map is smaller than the lander's footprint or its posting is too coarse.
+    """
+    s = scenario.mapper
     if s.posting_m > 0.5 * lander.leg_radius:
         raise InputError("mapper.posting_m", s.posting_m, f"at most {0.5 * lander.leg_radius} m")
     if s.size_m < 4.0 * lander.leg_radius + 1.0:
         raise InputError(
             "mapper.size_m", s.size_m, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m"
         )
-    grid = Grid.centred(centre, s.size_m, s.posting_m)
-    return GaussianDemMapper(
-        grid, lander, sigma_f=s.sigma_f_m, length_scale=s.length_scale_m, safety=s.safety
-    )
+    return Grid.centred(centre, s.size_m, s.posting_m)
 
 
 def budget_of(scenario: Scenario) -> ErrorBudget:

@@ -18,13 +18,17 @@ from lunarsim.guidance.policies.library import TRUTH_ORACLE, make_policy
 from lunarsim.guidance.policies.oracle import TruthOracle
 from lunarsim.guidance.sites import candidate_sites
 from lunarsim.guidance.vertical import VerticalDescent
+from lunarsim.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.hazards.hazard_map import FloatMap, HazardMap
+from lunarsim.hazards.shadows import ShadowMapper, Shot
 from lunarsim.navigation.error_model import NavigationErrorModel
-from lunarsim.navigation.estimate import Estimate
+from lunarsim.navigation.estimate import Estimate, Navigation
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.gimbal import gimbal_mount
 from lunarsim.simulation import build
+from lunarsim.simulation.build_shadows import navigation_of, shadow_mapper_of
+from lunarsim.simulation.filtered_navigation import FilteredNavigation
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.recorder import Recorder
 from lunarsim.simulation.truth import Truth
@@ -88,14 +92,19 @@ class Simulation:
 
         site = self._draw_target()
         self.state = self._draw_start(site)
-        self.navigation = NavigationErrorModel(
+        self.time = 0.0
+        self.navigation: Navigation = NavigationErrorModel(
             build.budget_of(scenario), self.streams.get("navigation")
         )
-        self.time = 0.0
+        self.shadows: FilteredNavigation | None = None
+        if scenario.mapper.kind == "shadow":
+            self._navigate_by_shadows(site[2])
         self.estimate = self.navigation.update(self.state, self.time)
         # The onboard map of the mission is drawn in the estimated frame from the start.
         self.site = site + self.navigation_error
-        self.mapper = build.mapper_of(scenario, self.lander, self.site)
+        self.mapper: GaussianDemMapper | ShadowMapper
+        if self.shadows is None:
+            self.mapper = build.mapper_of(scenario, self.lander, self.site)
         self.vertical = VerticalDescent(scenario.gravity_m_s2, scenario.guidance.vertical_speed_m_s)
         self.guidance = ApolloGuidance(
             scenario.gravity_m_s2,
@@ -105,6 +114,14 @@ class Simulation:
         self.recorder = Recorder()
         self.phase = APPROACH
         self.state = self._settled(self.state)
+        if self.shadows is not None:
+            # The same draws again, now about the attitude that the lander starts with.
+            rocks = self._navigate_by_shadows(site[2]).rocks
+            self.estimate = self.navigation.update(self.state, self.time)
+            self.mapper = shadow_mapper_of(scenario, self.lander, self.site, rocks)
+        self.camera = build.camera_of(scenario)
+        self._camera_rng = self.streams.get("camera")
+        self._next_picture = 0.0
         self.verdict: Verdict | None = None
         self.map_error = np.zeros(3)
         self.first_map_estimate: Estimate | None = None
@@ -115,6 +132,12 @@ class Simulation:
         self.policy = self._resolve(policy)
 
     # --- set-up ---------------------------------------------------------------------------
+
+    def _navigate_by_shadows(self, ground: float) -> FilteredNavigation:
+        """Put the filter that tracks rocks in the place of the error model."""
+        self.shadows = navigation_of(self.scenario, self.world, self.state, ground, self.streams)
+        self.navigation = self.shadows
+        return self.shadows
 
     def _draw_target(self) -> Array:
         section = self.scenario.target
@@ -321,6 +344,7 @@ class Simulation:
         limit = np.deg2rad(self.scenario.lidar.gimbal_limit_deg)
         mount = gimbal_mount(self.estimate.attitude, boresight, limit)
         scan = self.lidar.measure(self.world, self.state, self.time, self._lidar_rng, mount)
+        assert isinstance(self.mapper, GaussianDemMapper)
         self.mapper.update(scan, self.estimate)
         self.map_error = self.navigation_error
         self.recorder.scan(scan, self.estimate)
@@ -329,9 +353,32 @@ class Simulation:
         if self.first_map_estimate is None:
             self.first_map_estimate = self.estimate
 
+    def _photograph(self) -> None:
+        """Take a picture of the site, and update filter and map."""
+        self._next_picture = self.time + 1.0 / self.scenario.camera.rate_hz
+        limit = np.deg2rad(self.scenario.camera.gimbal_limit_deg)
+        mount = gimbal_mount(
+            self.estimate.attitude, self.site - self.estimate.position, limit
+        )
+        camera = replace(self.camera, mount=mount)
+        photo = camera.expose(self.world, self.state, self.time, self._camera_rng)
+        assert isinstance(self.mapper, ShadowMapper)
+        self.mapper.update(Shot(self.time, photo.counts, camera), self.estimate)
+        # What the picture told of the lander counts at once.
+        self.estimate = self.navigation.update(self.state, self.time)
+        self.map_error = self.navigation_error
+        if self.first_map_estimate is None:
+            self.first_map_estimate = self.estimate
+            self.recorder.event(self.time, "first-picture", altitude=self.altitude)
+
     def navigate_and_scan(self) -> None:
         """Do the first half of a cycle: update the estimate and the map."""
         self.estimate = self.navigation.update(self.state, self.time)
+        if self.shadows is not None:
+            due = self.time >= self._next_picture - 1e-9
+            if due and 0.0 < self.altitude <= self.scenario.camera.first_altitude_m:
+                self._photograph()
+            return
         if self._pending_scans and self.altitude <= self._pending_scans[0]:
             while self._pending_scans and self.altitude <= self._pending_scans[0]:
                 self._pending_scans.pop(0)
@@ -352,6 +399,8 @@ class Simulation:
         touched = self._first_contact(history)
         last = history[touched if touched is not None else -1]
         steps = self._steps if touched is None else touched + 1
+        if self.shadows is not None:
+            self.shadows.sense(self.state, history[:steps], self.scenario.simulation.step_s)
         self.state = State.from_vector(last)
         self.time += steps * self.scenario.simulation.step_s
         if touched is not None:
@@ -375,7 +424,11 @@ class Simulation:
             self.recorder.event(self.time, "vertical-descent", altitude=self.altitude)
         if self.phase == APPROACH:
             speed = self.scenario.guidance.vertical_speed_m_s
-            target = Target(approach_end, np.array([0.0, 0.0, -speed]))
+            target = Target(
+                approach_end,
+                np.array([0.0, 0.0, -speed]),
+                np.asarray(self.scenario.guidance.arrival_acceleration_m_s2),
+            )
             thrust = self.guidance.command(self.estimate, target, self.time)
             tilt = self.limits.max_tilt
         else:
@@ -421,6 +474,13 @@ class Simulation:
             self.step()
         return self.flight()
 
+    def _last_map(self) -> HazardMap | None:
+        """Return the map, or None if nothing was ever seen."""
+        last = self.mapper.hazard_map()
+        if isinstance(self.mapper, GaussianDemMapper) and self.mapper.dem is None:
+            return None
+        return last if self.first_map_estimate is not None else None
+
     def flight(self) -> Flight:
         """Return the record of the flight so far."""
         seed = self.streams.seed
@@ -432,7 +492,7 @@ class Simulation:
             trajectory=self.recorder.trajectory(),
             decisions=self.recorder.decisions,
             events=self.recorder.events,
-            hazard_map=self.mapper.hazard_map() if self.mapper.dem is not None else None,
+            hazard_map=self._last_map(),
             map_error=self.map_error,
             scans=self.recorder.scans,
             candidates=self.recorder.candidates,

@@ -13,6 +13,8 @@ Index = NDArray[np.int64]
 
 # Chi-squared of pixel and radius, 3 degrees of freedom, at 99.9 %.
 GATE = 16.27
+# By as much must a rival's squared distance be greater for a pair to be sure.
+_RIVAL = 6.0
 
 
 def associate(
@@ -25,7 +27,7 @@ def associate(
     tracked_radius: Array,
     tracked_variance: Array,
     gate: float = GATE,
-) -> tuple[Index, Index, NDArray[np.bool_]]:
+) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
     """Pair detections with rocks so that the sum of squared Mahalanobis distances is least.
 
     A detection that is left alone costs `gate`, so no pair lies farther apart than that.
@@ -41,13 +43,16 @@ def associate(
     -------
     detection, rock
         The pairs (p,), by rising detection.
+    sure
+        Whether each pair has no rival (p,): no other detection in the rock's gate that is nearly
+        as near, nor another rock in the detection's.
     close
         Whether a detection lies in the gate of some rock (d,), its own or another's.
     """
     none = np.empty(0, np.int64)
     d, t = len(pixel), len(predicted)
     if d == 0 or t == 0:
-        return none, none, np.zeros(d, bool)
+        return none, none, np.zeros(0, bool), np.zeros(d, bool)
     spread = np.sqrt(
         np.linalg.eigvalsh(predicted_covariance)[:, 1].max()
         + np.linalg.eigvalsh(pixel_covariance)[:, 1]
@@ -75,4 +80,18 @@ def associate(
     )
     detection, column = min_weight_full_bipartite_matching(cost)
     paired = column < t
-    return detection[paired].astype(np.int64), column[paired].astype(np.int64), close
+    detection, rock = detection[paired].astype(np.int64), column[paired].astype(np.int64)
+    own = np.full(d, -1)
+    own[detection] = rock
+    mate = np.full(t, -1)
+    mate[rock] = detection
+    cost_of = np.full(d, np.inf)
+    is_pair = own[i] == j
+    cost_of[i[is_pair]] = distance[is_pair]
+    # A rival: the same detection with another rock, or the same rock with another detection.
+    rival = np.full(d, np.inf)
+    np.minimum.at(rival, i[~is_pair], distance[~is_pair])
+    matched = ~is_pair & (mate[j] >= 0)
+    np.minimum.at(rival, mate[j[matched]], distance[matched])
+    sure = rival[detection] > cost_of[detection] + _RIVAL
+    return detection, rock, sure, close

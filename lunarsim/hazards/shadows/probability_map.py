@@ -190,7 +190,7 @@ class ProbabilityMap:
         at = np.flatnonzero(hazard)
         if at.size:
             r = radius[at]
-            sigma = np.sqrt(0.5 * np.trace(f.rock_covariance()[at], axis1=1, axis2=2))
+            sigma = np.sqrt(0.5 * np.trace(f.relative_covariance()[at], axis1=1, axis2=2))
             # Rocks are no discs, and the filter's errors shrink as if every look were a new draw
             # of the shape: the spread of shapes is put back here.
             sigma = np.hypot(sigma, r * self.model.centre_sigma)

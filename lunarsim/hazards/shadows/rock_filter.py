@@ -110,6 +110,19 @@ class RockFilter:
         i = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
         return self._p[i[:, :, None], i[:, None, :]]
 
+    def relative_covariance(self) -> Array:
+        """Return the covariance of each rock's centre less the lander's position (n, 2, 2), m^2.
+
+        An error that lander and rocks share moves the map with the lander and misplaces nothing
+        on it.
+        """
+        own = self.rock_covariance()
+        if self.count == 0:
+            return own
+        columns = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
+        cross = np.moveaxis(self._p[np.arange(2)[:, None, None], columns[None]], 0, 1)
+        return np.asarray(own + self._p[:2, :2] - cross - np.swapaxes(cross, 1, 2))
+
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it."""
         s = self.inertial
@@ -222,6 +235,7 @@ class RockFilter:
         pixel_covariance: Array,
         radius: Array,
         radius_variance: Array,
+        common: float = 0.0,
     ) -> float:
         """Take in what was seen of rocks in one image; return the normalised innovation squared.
 
@@ -235,6 +249,10 @@ class RockFilter:
             Measured centres (m, 2) and their covariances (m, 2, 2).
         radius, radius_variance
             Measured radii (m,), m and m^2.
+        common
+            Standard deviation of an error that all pixels of the image share, an axis, pixels:
+            shadows stand for rocks with an error that depends on the view, so it does not
+            average out over the rocks.
 
         Returns
         -------
@@ -255,6 +273,8 @@ class RockFilter:
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
+        s[::2, ::2] += common**2
+        s[1::2, 1::2] += common**2
         lower = np.linalg.cholesky(0.5 * (s + s.T))
         innovation = (pixel - sight.pixel[index]).ravel()
         both = solve_triangular(

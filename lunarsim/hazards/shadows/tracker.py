@@ -22,6 +22,8 @@ Index = NDArray[np.int64]
 # A second look at the same shadow is no independent one: what it may add to the odds.
 _MOST_EVIDENCE = 3.0
 _GONE = 0.05
+# Chi-squared with 2 degrees of freedom at 99.7 %.
+_AGREEMENT = 11.6
 
 
 @dataclass(frozen=True)
@@ -34,19 +36,33 @@ class TrackerSettings:
         Smaller ones are not tracked, m.
     region
         West, east, south, north limits of where rocks are tracked, m; None: everywhere.
+    birth_q
+        Least q of a detection that begins a rock.
+    birth_sigma
+        Greatest standard deviation of its place on the ground, m; for large rocks a third of the
+        radius.
     radius_wander
         Share by which the measured radius changes in a second as the view turns.
     radius_doubt
         Standard deviation of a measured radius, a share of it, beyond the detector's.
+    common_pixels
+        Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
     most_rocks
         Above this no rock is added.
+    most_updates
+        Rocks that one image may correct. Those that have waited longest come first, so that the
+        cost of an image does not grow with the square of what is in view.
     """
 
     least_radius: float = 0.1
     region: tuple[float, float, float, float] | None = None
+    birth_q: float = 2.4
+    birth_sigma: float = 0.25
     radius_wander: float = 0.02
     radius_doubt: float = 0.15
+    common_pixels: float = 0.2
     most_rocks: int = 2000
+    most_updates: int = 150
 
     def __post_init__(self) -> None:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
@@ -80,6 +96,8 @@ class RockTracker:
         self.settings = settings or TrackerSettings()
         self.existence = np.empty(0)
         self.hits = np.empty(0, np.int64)
+        self.nis = 0.0, 0
+        self._updated = np.empty(0)
         self._time: float | None = None
 
     def add_known(
@@ -102,6 +120,7 @@ class RockTracker:
         self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
+        self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
 
     def update(self, seen: Detections, camera: Camera, sun: Array, time: float) -> float:
         """Take in the detections of one image; return the filter's squared innovation."""
@@ -114,21 +133,50 @@ class RockTracker:
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
-        d, j, close = associate(
+        covariance = self.filter.innovation_covariance(sight)[at]
+        d, j, sure, close = associate(
             seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
-            sight.pixel[at], self.filter.innovation_covariance(sight)[at],
+            sight.pixel[at], covariance,
             self.filter.radius[at], self.filter.radius_variance[at],
         )  # fmt: skip
         rock = at[j]
-        nis = self.filter.update_rocks(
-            rock, sight, seen.pixel[d], seen.pixel_covariance[d], seen.radius[d], radius_variance[d]
-        )
         self.hits[rock] += 1
+        use = np.flatnonzero(sure)
+        use = use[self._agreeing(seen, sight, d[use], rock[use])]
+        turn = use[np.argsort(self._updated[rock[use]], kind="stable")[: s.most_updates]]
+        a, b = d[turn], rock[turn]
+        self._updated[b] = time
+        nis = self.filter.update_rocks(
+            b, sight, seen.pixel[a], seen.pixel_covariance[a], seen.radius[a], radius_variance[a],
+            s.common_pixels,
+        )  # fmt: skip
+        self.nis = nis, 2 * len(b)
         self._judge(rock, at, seen, d, camera, sun)
         self._birth(~close, seen, camera, radius_variance)
         self._merge()
         self._drop(np.flatnonzero(self.existence < _GONE))
         return nis
+
+    def _agreeing(
+        self, seen: Detections, sight: Sight, d: Index, rock: Index
+    ) -> NDArray[np.bool_]:
+        """Return which pairs (p,) are off by what most pairs are off by.
+
+        An error of the lander's pose moves all rocks of an image together, so a wrong pair shows
+        against the others even where its own gate is wide.
+        """
+        if len(d) < 4:
+            return np.ones(len(d), bool)
+        off = seen.pixel[d] - sight.pixel[rock]
+        off = off - np.median(off, axis=0)
+        own = sight.by_rock[rock]
+        # Rocks' errors less what they share with the lander's position.
+        s = seen.pixel_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
+            own, 1, 2
+        )
+        s = s + 0.5 * np.eye(2)
+        distance = np.einsum("ni,ni->n", off, np.linalg.solve(s, off[:, :, None])[:, :, 0])
+        return np.asarray(distance < _AGREEMENT)
 
     def _judge(
         self, hit: Index, view: Index, seen: Detections, d: Index, camera: Camera, sun: Array
@@ -159,7 +207,9 @@ class RockTracker:
     ) -> None:
         """Add detections that belong to no rock."""
         s = self.settings
-        fresh = fresh & (seen.radius >= s.least_radius)
+        # Where it is must be known to a fraction of the distance between rocks.
+        sharp = _ground_sigma(seen, self.filter, camera) < np.maximum(s.birth_sigma, seen.radius / 3)
+        fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         if s.region is not None:
             west, east, south, north = s.region
             x, y = seen.ground.T
@@ -173,6 +223,8 @@ class RockTracker:
         born = 1.0 - self.rates.false_positive(seen.q[new])
         self.existence = np.concatenate((self.existence, np.clip(born, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
+        now = -np.inf if self._time is None else self._time
+        self._updated = np.concatenate((self._updated, np.full(new.size, now)))
 
     def _merge(self) -> None:
         """Drop the less seen of two rocks of which one's centre lies in the other."""
@@ -217,6 +269,16 @@ class RockTracker:
             keep = self.filter.remove(index)
             self.existence = self.existence[keep]
             self.hits = self.hits[keep]
+            self._updated = self._updated[keep]
+
+
+def _ground_sigma(seen: Detections, rocks: RockFilter, camera: Camera) -> Array:
+    """Return the standard deviation of detections on the ground (n,), the longer axis, m."""
+    if len(seen) == 0:
+        return np.empty(0)
+    back = np.linalg.inv(rocks.sight(camera, seen.ground).by_rock)
+    covariance = back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
+    return np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
 
 
 def _in_view(sight: Sight, camera: Camera, margin: float = 4.0) -> NDArray[np.bool_]:

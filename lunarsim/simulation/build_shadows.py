@@ -1,0 +1,90 @@
+"""From a scenario's tables to navigation and mapping by camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.hazards.shadows import (
+    HazardPrior,
+    ProbabilityMap,
+    RockFilter,
+    RockTracker,
+    ShadowMapper,
+    ShadowModel,
+    TrackerSettings,
+)
+from lunarsim.navigation.inertial import InertialState, InitialErrors
+from lunarsim.rng import Streams
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.altimeter import RadarAltimeter
+from lunarsim.sensors.imu import Imu
+from lunarsim.simulation import build
+from lunarsim.simulation.filtered_navigation import FilteredNavigation
+from lunarsim.terrain import RockModel
+from lunarsim.vehicle import Lander, State
+from lunarsim.world import World
+
+
+def shadow_mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray, rocks: RockFilter) -> ShadowMapper:
+    """Return the mapper that sees rocks by their shadows, its grid centred on the target.
+
+    Raises
+    ------
+    InputError
+        If the Sun is too low or too high for shadows, or the map too small or too coarse.
+    """
+    s = scenario.mapper
+    grid = build.map_grid(scenario, lander, centre)
+    light = build.light_of(scenario)
+    shapes = RockModel(
+        s.expected_shape,
+        scenario.rocks.height_ratio,
+        scenario.rocks.burial if s.expected_shape != "hemisphere" else (0.0, 0.0),
+        scenario.rocks.axis_ratio,
+    )
+    model = ShadowModel(light.elevation, shapes)
+    west, east, south, north = grid.extent
+    margin = 3.0
+    tracker = RockTracker(
+        rocks,
+        model,
+        settings=TrackerSettings(
+            least_radius=0.4 * s.hazard_diameter_m,
+            region=(west - margin, east + margin, south - margin, north + margin),
+        ),
+    )
+    probability = ProbabilityMap(
+        grid, model, HazardPrior(s.expected_cover, s.hazard_diameter_m), ground=rocks.ground
+    )
+    reach = lander.leg_radius + 0.5 * lander.pad_diameter
+    return ShadowMapper(tracker, probability, light.direction, reach, refresh=s.refresh_s)
+
+
+def navigation_of(
+    scenario: Scenario, world: World, state: State, ground: float, streams: Streams
+) -> FilteredNavigation:
+    """Return navigation by instruments, started with errors of the scenario's budget.
+
+    `ground` is the elevation of the site in the true frame; the filter's ground is as far off as
+    its first height, so that both stay in the estimated frame.
+    """
+    s = scenario.navigation
+    errors = InitialErrors(
+        max(s.position_bias_m, 1e-3), max(s.velocity_m_s, 1e-4),
+        max(np.deg2rad(s.attitude_deg), 1e-6),
+    )  # fmt: skip
+    drawn = streams.get("navigation").standard_normal((3, 3))
+    turn = quat_from_rotation_vector(errors.attitude * drawn[2])
+    offset = errors.position * drawn[0]
+    step = scenario.simulation.step_s
+    inertial = InertialState(
+        state.position + offset,
+        state.velocity + errors.velocity * drawn[1],
+        quat_multiply(state.attitude, turn),
+        scenario.gravity_m_s2,
+        step=step,
+    )
+    rocks = RockFilter(inertial, errors, ground=ground + offset[2])
+    imu = Imu(streams.get("imu"), 1.0 / step)
+    return FilteredNavigation(rocks, world, imu, RadarAltimeter(), streams.get("altimeter"))
