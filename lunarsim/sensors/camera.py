@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # Steps of the shutter whose mean is the blurred picture.
 _MOST_STEPS = 48
+# Electrons from which on Poisson's law is taken as a normal one: its skewness is then below 0.06.
+_FEW = 300.0
 
 
 @dataclass(frozen=True)
@@ -270,10 +272,14 @@ class Camera:
         self, radiance: Array, rng: np.random.Generator
     ) -> NDArray[np.unsignedinteger[Any]]:
         electrons = radiance * (self.sensitivity * self.exposure)
+        variance = np.full(electrons.shape, self.read_noise**2)
         if self.shot_noise:
-            electrons = rng.poisson(electrons).astype(np.float64)
-        if self.read_noise > 0.0:
-            electrons = electrons + self.read_noise * rng.standard_normal(electrons.shape)
+            # Where photons are few they are counted; where many, their noise is normal.
+            few = electrons < _FEW
+            variance += np.where(few, 0.0, electrons)
+            electrons[few] = rng.poisson(electrons[few])
+        if self.shot_noise or self.read_noise > 0.0:
+            electrons = electrons + np.sqrt(variance) * rng.standard_normal(electrons.shape)
         top = 2**self.bits - 1
         counts = np.rint(np.clip(electrons / self.full_well, 0.0, 1.0) * top)
         narrow: NDArray[np.unsignedinteger[Any]]

@@ -50,7 +50,7 @@ def shadow_mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray, roc
         rocks,
         model,
         settings=TrackerSettings(
-            least_radius=0.4 * s.hazard_diameter_m,
+            least_radius=0.42 * s.hazard_diameter_m,
             region=(west - margin, east + margin, south - margin, north + margin),
         ),
     )

@@ -371,6 +371,10 @@ class Simulation:
             self.first_map_estimate = self.estimate
             self.recorder.event(self.time, "first-picture", altitude=self.altitude)
 
+    def stop_camera(self) -> None:
+        """Take no more pictures: the rest of the flight goes by inertial unit and altimeter."""
+        self._next_picture = np.inf
+
     def navigate_and_scan(self) -> None:
         """Do the first half of a cycle: update the estimate and the map."""
         self.estimate = self.navigation.update(self.state, self.time)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scipy.special import ndtr
+
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.hazards.hazard_map import HazardMap
@@ -185,9 +187,10 @@ class ProbabilityMap:
         f = tracker.filter
         outline, rough = self.model.outline
         radius = f.radius
-        # A rock that is surely too small to matter is none.
-        hazard = radius + 2.0 * np.sqrt(f.radius_variance) >= 0.5 * self.prior.least_diameter
-        at = np.flatnonzero(hazard)
+        # A rock counts by the probability that it is large enough to matter.
+        doubt = np.sqrt(f.radius_variance + (self.model.radius_sigma * radius) ** 2)
+        large = ndtr((radius - 0.5 * self.prior.least_diameter) / doubt)
+        at = np.flatnonzero(large > 1e-4)
         if at.size:
             r = radius[at]
             sigma = np.sqrt(0.5 * np.trace(f.relative_covariance()[at], axis1=1, axis2=2))
@@ -204,7 +207,7 @@ class ProbabilityMap:
             profile = cover_probability(distance, sigma, mean, spread, self.form)
             kernels.paint(
                 clear, self.grid.x0, self.grid.y0, self.grid.posting, f.xy[at], reach, profile,
-                tracker.existence[at],
+                tracker.existence[at] * large[at],
             )  # fmt: skip
         return (1.0 - clear).astype(np.float32)
 

@@ -18,6 +18,7 @@ from scipy.linalg import solve_triangular
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
+from lunarsim.hazards.shadows._filter_kernels import subtract_outer
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
 from lunarsim.sensors.camera import Camera
@@ -27,6 +28,7 @@ Index = NDArray[np.int64]
 
 # What a pixel depends on: position and attitude.
 _POSE = np.array([0, 1, 2, 9, 10, 11])
+_BLOCK = 384
 
 
 @dataclass(frozen=True)
@@ -291,8 +293,7 @@ class RockFilter:
         """Correct by whitened rows: gain times innovation is w' y, the covariance loses w' w."""
         w = np.ascontiguousarray(w)
         correction = innovation @ w
-        p = self.covariance
-        p -= w.T @ w
+        _subtract_square(self.covariance, w)
         self.inertial.correct(correction[:INERTIAL])
         self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
 
@@ -353,17 +354,30 @@ class RockFilter:
         self.count += n
 
     def remove(self, index: Index) -> Index:
-        """Stop tracking rocks; return the old numbers (n,) of those kept, in their order."""
-        keep = np.setdiff1d(np.arange(self.count), index)
-        rows = np.concatenate(
-            (np.arange(INERTIAL), (INERTIAL + 2 * keep[:, None] + np.arange(2)).ravel())
-        )
-        kept = self._p[np.ix_(rows, rows)]
-        self._p[: len(rows), : len(rows)] = kept
-        self._xy[: len(keep)] = self._xy[keep]
-        self._r[: len(keep)] = self._r[keep]
-        self.count = len(keep)
-        return keep
+        """Stop tracking rocks; those from the end take their places.
+
+        Returns
+        -------
+        old
+            Old numbers of the rocks left (n,), in their new order.
+        """
+        gone = np.zeros(self.count, bool)
+        gone[index] = True
+        left = self.count - int(gone.sum())
+        holes = np.flatnonzero(gone[:left])
+        movers = left + np.flatnonzero(~gone[left:])
+        old = np.arange(left)
+        old[holes] = movers
+        axis = np.arange(2)
+        to = (INERTIAL + 2 * holes[:, None] + axis).ravel()
+        source = (INERTIAL + 2 * movers[:, None] + axis).ravel()
+        size = INERTIAL + 2 * self.count
+        self._p[to, :size] = self._p[source, :size]
+        self._p[:size, to] = self._p[:size, source]
+        self._xy[holes] = self._xy[movers]
+        self._r[holes] = self._r[movers]
+        self.count = left
+        return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
         """Let radii wander by a share `radius_rate` in a second: a rock looks different from
@@ -384,3 +398,18 @@ class RockFilter:
             more = np.zeros((capacity, 2))
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
+
+
+def _subtract_square(p: Array, w: Array) -> None:
+    """Subtract w' w (n, n) from the symmetric p in place, w being (m, n).
+
+    Block by block above the diagonal: the products then stay in the cache.
+    """
+    if len(w) == 1:
+        subtract_outer(p, w[0])
+        return
+    n = len(p)
+    for start in range(0, n, _BLOCK):
+        stop = min(start + _BLOCK, n)
+        p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
+        p[stop:, start:stop] = p[start:stop, stop:].T

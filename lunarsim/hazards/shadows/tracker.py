@@ -62,7 +62,7 @@ class TrackerSettings:
     radius_doubt: float = 0.15
     common_pixels: float = 0.2
     most_rocks: int = 2000
-    most_updates: int = 150
+    most_updates: int = 120
 
     def __post_init__(self) -> None:
         for name in ("least_radius", "radius_wander", "radius_doubt"):

@@ -1,0 +1,93 @@
+"""How good a probability map is: three classes, confusion, reliability (paper, V.B and V.C)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Edges of the bins of the reliability diagram: most of a map is at small probabilities.
+RELIABILITY_EDGES = np.array(
+    [0.0, 1e-4, 3e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0]
+)
+
+
+@dataclass(frozen=True)
+class Classification:
+    """Counts of cells; rates are NaN where there is nothing to count.
+
+    Attributes
+    ----------
+    cells, clear, occupied
+        Of the map; truly clear; truly under a hazard.
+    called_clear, called_occupied
+        By the thresholds; the rest is unknown.
+    clear_right, clear_wrong
+        Called clear and truly clear, or under a hazard.
+    occupied_right
+        Called occupied and under a hazard.
+    """
+
+    cells: int
+    clear: int
+    occupied: int
+    called_clear: int
+    called_occupied: int
+    clear_right: int
+    clear_wrong: int
+    occupied_right: int
+
+    @property
+    def rates(self) -> dict[str, float]:
+        """The paper's figures: recall of clear ground, and so on, each a share."""
+        return {
+            "clear_recall": _share(self.clear_right, self.clear),
+            "occupied_called_clear": _share(self.clear_wrong, self.occupied),
+            "clear_false": _share(self.clear_wrong, self.called_clear),
+            "occupied_correct": _share(self.occupied_right, self.called_occupied),
+            "unknown": _share(self.cells - self.called_clear - self.called_occupied, self.cells),
+        }
+
+    def counts(self) -> dict[str, int]:
+        """Return the attributes as a dictionary."""
+        return asdict(self)
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")
+
+
+def classify(
+    probability: NDArray[np.float32],
+    occupied: NDArray[np.bool_],
+    clear_below: float = 0.0025,
+    occupied_above: float = 0.8,
+) -> Classification:
+    """Compare a map of the probability of hazard (rows, cols) with the truth (rows, cols)."""
+    called_clear = probability < clear_below
+    called_occupied = probability > occupied_above
+    return Classification(
+        cells=probability.size,
+        clear=int((~occupied).sum()),
+        occupied=int(occupied.sum()),
+        called_clear=int(called_clear.sum()),
+        called_occupied=int(called_occupied.sum()),
+        clear_right=int((called_clear & ~occupied).sum()),
+        clear_wrong=int((called_clear & occupied).sum()),
+        occupied_right=int((called_occupied & occupied).sum()),
+    )
+
+
+def reliability(
+    probability: NDArray[np.float32], occupied: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return number of cells, sum of p and number under a hazard for each bin (bins, 3)."""
+    bins = np.clip(np.digitize(probability, RELIABILITY_EDGES) - 1, 0, len(RELIABILITY_EDGES) - 2)
+    size = len(RELIABILITY_EDGES) - 1
+    return np.column_stack(
+        [
+            np.bincount(bins.ravel(), weights=w, minlength=size)
+            for w in (None, probability.ravel().astype(np.float64), occupied.ravel())
+        ]
+    )
