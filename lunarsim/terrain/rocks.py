@@ -88,7 +88,8 @@ class RockField:
         return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
 
 
-def _exponent(k: float) -> float:
+def golombek_exponent(k: float) -> float:
+    """Return q of F(D) = k exp(-q D), 1/m."""
     if not 0.0 < k <= 0.5:
         raise InputError("rocks.cover", k, "a fraction between 0 and 0.5")
     return 1.79 + 0.152 / k
@@ -96,7 +97,7 @@ def _exponent(k: float) -> float:
 
 def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
     """Return F(D): the fraction of ground covered by rocks of `diameter` (m) or more."""
-    return np.asarray(k * np.exp(-_exponent(k) * np.asarray(diameter, dtype=np.float64)))
+    return np.asarray(k * np.exp(-golombek_exponent(k) * np.asarray(diameter, dtype=np.float64)))
 
 
 def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
@@ -104,7 +105,7 @@ def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
 
     From dN = -dF / (pi D^2 / 4): ``N = 4 k q^2 / pi * (exp(-x) / x - E1(x))`` with x = q D.
     """
-    q = _exponent(k)
+    q = golombek_exponent(k)
     x = q * np.asarray(diameter, dtype=np.float64)
     return np.asarray(4.0 * k * q * q / np.pi * (np.exp(-x) / x - exp1(x)))
 

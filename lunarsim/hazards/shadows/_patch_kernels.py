@@ -7,8 +7,8 @@ import numpy as np
 from lunarsim._jit import kernel
 
 # Columns of the table of patches.
-NEAR, FAR, RIGHT, LEFT, PIXELS, EDGE, SEEN, BORDER, TX, TY, DEPTH, SPAN_ALONG, SPAN_ACROSS = range(13)
-COLUMNS = 13
+ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS = range(12)
+COLUMNS = 12
 
 
 @kernel()
@@ -35,15 +35,13 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
     Returns
     -------
     out
-        (count + 1, 13): greatest and least coordinate towards the Sun and to the left of it, m;
-        pixels; pixels at the rim and how many of these lie on an edge of the image; whether the
-        patch touches the border or the horizon; mean tangents; mean depth, m; size of a pixel
-        along the Sun and across at the patch, m.
+        (count + 1, 12): mean coordinate towards the Sun and to the left of it from below the
+        camera, m; length and width of the rectangle with the same variances, m; pixels; pixels
+        at the rim and how many of these lie on an edge of the image; whether the patch touches
+        the border or the horizon; mean tangents; size of a pixel along the Sun and across at the
+        patch, m.
     """
     out = np.zeros((count + 1, COLUMNS))
-    for k in range(count + 1):
-        out[k, NEAR] = out[k, LEFT] = -np.inf
-        out[k, FAR] = out[k, RIGHT] = np.inf
     height, width = labels.shape
     drop = ground - position[2]
     for i in range(height):
@@ -80,11 +78,10 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
             n = depth * dn
             along = e * sun_e + n * sun_n
             across = n * sun_e - e * sun_n
-            out[k, NEAR] = max(out[k, NEAR], along)
-            out[k, FAR] = min(out[k, FAR], along)
-            out[k, LEFT] = max(out[k, LEFT], across)
-            out[k, RIGHT] = min(out[k, RIGHT], across)
-            out[k, DEPTH] += depth
+            out[k, ALONG] += along
+            out[k, ACROSS] += across
+            out[k, LENGTH] += along * along
+            out[k, WIDTH] += across * across
             if not rim:
                 continue
             # How far the point on the ground moves along and across for a pixel right and down;
@@ -99,7 +96,10 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
         pixels = max(out[k, PIXELS], 1.0)
         out[k, TX] /= pixels
         out[k, TY] /= pixels
-        out[k, DEPTH] /= pixels
+        for mean, size in ((ALONG, LENGTH), (ACROSS, WIDTH)):
+            out[k, mean] /= pixels
+            variance = out[k, size] / pixels - out[k, mean] ** 2
+            out[k, size] = np.sqrt(12.0 * max(variance, 0.0))
         rims = max(out[k, EDGE], 1.0)
         out[k, SPAN_ALONG] /= rims
         out[k, SPAN_ACROSS] /= rims

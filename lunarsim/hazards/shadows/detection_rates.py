@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 class DetectionRates:
     """Rates linear in q, the root of the number of dark pixels, cut at both ends.
 
+    The defaults are what `scenarios/shadow_rates.py` measures on rendered cubes.
+
     The paper takes q along the shadow (III.C); the root of the area equals it for a square patch
     and also tells what is left of a shadow that its rock hides.
 
@@ -28,8 +30,8 @@ class DetectionRates:
         The same for detections that are no rock's.
     """
 
-    missed: tuple[float, float, float] = (1.6, -0.45, 0.01)
-    false: tuple[float, float, float] = (0.3, -0.08, 0.005)
+    missed: tuple[float, float, float] = (1.70, -0.70, 0.037)
+    false: tuple[float, float, float] = (0.80, -0.345, 0.018)
 
     def __post_init__(self) -> None:
         for name in ("missed", "false"):

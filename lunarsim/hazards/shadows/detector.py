@@ -20,6 +20,12 @@ from lunarsim.sensors.rendering import View
 Array = NDArray[np.float64]
 
 
+# The threshold makes patches larger than they are: their usual area over the expected one, and the
+# share of that below which a patch is taken for several.
+_USUAL = 1.25
+_MERGED = 0.78
+
+
 class Pose(Protocol):
     """Where the lander is: a `State` or an `Estimate`."""
 
@@ -248,29 +254,29 @@ def _measure(
     azimuth, depression = _directions(t, view, sun)
     unit = model.patch(azimuth, depression)
     along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
-    # From the outer pixels' centres to their rims.
-    near, far = t[:, k.NEAR] + 0.5 * along_px, t[:, k.FAR] - 0.5 * along_px
-    left, right = t[:, k.LEFT] + 0.5 * across_px, t[:, k.RIGHT] - 0.5 * across_px
-    length, width = near - far, left - right
+    length, width = t[:, k.LENGTH], t[:, k.WIDTH]
     rocks = _Radius.of(length, width, unit, along_px, across_px, settings.pixel_sigma)
     area = t[:, k.PIXELS] * along_px * across_px
-    fill = area / (length * width)
+    rocks = rocks.if_merged(view, ground, model, azimuth, depression, t[:, k.PIXELS])
+    fill = area / np.maximum(length * width, 1e-9)
     hidden = unit.length < 0.3
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     good = ~terrain & ~hidden
-    r, unit_near, unit_side = rocks.radius, unit.near, unit.side
-    along = near - r * unit_near
-    across = 0.5 * (left + right) - r * unit_side
+    r = rocks.radius
+    along = t[:, k.ALONG] - r * unit.along
+    across = t[:, k.ACROSS] - r * unit.side
     s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
     frame = np.array([[s[0], -s[1]], [s[1], s[0]]])
     offset = np.column_stack((along, across)) @ frame.T
     spread_along = np.sqrt(
-        (settings.pixel_sigma * along_px) ** 2
-        + (rocks.sigma * unit_near) ** 2
-        + (r * unit.near_sigma) ** 2
+        0.25 * (settings.pixel_sigma * along_px) ** 2
+        + (rocks.sigma * unit.along) ** 2
+        + (r * unit.along_sigma) ** 2
     )
     spread_across = np.sqrt(
-        0.5 * (settings.pixel_sigma * across_px) ** 2 + (r * unit.side_sigma) ** 2
+        0.25 * (settings.pixel_sigma * across_px) ** 2
+        + (rocks.sigma * unit.side) ** 2
+        + (r * unit.side_sigma) ** 2
     )
     pixel, covariance = _to_pixels(
         offset, ground - view.position[2], view, frame, spread_along, spread_across
@@ -310,6 +316,23 @@ class _Radius:
         weight = var_width / (var_length + var_width)
         radius = weight * from_length + (1.0 - weight) * from_width
         return cls(radius, np.sqrt(var_length * weight))
+
+    def if_merged(
+        self, view: View, ground: float, model: ShadowModel, azimuth: Array, depression: Array,
+        pixels: Array,
+    ) -> _Radius:
+        """Return the radius with patches set right that hold the shadows of several rocks.
+
+        Such a patch has far less area than its length and width promise. Its area is the sum of
+        theirs, so the radius that goes with it is an upper bound on each that is nearer.
+        """  # fmt: skip
+        slant = (view.position[2] - ground) / np.maximum(np.sin(depression), 1e-3)
+        pixel = slant / np.sqrt(view.fx * view.fy)
+        expected = model.visible_pixels(self.radius, azimuth, depression, pixel) ** 2
+        share = pixels / np.maximum(expected, 1e-9) / _USUAL
+        merged = share < _MERGED
+        radius = np.where(merged, self.radius * np.sqrt(share), self.radius)
+        return _Radius(radius, np.where(merged, np.maximum(self.sigma, 0.25 * radius), self.sigma))
 
 
 def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:

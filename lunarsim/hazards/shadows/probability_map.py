@@ -20,12 +20,14 @@ from lunarsim.hazards.shadows.shadow_model import ShadowModel
 from lunarsim.hazards.shadows.tracker import RockTracker
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.rendering import View
-from lunarsim.terrain.rocks import golombek_cover, golombek_number
+from lunarsim.terrain.rocks import golombek_cover, golombek_exponent, golombek_number
 
 Array = NDArray[np.float64]
 
 # What has been seen is remembered for squares of this side, m.
-_BLOCK = 2.0
+_BLOCK = 0.5
+# The quality of a look is evaluated at every so many of them.
+_COARSE = 8
 _SIZES = 24
 _DISTANCES = 65
 # A rock's reach ends where its probability is below this.
@@ -114,35 +116,29 @@ class ProbabilityMap:
 
     # --- what has been seen ---------------------------------------------------------------
 
-    def see(self, camera: Camera, view: View, sun: Array, seen: Detections | None = None) -> None:
+    def see(self, camera: Camera, view: View, sun: Array, seen: Detections) -> None:
         """Note with what sharpness each place is in view.
 
         Only the sharpest look counts: what a shadow detector misses once it will often miss again
-        from nearly the same place, so looks are not multiplied. Places in a shadow that is no
-        rock's are not seen.
+        from nearly the same place, so looks are not multiplied. Ground in the dark is not seen,
+        be it in the shadow of a rock or of the terrain: a rock there would not show.
         """
         b = self._blocks
-        xx, yy = np.meshgrid(b.x, b.y)
-        to = np.stack((xx, yy, np.full_like(xx, self.ground)), -1) - view.position
-        s = to @ view.axes
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = np.rint(view.fx * s[..., 0] / s[..., 2] + view.cx)
-            v = np.rint(view.fy * s[..., 1] / s[..., 2] + view.cy)
-            inside = (
-                (s[..., 2] > 0.0)
-                & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
-            )  # fmt: skip
-        if not inside.any():
+        x = b.x0 + _COARSE * b.posting * np.arange(-(-b.cols // _COARSE) + 1)
+        y = b.y0 + _COARSE * b.posting * np.arange(-(-b.rows // _COARSE) + 1)
+        xx, yy = np.meshgrid(x, y)
+        away = np.stack((xx, yy), -1) - view.position[:2]
+        level = np.hypot(away[..., 0], away[..., 1])
+        drop = self.ground - view.position[2]
+        if drop >= 0.0:
             return
-        if seen is not None and len(seen.extended):
-            label = seen.labels[v[inside].astype(int), u[inside].astype(int)]
-            inside[inside] = ~np.isin(label, seen.extended)
-        away = to[inside]
-        level = np.hypot(away[:, 0], away[:, 1])
-        azimuth = np.arctan2(-away[:, 0], -away[:, 1]) - np.arctan2(sun[0], sun[1])
-        pixel = np.linalg.norm(away, axis=1) / np.sqrt(view.fx * view.fy)
-        q = self.model.visible_pixels(1.0, azimuth, np.arctan2(-away[:, 2], level), pixel)
-        self._sharpness[inside] = np.maximum(self._sharpness[inside], q)
+        azimuth = np.arctan2(-away[..., 0], -away[..., 1]) - np.arctan2(sun[0], sun[1])
+        pixel = np.hypot(level, drop) / np.sqrt(view.fx * view.fy)
+        q = self.model.visible_pixels(1.0, azimuth, np.arctan2(-drop, level), pixel)
+        kernels.mark_seen(
+            self._sharpness, b.x0, b.y0, b.posting, q, _COARSE, view.position, view.axes,
+            view.fx, view.fy, view.cx, view.cy, drop, seen.labels,
+        )  # fmt: skip
 
     def _residual(self, footprint: float) -> Array:
         """Return the probability that a rock not tracked is there (rows, cols).
@@ -184,32 +180,51 @@ class ProbabilityMap:
             into which a rock must not reach.
         """
         clear = 1.0 - self._residual(footprint)
-        f = tracker.filter
-        outline, rough = self.model.outline
-        radius = f.radius
-        # A rock counts by the probability that it is large enough to matter.
-        doubt = np.sqrt(f.radius_variance + (self.model.radius_sigma * radius) ** 2)
-        large = ndtr((radius - 0.5 * self.prior.least_diameter) / doubt)
-        at = np.flatnonzero(large > 1e-4)
-        if at.size:
-            r = radius[at]
-            sigma = np.sqrt(0.5 * np.trace(f.relative_covariance()[at], axis1=1, axis2=2))
-            # Rocks are no discs, and the filter's errors shrink as if every look were a new draw
-            # of the shape: the spread of shapes is put back here.
-            sigma = np.hypot(sigma, r * self.model.centre_sigma)
-            spread = np.sqrt(
-                outline**2 * f.radius_variance[at]
-                + r**2 * (rough**2 + self.model.radius_sigma**2)
-            )
-            mean = outline * r + footprint
-            reach = mean + 1.5 * sigma + _TAIL * np.hypot(sigma, spread)
-            distance = np.linspace(0.0, 1.0, _DISTANCES) * reach[:, None]
-            profile = cover_probability(distance, sigma, mean, spread, self.form)
-            kernels.paint(
-                clear, self.grid.x0, self.grid.y0, self.grid.posting, f.xy[at], reach, profile,
-                tracker.existence[at] * large[at],
-            )  # fmt: skip
+        f, vague = tracker.filter, tracker.tentative
+        own = np.sqrt(0.5 * np.trace(f.relative_covariance(), axis1=1, axis2=2))
+        self._paint(clear, footprint, f.xy, own, f.radius, f.radius_variance, tracker.existence)
+        self._paint(
+            clear, footprint, vague.xy, vague.sigma, vague.radius, vague.radius_variance,
+            vague.existence,
+        )  # fmt: skip
         return (1.0 - clear).astype(np.float32)
+
+    def _paint(
+        self,
+        clear: Array,
+        footprint: float,
+        xy: Array,
+        sigma: Array,
+        radius: Array,
+        variance: Array,
+        existence: Array,
+    ) -> None:
+        """Multiply the probability that cells are clear (rows, cols) by that of each rock."""
+        model = self.model
+        # Rocks are no discs, and the filter's errors shrink as if every look were a new draw of
+        # the shape: what many looks do not average out is put back here.
+        variance = variance + (model.radius_sigma * radius) ** 2
+        sigma = np.hypot(sigma, model.centre_sigma * radius)
+        # Small rocks are the more numerous, so a rock is likelier to be smaller than it looks
+        # than larger: Golombek's dN/dr has the logarithmic slope -2 q - 2 / r.
+        slope = 2.0 * golombek_exponent(self.prior.cover) + 2.0 / np.maximum(radius, 0.05)
+        radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
+        # A rock counts by the probability that it is large enough to matter.
+        large = ndtr((radius - 0.5 * self.prior.least_diameter) / np.sqrt(variance))
+        at = np.flatnonzero(large * existence > 1e-4)
+        if at.size == 0:
+            return
+        outline, rough = model.outline
+        r, sigma = radius[at], sigma[at]
+        spread = np.sqrt(outline**2 * variance[at] + (r * rough) ** 2)
+        mean = outline * r + footprint
+        reach = mean + 1.5 * sigma + _TAIL * np.hypot(sigma, spread)
+        distance = np.linspace(0.0, 1.0, _DISTANCES) * reach[:, None]
+        profile = cover_probability(distance, sigma, mean, spread, self.form)
+        kernels.paint(
+            clear, self.grid.x0, self.grid.y0, self.grid.posting, xy[at], reach, profile,
+            (existence * large)[at],
+        )  # fmt: skip
 
     def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
         """Return the map for a lander whose footprint has the given radius (m)."""

@@ -238,6 +238,7 @@ class RockFilter:
         radius: Array,
         radius_variance: Array,
         common: float = 0.0,
+        radius_floor: float = 0.0,
     ) -> float:
         """Take in what was seen of rocks in one image; return the normalised innovation squared.
 
@@ -255,6 +256,9 @@ class RockFilter:
             Standard deviation of an error that all pixels of the image share, an axis, pixels:
             shadows stand for rocks with an error that depends on the view, so it does not
             average out over the rocks.
+        radius_floor
+            Share of one look's variance below which that of a radius does not fall: looks from
+            nearly the same place err alike.
 
         Returns
         -------
@@ -286,7 +290,7 @@ class RockFilter:
         r = self._r[index]
         gain = r[:, 1] / (r[:, 1] + radius_variance)
         self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
-        self._r[index, 1] = (1.0 - gain) * r[:, 1]
+        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], radius_floor * radius_variance)
         return float(both[:, -1] @ both[:, -1])
 
     def _apply(self, w: Array, innovation: Array) -> None:

@@ -21,7 +21,10 @@ Index = NDArray[np.int64]
 
 # A second look at the same shadow is no independent one: what it may add to the odds.
 _MOST_EVIDENCE = 3.0
+_MISS = 0.6
 _GONE = 0.05
+# A rock that turns out smaller than this share of the least radius is let go.
+_SHRUNK = 0.85
 # Chi-squared with 2 degrees of freedom at 99.7 %.
 _AGREEMENT = 11.6
 
@@ -45,6 +48,8 @@ class TrackerSettings:
         Share by which the measured radius changes in a second as the view turns.
     radius_doubt
         Standard deviation of a measured radius, a share of it, beyond the detector's.
+    radius_floor
+        See `RockFilter.update_rocks`.
     common_pixels
         Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
     most_rocks
@@ -60,6 +65,7 @@ class TrackerSettings:
     birth_sigma: float = 0.25
     radius_wander: float = 0.02
     radius_doubt: float = 0.15
+    radius_floor: float = 0.25
     common_pixels: float = 0.2
     most_rocks: int = 2000
     most_updates: int = 120
@@ -68,6 +74,35 @@ class TrackerSettings:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
             if not getattr(self, name) >= 0.0:
                 raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
+
+
+@dataclass(frozen=True)
+class Tentative:
+    """Detections of the last image that belong to no rock and are too vague to begin one.
+
+    Attributes
+    ----------
+    xy
+        Centres (n, 2), m.
+    sigma
+        Of the centres, the root of the mean variance of the two axes (n,), m.
+    radius, radius_variance
+        m (n,), m^2.
+    existence
+        Probability that each is a rock (n,).
+    """
+
+    xy: Array
+    sigma: Array
+    radius: Array
+    radius_variance: Array
+    existence: Array
+
+    @classmethod
+    def none(cls) -> Tentative:
+        """Return no detections."""
+        empty = np.empty(0)
+        return cls(np.empty((0, 2)), empty, empty, empty, empty)
 
 
 class RockTracker:
@@ -97,6 +132,7 @@ class RockTracker:
         self.existence = np.empty(0)
         self.hits = np.empty(0, np.int64)
         self.nis = 0.0, 0
+        self.tentative = Tentative.none()
         self._updated = np.empty(0)
         self._time: float | None = None
 
@@ -148,13 +184,15 @@ class RockTracker:
         self._updated[b] = time
         nis = self.filter.update_rocks(
             b, sight, seen.pixel[a], seen.pixel_covariance[a], seen.radius[a], radius_variance[a],
-            s.common_pixels,
+            s.common_pixels, s.radius_floor,
         )  # fmt: skip
         self.nis = nis, 2 * len(b)
         self._judge(rock, at, seen, d, camera, sun)
-        self._birth(~close, seen, camera, radius_variance)
+        born = self._birth(~close, seen, camera, radius_variance)
+        self._keep_tentative(~close & ~born, seen, camera, radius_variance)
         self._merge()
-        self._drop(np.flatnonzero(self.existence < _GONE))
+        small = self.filter.radius < _SHRUNK * s.least_radius
+        self._drop(np.flatnonzero(small | (self.existence < _GONE)))
         return nis
 
     def _agreeing(
@@ -186,45 +224,85 @@ class RockTracker:
         false = self.rates.false_positive(seen.q[d])
         odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MOST_EVIDENCE)
         lost = np.setdiff1d(view, hit)
-        miss = self.rates.false_negative(self._expected_q(lost, camera, sun))
-        odds[lost] *= np.clip(miss, 1.0 / _MOST_EVIDENCE, 1.0)
+        azimuth, depression, pixel = self._aspect(lost, camera, sun)
+        miss = self.rates.false_negative(
+            self.model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
+        )
+        # A rock whose shadow runs into another's is no missing rock.
+        miss[self._in_the_dark(lost, azimuth, depression, seen, camera, sun)] = 1.0
+        odds[lost] *= np.clip(miss, _MISS, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
 
-    def _expected_q(self, index: Index, camera: Camera, sun: Array) -> Array:
-        """Return q of the patches that rocks (n,) should show now."""
+    def _aspect(self, index: Index, camera: Camera, sun: Array) -> tuple[Array, Array, Array]:
+        """Return azimuth from the Sun's, depression (rad) and pixel (m) of rocks (n,)."""
         s = self.filter.inertial
         away = s.position[None, :2] - self.filter.xy[index]
         height = s.position[2] - self.filter.ground
         level = np.hypot(away[:, 0], away[:, 1])
         azimuth = np.arctan2(away[:, 0], away[:, 1]) - np.arctan2(sun[0], sun[1])
         pixel = np.hypot(level, height) / np.sqrt(camera.fx * camera.fy)
-        return self.model.visible_pixels(
-            self.filter.radius[index], azimuth, np.arctan2(height, level), pixel
+        return azimuth, np.arctan2(height, level), pixel
+
+    def _in_the_dark(
+        self,
+        index: Index,
+        azimuth: Array,
+        depression: Array,
+        seen: Detections,
+        camera: Camera,
+        sun: Array,
+    ) -> NDArray[np.bool_]:
+        """Return whether the image is dark where the patch of each rock (n,) should be."""
+        unit = self.model.patch(azimuth, depression)
+        s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
+        offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
+        middle = self.filter.xy[index] + self.filter.radius[index, None] * offset
+        u, v = np.rint(self.filter.sight(camera, middle).pixel).T
+        u = np.clip(u, 0, camera.width - 1).astype(int)
+        v = np.clip(v, 0, camera.height - 1).astype(int)
+        return np.asarray(seen.labels[v, u] > 0)
+
+    def _keep_tentative(
+        self, vague: NDArray[np.bool_], seen: Detections, camera: Camera, variance: Array
+    ) -> None:
+        """Remember what was seen and not tracked: the map must not call it clear."""
+        covariance = _ground_covariance(seen, self.filter, camera)[vague]
+        self.tentative = Tentative(
+            seen.ground[vague],
+            np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
+            seen.radius[vague],
+            variance[vague],
+            1.0 - self.rates.false_positive(seen.q[vague]),
         )
 
     def _birth(
         self, fresh: NDArray[np.bool_], seen: Detections, camera: Camera, variance: Array
-    ) -> None:
-        """Add detections that belong to no rock."""
+    ) -> NDArray[np.bool_]:
+        """Add detections that belong to no rock; return which were added (d,)."""
         s = self.settings
         # Where it is must be known to a fraction of the distance between rocks.
-        sharp = _ground_sigma(seen, self.filter, camera) < np.maximum(s.birth_sigma, seen.radius / 3)
+        covariance = _ground_covariance(seen, self.filter, camera)
+        spread = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+        sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         if s.region is not None:
             west, east, south, north = s.region
             x, y = seen.ground.T
             fresh = fresh & (x >= west) & (x <= east) & (y >= south) & (y <= north)
         new = np.flatnonzero(fresh)[: max(s.most_rocks - self.filter.count, 0)]
+        born = np.zeros(len(seen), bool)
+        born[new] = True
         if new.size == 0:
-            return
+            return born
         self.filter.add(
             camera, seen.ground[new], seen.pixel_covariance[new], seen.radius[new], variance[new]
         )
-        born = 1.0 - self.rates.false_positive(seen.q[new])
-        self.existence = np.concatenate((self.existence, np.clip(born, 0.1, 0.99)))
+        real = 1.0 - self.rates.false_positive(seen.q[new])
+        self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
         now = -np.inf if self._time is None else self._time
         self._updated = np.concatenate((self._updated, np.full(new.size, now)))
+        return born
 
     def _merge(self) -> None:
         """Drop the less seen of two rocks of which one's centre lies in the other."""
@@ -272,13 +350,12 @@ class RockTracker:
             self._updated = self._updated[keep]
 
 
-def _ground_sigma(seen: Detections, rocks: RockFilter, camera: Camera) -> Array:
-    """Return the standard deviation of detections on the ground (n,), the longer axis, m."""
+def _ground_covariance(seen: Detections, rocks: RockFilter, camera: Camera) -> Array:
+    """Return the covariances of detections on the ground (n, 2, 2), m^2."""
     if len(seen) == 0:
-        return np.empty(0)
+        return np.empty((0, 2, 2))
     back = np.linalg.inv(rocks.sight(camera, seen.ground).by_rock)
-    covariance = back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
-    return np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+    return back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
 
 
 def _in_view(sight: Sight, camera: Camera, margin: float = 4.0) -> NDArray[np.bool_]:

@@ -390,13 +390,17 @@ def _map_extent(
     u = np.array([-0.5, view.width - 0.5]) - view.cx
     v = np.array([-0.5, view.height - 0.5]) - view.cy
     border = np.array([[a / view.fx, b / view.fy, 1.0] for a in u for b in v]) @ view.axes.T
-    reach = np.linalg.norm(np.maximum(high - view.position, view.position - low))
+    # Rays that come down beyond the tiles, or not at all, end well beyond the tiles, on the level
+    # all the same: cut off in mid-air they would leave out the ground below.
+    reach = 3.0 * np.linalg.norm(np.maximum(high - view.position, view.position - low)[:2])
     seen = []
-    for ray in border / np.linalg.norm(border, axis=1, keepdims=True):
+    for ray in border:
+        run = np.hypot(ray[0], ray[1])
         for level in (low[2], high[2]):
             drop = level - view.position[2]
-            t = drop / ray[2] if ray[2] * drop > 0.0 else reach
-            seen.append(min(t, reach) * ray)
+            t = drop / ray[2] if ray[2] * drop > 0.0 else np.inf
+            t = min(t, reach / max(run, 1e-9))
+            seen.append([t * ray[0], t * ray[1], drop])
     box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
                     for z in (low[2], high[2])]) - view.position  # fmt: skip
     in_view, in_box = (

@@ -1,0 +1,194 @@
+"""How often shadows are missed or made up: FN(q) and FP(q) of the shadow detector, measured.
+
+Rendered fields of cubes or other rocks are seen from random places. A rock whose patch should
+have q pixels (root of the area) is found if a detection lies on it with a radius within a factor
+of two; it is merged if its patch runs into another's, and missed otherwise. A detection with no
+rock under it is false. Lines are fitted to the rates (shadow EKF
+paper, III.C).
+
+python scenarios/shadow_rates.py --images 60 --out out/rates
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from lunarsim.frames import direction_from_angles
+from lunarsim.grid import Grid
+from lunarsim.hazards.shadows import ShadowModel, detect_rocks
+from lunarsim.light import Light
+from lunarsim.sensors.camera import Camera
+from lunarsim.sensors.gimbal import gimbal_mount
+from lunarsim.terrain import Heightfield, RockModel, Terrain, place_rocks, sample_diameters
+from lunarsim.vehicle import State
+from lunarsim.world import World
+
+EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
+FIELD = 160.0
+
+
+def make_world(shape: str, elevation: float, rng: np.random.Generator) -> World:
+    """Return a level field of rocks by Golombek's law, 5 % cover."""
+    grid = Grid.centred((0.0, 0.0), FIELD, 2.0)
+    relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
+    diameters = sample_diameters(FIELD**2, 0.05, 0.3, 3.0, rng)
+    rocks = place_rocks(relief, diameters, rng, model=model_of(shape))
+    return World(Terrain(relief, rocks), 1.622, Light(0.0, elevation))
+
+
+def model_of(shape: str) -> RockModel:
+    """Return the population of rocks."""
+    return RockModel(shape, burial=(0.0, 0.0))  # type: ignore[arg-type]
+
+
+def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str, Any]:
+    """Take one picture from a random place; return q and fate of rocks and detections."""
+    altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
+    depression = rng.uniform(np.radians(22.0), np.pi / 2)
+    back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), depression)
+    position = back * altitude / back[2]
+    state = State(position, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1000.0)
+    camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
+    photo = camera.expose(world, state, 0.0, rng)
+    seen = detect_rocks(photo.counts, camera, state, world.light.direction, model=model)
+    rocks = world.terrain.rocks
+    xy = np.column_stack((rocks.x, rocks.y))
+    away = position[:2] - xy
+    level = np.hypot(*away.T)
+    azimuth = np.arctan2(away[:, 0], away[:, 1]) - world.light.azimuth
+    pixel = np.hypot(level, altitude) / camera.fx
+    q = model.visible_pixels(rocks.a, azimuth, np.arctan2(altitude, level), pixel)
+    view = camera.view(state)
+    s = (np.column_stack((xy, np.zeros(len(xy)))) - position) @ view.axes
+    uv = s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]
+    inside = (s[:, 2] > 0.0) & (uv > 25.0).all(1) & (uv < np.array([615.0, 455.0])).all(1)
+    found = np.zeros(len(xy), bool)
+    false = np.zeros(len(seen), bool)
+    if len(seen):
+        near = cKDTree(seen.ground).query_ball_point(xy, np.maximum(rocks.a, 1.5 * pixel))
+        found = np.array(
+            [
+                any(0.5 < seen.radius[j] / rocks.a[i] < 2.0 for j in hits)
+                for i, hits in enumerate(near)
+            ]
+        )
+        reach = np.maximum(1.5 * seen.radius, 2.0 * np.median(pixel))
+        false = np.array([not hits for hits in cKDTree(xy).query_ball_point(seen.ground, reach)])
+    # A rock whose patch runs into another's, so that no rock is told there: dark, but not missed.
+    unit = model.patch(azimuth, np.arctan2(altitude, level))
+    sun = np.array([np.sin(world.light.azimuth), np.cos(world.light.azimuth)])
+    offset = np.stack((unit.along, unit.side), -1) @ np.array([sun, [-sun[1], sun[0]]])
+    middle = np.column_stack((xy + rocks.a[:, None] * offset, np.zeros(len(xy)))) - position
+    s = middle @ view.axes
+    u, v = np.rint(s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]).T
+    u, v = np.clip(u, 0, 639).astype(int), np.clip(v, 0, 479).astype(int)
+    patch = seen.labels[v, u]
+    # Too small patches are dark too, but no detections: those are missed.
+    size = np.bincount(seen.labels.ravel())
+    merged = ~found & (patch > 0) & (size[patch] > 1.7 * q**2) & (size[patch] >= 4)
+    return {
+        "q": q[inside], "missed": (~found & ~merged)[inside], "merged": merged[inside],
+        "seen_q": seen.q, "false": false,
+    }  # fmt: skip
+
+
+def rate(q: NDArray[Any], hit: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the rate and the number in each bin of q."""
+    number, _ = np.histogram(q, EDGES)
+    hits, _ = np.histogram(q[hit], EDGES)
+    return hits / np.maximum(number, 1), number
+
+
+def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
+    """Return start, slope and floor of the cut line that fits a rate best."""
+    weight = np.sqrt(np.minimum(number, 500.0))
+
+    def off(x: NDArray[Any]) -> NDArray[Any]:
+        return weight * (np.clip(x[0] + x[1] * middle, x[2], 1.0) - values)
+
+    best = min(
+        (
+            least_squares(off, [a, b, 0.02], bounds=([0.0, -2.0, 1e-3], [4.0, 0.0, 0.5]))
+            for a in (0.3, 1.0, 2.0)
+            for b in (-0.05, -0.3, -0.8)
+        ),
+        key=lambda r: r.cost,
+    )
+    return [float(v) for v in best.x]
+
+
+@click.command()
+@click.option("--images", type=click.IntRange(min=4), default=40, show_default=True)
+@click.option("--shape", type=click.Choice(["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]),
+              default="cube", show_default=True, help="Of the rocks.")  # fmt: skip
+@click.option("--sun-elevation", default=20.0, show_default=True, help="deg")
+@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for figure and data; left out, only the table is printed.")  # fmt: skip
+def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | None) -> None:
+    """Measure the rates and fit the lines."""
+    console = Console(width=110)
+    elevation = np.radians(sun_elevation)
+    model = ShadowModel(elevation, model_of(shape))
+    looks = []
+    for k in track(range(images), description="images"):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
+        if k % 8 == 0:
+            world = make_world(shape, elevation, rng)
+        looks.append(look(world, model, rng))
+    q, lost, run, seen_q, false = (
+        np.concatenate([one[name] for one in looks])
+        for name in ("q", "missed", "merged", "seen_q", "false")
+    )
+    missed, rocks = rate(q, lost)
+    merged, _ = rate(q, run)
+    made_up, detections = rate(seen_q, false)
+    middle = 0.5 * (EDGES[1:] + EDGES[:-1])
+    many, some = rocks >= 30, detections >= 30
+    lines = {
+        "missed": fit(middle[many], missed[many], rocks[many]),
+        "false": fit(middle[some], made_up[some], detections[some]),
+    }
+    table = Table(title=f"{shape}, Sun at {sun_elevation:g} deg, {images} images")
+    for heading in ("q, pixels", "rocks", "merged", "missed", "line", "detections", "false", "line"):
+        table.add_column(heading, justify="right")
+    for k in range(len(middle)):
+        row = [
+            float(np.clip(x[0] + x[1] * middle[k], x[2], 1.0))
+            for x in (lines["missed"], lines["false"])
+        ]
+        table.add_row(
+            f"{EDGES[k]:g} - {EDGES[k + 1]:g}", str(rocks[k]), f"{merged[k]:.3f}", f"{missed[k]:.3f}",
+            f"{row[0]:.3f}",
+            str(detections[k]), f"{made_up[k]:.4f}", f"{row[1]:.4f}",
+        )  # fmt: skip
+    console.print(table)
+    for name, (start, slope, floor) in lines.items():
+        console.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
+    if out is not None:
+        from nominal_vs_modified_figures import draw_rates  # noqa: PLC0415  (matplotlib is slow)
+
+        out.mkdir(parents=True, exist_ok=True)
+        data = {
+            "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),
+            "merged": merged.tolist(),
+            "detections": detections.tolist(), "false": made_up.tolist(), "lines": lines,
+        }  # fmt: skip
+        (out / f"rates_{shape}.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+        draw_rates(data, shape, out / f"rates_{shape}.png")
+
+
+if __name__ == "__main__":
+    main()
