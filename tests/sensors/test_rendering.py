@@ -80,25 +80,45 @@ def _edge(hits, view):
     return (jump > 0.05 * r).ravel()
 
 
-@pytest.mark.parametrize("elevation", [8.0, 20.0, 45.0])
-def test_shadows_are_those_that_rays_to_the_sun_find(rocky, elevation):
-    view = look(50.0, 0.5, 2.0)
-    light = Light(1.0, np.radians(elevation))
-    image = renderer_of(rocky).render(view, light)
+def lit_by_rays(terrain, view, light):
+    """Which pixels (height, width) show ground that a ray to the Sun leaves freely."""
     rays = view.rays().reshape(-1, 3)
-    hits = rocky.cast(view.position, rays)
+    hits = terrain.cast(view.position, rays)
     seen = np.isfinite(hits.range)
     points = view.position + hits.range[:, None] * rays + 0.002 * hits.normal
     sun = np.broadcast_to(light.direction, points.shape)
     lit = np.zeros(seen.size, bool)
-    free = np.isnan(rocky.cast(points[seen], sun[seen], normals=False).range)
+    free = np.isnan(terrain.cast(points[seen], sun[seen], normals=False).range)
     lit[seen] = free & (hits.normal[seen] @ light.direction > 0.0)
-    lit = lit.reshape(view.height, view.width)
-    wrong = (image.radiance > 0.0) != lit
+    return lit.reshape(view.height, view.width)
+
+
+@pytest.mark.parametrize("elevation", [8.0, 20.0, 45.0])
+def test_shadows_are_those_that_rays_to_the_sun_find(rocky, elevation):
+    view = look(50.0, 0.5, 2.0)
+    light = Light(1.0, np.radians(elevation))
+    lit = lit_by_rays(rocky, view, light)
+    wrong = (renderer_of(rocky).render(view, light).radiance > 0.0) != lit
     assert wrong.mean() < 0.012
     # What is wrong lies on the edge of a shadow: no acne, no detached shadow, no leak of light.
     edge = ndimage.maximum_filter(lit, 3) != ndimage.minimum_filter(lit, 3)
     assert np.mean(wrong[~edge]) < (1e-3 if elevation < 10.0 else 2e-4)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.5, np.pi])
+@pytest.mark.parametrize("tilt", [0.9, 1.2, 1.4])
+def test_shadows_reach_as_far_as_the_ground_in_view(turn, tilt):
+    """Where the upper rows look past the terrain, the ground below them still has its shadows."""
+    rng = np.random.default_rng(2)
+    plane = flat_terrain(200.0, 2.0).relief
+    rocks = place_rocks(plane, rng.uniform(1.0, 3.0, 300), rng, model=RockModel("cube"))
+    terrain = Terrain(plane, rocks)
+    view = look(110.0, tilt, 0.5 * np.pi, fov=60.0)
+    light = Light(0.5 * np.pi + turn, np.radians(20.0))
+    lit = lit_by_rays(terrain, view, light)
+    wrong = (renderer_of(terrain).render(view, light).radiance > 0.0) != lit
+    edge = ndimage.maximum_filter(lit, 3) != ndimage.minimum_filter(lit, 3)
+    assert np.mean(wrong[~edge]) < 1e-3
 
 
 def _one(shape, height, size):

@@ -53,7 +53,7 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
             ty = y[i, j]
             dz = axes[2, 0] * tx + axes[2, 1] * ty + axes[2, 2]
             rim = i == 0 or j == 0 or i == height - 1 or j == width - 1
-            if rim or dz * drop <= 0.0 or abs(drop) > 1e4 * abs(dz):
+            if rim or dz * drop <= 0.0 or abs(dz) < 1e-3:
                 out[k, BORDER] = 1.0
             else:
                 rim = (

@@ -30,7 +30,7 @@ class DetectionRates:
         The same for detections that are no rock's.
     """
 
-    missed: tuple[float, float, float] = (1.70, -0.70, 0.037)
+    missed: tuple[float, float, float] = (1.70, -0.617, 0.037)
     false: tuple[float, float, float] = (0.80, -0.345, 0.018)
 
     def __post_init__(self) -> None:

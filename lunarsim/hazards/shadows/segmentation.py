@@ -80,7 +80,7 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
         if not valid.any():
             return nothing
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
-    lit = _lit_ground(grey, window)
+    lit = lit_ground(grey, window)
     if not lit.max() > 0.0:
         return nothing
     ratio = cv2.divide(cv2.max(grey, 0.0), cv2.max(lit, float(lit.max()) * 1e-3))
@@ -94,8 +94,11 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     return Segmentation(dark, tone, valid, False)
 
 
-def _lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
-    """Return the brightness of the lit ground about each pixel."""
+def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
+    """Return the brightness of the lit ground about each pixel (height, width).
+
+    `window` is the side of the surroundings, a share of the width.
+    """
     height, width = grey.shape
     small = cv2.resize(
         grey, (max(width // _COARSE, 1), max(height // _COARSE, 1)), interpolation=cv2.INTER_AREA

@@ -1,0 +1,186 @@
+"""Figures of the nominal and the modified descent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.patches import Patch
+
+from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES
+from lunarsim.viz.style import COLOURS, map_axes, new_figure, save
+
+PATHS = ("nominal", "modified")
+CLEAR, UNKNOWN, OCCUPIED = "#4daf4a", "#ffd92f", "#c1272d"
+
+
+def draw_all(results: list[dict[str, Any]], out: Path) -> None:
+    """Draw every figure of the experiment into a folder."""
+    first = {p: next(r for r in results if r["path"] == p) for p in PATHS}
+    draw_paths(first, out / "paths.png")
+    draw_classes(first, out / "classes.png")
+    draw_contours(first, out / "contours.png")
+    draw_slice(first, out / "slice.png")
+    draw_reliability(results, out / "reliability.png")
+
+
+def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
+    """Draw the two descents, side view and from above (paper, Figure 4)."""
+    figure = new_figure(9.0, 3.8)
+    side, top = figure.subplots(1, 2)
+    for name, colour in zip(PATHS, COLOURS, strict=False):
+        track = first[name]["track"]
+        along = track[:, :2] @ np.array([1.0, 1.0]) / np.sqrt(2.0)
+        side.plot(along, track[:, 2], color=colour, label=name)
+        top.plot(track[:, 0], track[:, 1], color=colour, label=name)
+    side.set_xlabel("distance along the approach, from the site (m)")
+    side.set_ylabel("height above the site (m)")
+    side.legend()
+    side.grid(alpha=0.3)
+    top.plot(0.0, 0.0, "k+", markersize=10, label="site")
+    map_axes(top, "")
+    top.set_aspect("equal")
+    top.legend()
+    top.grid(alpha=0.3)
+    save(figure, path)
+
+
+def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
+    """Draw the maps in three classes by altitude (paper, Figure 7)."""
+    altitudes = list(first["nominal"]["levels"])
+    figure = new_figure(3.0 * len(altitudes), 6.6)
+    axes = figure.subplots(2, len(altitudes), sharex=True, sharey=True)
+    colours = ListedColormap([CLEAR, UNKNOWN, OCCUPIED])
+    norm = BoundaryNorm([0.0, 0.0025, 0.8, 1.0], 3)
+    for row, name in enumerate(PATHS):
+        for column, altitude in enumerate(altitudes):
+            level = first[name]["levels"][altitude]
+            ax = axes[row, column]
+            ax.imshow(level["map"], origin="lower", extent=_about(level), cmap=colours, norm=norm,
+                      interpolation="nearest")  # fmt: skip
+            ax.set_title(f"{name}, {altitude:.0f} m")
+            if row == 1:
+                ax.set_xlabel("east of the site (m)")
+            if column == 0:
+                ax.set_ylabel("north of the site (m)")
+    figure.legend(
+        handles=[
+            Patch(color=CLEAR, label="clear (below 0.25 %)"),
+            Patch(color=UNKNOWN, label="unknown"),
+            Patch(color=OCCUPIED, label="occupied (above 80 %)"),
+        ],
+        loc="outside lower center", ncols=3,
+    )  # fmt: skip
+    save(figure, path)
+
+
+def _about(level: dict[str, Any]) -> tuple[float, float, float, float]:
+    west, east, south, north = level["extent"]
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    return west - x, east - x, south - y, north - y
+
+
+def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20.0) -> None:
+    """Draw the last maps' probabilities about the site with the true rocks (paper, Figure 6)."""
+    figure = new_figure(9.6, 4.4)
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    levels = [0.0025, 0.01, 0.05, 0.2, 0.4, 0.6, 0.8, 1.0]
+    for ax, name in zip(axes, PATHS, strict=True):
+        level = first[name]["levels"][50.0]
+        west, east, south, north = _about(level)
+        rows, cols = level["map"].shape
+        x = west + (np.arange(cols) + 0.5) * (east - west) / cols
+        y = south + (np.arange(rows) + 0.5) * (north - south) / rows
+        i, j = np.flatnonzero(abs(y) <= half), np.flatnonzero(abs(x) <= half)
+        p = level["map"][np.ix_(i, j)]
+        shown = ax.contourf(x[j], y[i], np.maximum(p, 1e-5), [0.0, *levels], cmap="magma_r",
+                            norm=BoundaryNorm([0.0, *levels], 256))  # fmt: skip
+        ax.contour(x[j], y[i], level["occupied"][np.ix_(i, j)], [0.5], colors="#0072B2",
+                   linewidths=1.2)  # fmt: skip
+        map_axes(ax, f"{name}, at 50 m")
+        ax.set_aspect("equal")
+    bar = figure.colorbar(shown, ax=axes, shrink=0.9)
+    bar.set_ticks([0.0, *levels])
+    bar.ax.set_yticklabels(["0", *(f"{v:g}" for v in levels)])
+    bar.set_label("probability of hazard")
+    figure.legend(handles=[Patch(facecolor="none", edgecolor="#0072B2", label="true hazards")],
+                  loc="outside lower center")  # fmt: skip
+    save(figure, path)
+
+
+def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
+    """Draw how the probability along one line sharpens with altitude (paper, Figure 5)."""
+    figure = new_figure(9.6, 4.0)
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    # The line with most hazards near the site.
+    occupied = first["modified"]["levels"][50.0]["occupied"]
+    rows, cols = occupied.shape
+    near = slice(cols // 2 - 60, cols // 2 + 60)
+    middle = slice(rows // 2 - 60, rows // 2 + 60)
+    line = rows // 2 - 60 + int(np.argmax(occupied[middle, near].sum(1)))
+    for ax, name in zip(axes, PATHS, strict=True):
+        for colour, (altitude, level) in zip(COLOURS, first[name]["levels"].items(), strict=False):
+            west, east, *_ = _about(level)
+            x = west + (np.arange(cols) + 0.5) * (east - west) / cols
+            ax.plot(x[near], np.maximum(level["map"][line, near], 1e-5), color=colour,
+                    label=f"{altitude:.0f} m")  # fmt: skip
+        truth = first[name]["levels"][50.0]["occupied"][line, near]
+        ax.fill_between(x[near], 1e-5, 1.0, where=truth, step="mid", color="#bbbbbb", label="hazard")
+        ax.axhline(0.0025, color="k", linewidth=0.8, linestyle=":")
+        ax.set_yscale("log")
+        ax.set_ylim(1e-5, 1.2)
+        ax.set_title(name)
+        ax.set_xlabel("east of the site (m)")
+    axes[0].set_ylabel("probability of hazard")
+    axes[1].legend(title="altitude", loc="lower right")
+    save(figure, path)
+
+
+def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
+    """Draw stated against found probability at 50 m, all fields together."""
+    figure = new_figure(5.4, 4.6)
+    ax = figure.subplots()
+    for name, colour in zip(PATHS, COLOURS, strict=False):
+        table = sum(r["levels"][50.0]["reliability"] for r in results if r["path"] == name)
+        many = table[:, 0] >= 100
+        stated = table[many, 1] / table[many, 0]
+        found = table[many, 2] / table[many, 0]
+        ax.plot(np.maximum(stated, 3e-5), np.maximum(found, 3e-5), "o-", color=colour, label=name,
+                markersize=4)  # fmt: skip
+    ax.plot([3e-5, 1.0], [3e-5, 1.0], "k--", linewidth=0.8, label="ideal")
+    ax.axvline(0.0025, color="#888888", linewidth=0.8, linestyle=":")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel("stated probability of hazard (mean of the bin)")
+    ax.set_ylabel("share of the cells under a hazard")
+    ax.set_title(f"Maps at 50 m, {len(RELIABILITY_EDGES) - 1} bins")
+    ax.legend()
+    ax.grid(alpha=0.3)
+    save(figure, path)
+
+
+def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
+    """Draw measured rates of the detector and the fitted lines."""
+    figure = new_figure(8.4, 3.6)
+    missed, false = figure.subplots(1, 2)
+    edges = np.array(data["edges"])
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    q = np.linspace(0.0, edges[-1], 400)
+    for ax, name, count in ((missed, "missed", "rocks"), (false, "false", "detections")):
+        many = np.array(data[count]) >= 30
+        start, slope, floor = data["lines"][name]
+        ax.plot(middle[many], np.array(data[name])[many], "o", color=COLOURS[0], label="measured")
+        ax.plot(q, np.clip(start + slope * q, floor, 1.0), color=COLOURS[1], label="line")
+        ax.set_xlabel("q, root of the number of dark pixels")
+        ax.grid(alpha=0.3)
+        ax.legend()
+    missed.plot(middle, np.array(data["missed"]) + np.array(data["merged"]), "x", color="#888888",
+                label="missed or merged")  # fmt: skip
+    missed.legend()
+    missed.set_ylabel("share of rocks missed, FN(q)")
+    false.set_ylabel("share of detections false, FP(q)")
+    false.set_ylim(0.0, 0.1)
+    figure.suptitle(f"Shadow detector on rendered rocks ({shape})")
+    save(figure, path)
