@@ -32,6 +32,7 @@ from lunarsim.simulation import Simulation
 
 HERE = Path(__file__).parent
 PATHS = ("nominal", "modified")
+SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
 # Paper, Tables 1 and 2 and section V; rates at 50 m.
 PAPER = {
@@ -171,6 +172,7 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 def show(summary: dict[str, Any], console: Console) -> None:
     """Print the tables."""
+
     def text(pair: tuple[float, float], digits: int = 4) -> str:
         return f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
 
@@ -208,8 +210,8 @@ def show(summary: dict[str, Any], console: Console) -> None:
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
-@click.option("--shapes", type=click.Choice(["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]),
-              default=None, help="Shape by which shadows are read; left out: the scenario's.")  # fmt: skip
+@click.option("--shapes", type=click.Choice(SHAPES), default=None,
+              help="Shape by which shadows are read; left out: the scenario's.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write all figures to this file.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
@@ -227,7 +229,7 @@ def main(
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(plain(summary, results), indent=1), encoding="utf-8")
     if out is not None:
-        from nominal_vs_modified_figures import draw_all  # noqa: PLC0415  (matplotlib is slow)
+        from nominal_vs_modified_figures import draw_all
 
         draw_all(results, out)
 

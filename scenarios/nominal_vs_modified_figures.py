@@ -127,7 +127,9 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
             ax.plot(x[near], np.maximum(level["map"][line, near], 1e-5), color=colour,
                     label=f"{altitude:.0f} m")  # fmt: skip
         truth = first[name]["levels"][50.0]["occupied"][line, near]
-        ax.fill_between(x[near], 1e-5, 1.0, where=truth, step="mid", color="#bbbbbb", label="hazard")
+        ax.fill_between(
+            x[near], 1e-5, 1.0, where=truth, step="mid", color="#bbbbbb", label="hazard"
+        )
         ax.axhline(0.0025, color="k", linewidth=0.8, linestyle=":")
         ax.set_yscale("log")
         ax.set_ylim(1e-5, 1.2)

@@ -37,6 +37,7 @@ from lunarsim.world import World
 
 EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
 FIELD = 160.0
+SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 
 
 def make_world(shape: str, elevation: float, rng: np.random.Generator) -> World:
@@ -131,8 +132,9 @@ def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> lis
 
 @click.command()
 @click.option("--images", type=click.IntRange(min=4), default=40, show_default=True)
-@click.option("--shape", type=click.Choice(["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]),
-              default="cube", show_default=True, help="Of the rocks.")  # fmt: skip
+@click.option(
+    "--shape", type=click.Choice(SHAPES), default="cube", show_default=True, help="Of the rocks."
+)
 @click.option("--sun-elevation", default=20.0, show_default=True, help="deg")
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
@@ -162,7 +164,16 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
         "false": fit(middle[some], made_up[some], detections[some]),
     }
     table = Table(title=f"{shape}, Sun at {sun_elevation:g} deg, {images} images")
-    for heading in ("q, pixels", "rocks", "merged", "missed", "line", "detections", "false", "line"):
+    for heading in (
+        "q, pixels",
+        "rocks",
+        "merged",
+        "missed",
+        "line",
+        "detections",
+        "false",
+        "line",
+    ):
         table.add_column(heading, justify="right")
     for k in range(len(middle)):
         row = [
@@ -170,15 +181,15 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
             for x in (lines["missed"], lines["false"])
         ]
         table.add_row(
-            f"{EDGES[k]:g} - {EDGES[k + 1]:g}", str(rocks[k]), f"{merged[k]:.3f}", f"{missed[k]:.3f}",
-            f"{row[0]:.3f}",
-            str(detections[k]), f"{made_up[k]:.4f}", f"{row[1]:.4f}",
+            f"{EDGES[k]:g} - {EDGES[k + 1]:g}", str(rocks[k]), f"{merged[k]:.3f}",
+            f"{missed[k]:.3f}", f"{row[0]:.3f}", str(detections[k]), f"{made_up[k]:.4f}",
+            f"{row[1]:.4f}",
         )  # fmt: skip
     console.print(table)
     for name, (start, slope, floor) in lines.items():
         console.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
     if out is not None:
-        from nominal_vs_modified_figures import draw_rates  # noqa: PLC0415  (matplotlib is slow)
+        from nominal_vs_modified_figures import draw_rates
 
         out.mkdir(parents=True, exist_ok=True)
         data = {

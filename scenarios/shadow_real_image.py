@@ -55,7 +55,11 @@ def detect(image: np.ndarray) -> Detections:
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     camera = Camera(width, height, ALTITUDE / SAMPLE, ALTITUDE / LINE, mount=down)
     state = State(
-        np.array([0.0, 0.0, ALTITUDE]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0
+        np.array([0.0, 0.0, ALTITUDE]),
+        np.zeros(3),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        1.0,
     )
     away = STATED * [SAMPLE, -LINE]
     away = away / np.hypot(*away)
@@ -74,7 +78,7 @@ def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
     """Match finds in the window with labels, each at most once."""
     window = labels["window"]
     low = np.array([window["column"], window["row"]])
-    high = low + [window["columns"], window["rows"]]
+    high = low + np.array([window["columns"], window["rows"]])
     found = middles(seen)
     inside = ((found >= low) & (found < high)).all(1)
     found, size = found[inside], seen.q[inside]
@@ -112,8 +116,8 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
                    arrowprops={"arrowstyle": "->", "color": COLOURS[4]})  # fmt: skip
     whole.text(86, 352, "shadows, stated", color=COLOURS[4])
     whole.set_title(f"{len(seen)} rocks found in {NAME}")
-    dark, bright = np.percentile(image[window["row"] : window["row"] + ends[1],
-                                       window["column"] : window["column"] + ends[0]], [0.5, 97])  # fmt: skip
+    top, left = window["row"], window["column"]
+    dark, bright = np.percentile(image[top : top + ends[1], left : left + ends[0]], [0.5, 97])
     part.images[0].set_clim(dark, bright)
     told, hit = result["told"], result["hit"]
     part.plot(told[hit, 0], told[hit, 1], "+", color=COLOURS[2], label="told by eye, found")
@@ -166,7 +170,8 @@ def main(json_file: Path | None, out: Path | None) -> None:
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         figures = {
-            "rocks": len(seen), "direction_deg": np.degrees(angle), "stated_deg": np.degrees(stated),
+            "rocks": len(seen), "direction_deg": np.degrees(angle),
+            "stated_deg": np.degrees(stated),
             "precision": result["true"] / max(result["finds"], 1),
             "recall": result["true"] / result["labels"], "by_width": sizes,
         }  # fmt: skip

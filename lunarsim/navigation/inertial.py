@@ -69,7 +69,9 @@ class InertialState:
         gyroscopes: InertialErrors = GYROSCOPES,
         accelerometers: InertialErrors = ACCELEROMETERS,
     ) -> None:
-        self._x = np.concatenate((position, velocity, np.zeros(3), normalised(attitude), np.zeros(3)))
+        self._x = np.concatenate(
+            (position, velocity, np.zeros(3), normalised(attitude), np.zeros(3))
+        )
         if not np.isfinite(self._x).all():
             raise InputError("navigation.start", self._x.tolist(), "finite numbers")
         self._gravity = np.array([0.0, 0.0, -gravity])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.sensors.rendering import Image, View, renderer_of
-from lunarsim.vehicle.state import State
+from lunarsim.vehicle.state import Pose, State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
@@ -131,12 +131,12 @@ class Camera:
         """Intrinsic matrix (3, 3), as OpenCV's."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    def view(self, state: State) -> View:
-        """Return what the pin-hole sees from a state, distortion left out."""
+    def view(self, pose: Pose) -> View:
+        """Return what the pin-hole sees from a state or an estimate, distortion left out."""
         assert self.cx is not None
         assert self.cy is not None
-        rotation = quat_to_matrix(state.attitude)
-        position = state.position + rotation @ np.asarray(self.offset)
+        rotation = quat_to_matrix(pose.attitude)
+        position = pose.position + rotation @ np.asarray(self.offset)
         return View(
             position, rotation @ self.mount, self.fx, self.fy, self.cx, self.cy,
             self.width, self.height,

@@ -26,7 +26,9 @@ from lunarsim.vehicle import Lander, State
 from lunarsim.world import World
 
 
-def shadow_mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray, rocks: RockFilter) -> ShadowMapper:
+def shadow_mapper_of(
+    scenario: Scenario, lander: Lander, centre: np.ndarray, rocks: RockFilter
+) -> ShadowMapper:
     """Return the mapper that sees rocks by their shadows, its grid centred on the target.
 
     Raises

@@ -64,9 +64,7 @@ class FilteredNavigation:
         middle = q[:-1] + np.where((q[:-1] * q[1:]).sum(1) < 0.0, -1.0, 1.0)[:, None] * q[1:]
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
         force = np.diff(rows[:, 3:6], axis=0) / step + [0.0, 0.0, self._world.gravity]
-        angle, velocity = self._imu.measure(
-            turn / step, quat_rotate(quat_conjugate(middle), force)
-        )
+        angle, velocity = self._imu.measure(turn / step, quat_rotate(quat_conjugate(middle), force))
         self.rocks.propagate(angle, velocity)
 
     def update(self, state: State, time: float) -> Estimate:

@@ -357,9 +357,7 @@ class Simulation:
         """Take a picture of the site, and update filter and map."""
         self._next_picture = self.time + 1.0 / self.scenario.camera.rate_hz
         limit = np.deg2rad(self.scenario.camera.gimbal_limit_deg)
-        mount = gimbal_mount(
-            self.estimate.attitude, self.site - self.estimate.position, limit
-        )
+        mount = gimbal_mount(self.estimate.attitude, self.site - self.estimate.position, limit)
         camera = replace(self.camera, mount=mount)
         photo = camera.expose(self.world, self.state, self.time, self._camera_rng)
         assert isinstance(self.mapper, ShadowMapper)

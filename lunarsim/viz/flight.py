@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.collections import PatchCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from lunarsim.frames import quat_to_matrix
+from lunarsim.hazards.shadows import RockFilter
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.simulation import Simulation
 from lunarsim.viz.style import COLOURS, hillshade, map_axes, new_figure, save, show
@@ -46,7 +48,7 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
     profile.plot(away, altitude, color=COLOURS[0], lw=1.8)
     last = np.argmax(t["phase"] > 0) if (t["phase"] > 0).any() else None
     for event in flight.events:
-        if event["name"] == "scan":
+        if event["name"] in {"scan", "first-picture"}:
             i = int(np.argmin(np.abs(time - event["time"])))
             profile.plot(away[i], altitude[i], "s", color=COLOURS[2], ms=7)
     for decision in flight.decisions:
@@ -55,7 +57,14 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
     profile.plot(away[-1], altitude[-1], "v", color="black", ms=7)
     handles = [
         Line2D([], [], color=COLOURS[0], label="path"),
-        Line2D([], [], ls="", marker="s", color=COLOURS[2], label="LiDAR scan"),
+        Line2D(
+            [],
+            [],
+            ls="",
+            marker="s",
+            color=COLOURS[2],
+            label="LiDAR scan" if simulation.shadows is None else "first picture",
+        ),
         Line2D([], [], ls="", marker="D", color=COLOURS[1], label="divert"),
         Line2D([], [], ls="", marker="v", color="black", label="touchdown"),
     ]
@@ -103,8 +112,17 @@ def _path_and_sites(axes: Any, simulation: Simulation, flight: Flight, error: An
     axes.add_patch(Circle(end[:2], simulation.lander.leg_radius, fill=False, ec=COLOURS[1], lw=1.2))
 
 
+def _tracked_rocks(axes: Any, rocks: RockFilter, error: Any) -> None:
+    """Draw the rocks that the filter holds, in the true frame."""
+    circles = [
+        Circle((x - error[0], y - error[1]), r)
+        for (x, y), r in zip(rocks.xy, rocks.radius, strict=True)
+    ]
+    axes.add_collection(PatchCollection(circles, facecolor="none", edgecolor=COLOURS[1], lw=0.8))
+
+
 def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
-    """Draw true terrain, exact safety, the map's probability of safety, and the LiDAR returns.
+    """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
 
     All panels are in the true frame: the map is moved by the navigation error when it was drawn.
     """
@@ -151,6 +169,8 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
 
     show(panels[3], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     points = flight.scans
+    if simulation.shadows is not None:
+        _tracked_rocks(panels[3], simulation.shadows.rocks, error)
     if len(points):
         dots = panels[3].scatter(
             points[:, 0] - error[0],
@@ -161,7 +181,12 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
             lw=0,
         )
         figure.colorbar(dots, ax=panels[3], label="measured elevation (m)", shrink=0.6)
-    map_axes(panels[3], "LiDAR returns (thinned)")
+    map_axes(
+        panels[3],
+        "LiDAR returns (thinned)"
+        if simulation.shadows is None
+        else "rocks tracked by their shadows",
+    )
 
     for panel in panels:
         _path_and_sites(panel, simulation, flight, error)

@@ -54,9 +54,7 @@ class Flight:
         angle = np.empty((n, 3))
         velocity = np.empty((n, 3))
         for k in range(n):
-            middle = quat_multiply(
-                self.attitude, quat_from_rotation_vector(0.5 * step * self.rate)
-            )
+            middle = quat_multiply(self.attitude, quat_from_rotation_vector(0.5 * step * self.rate))
             a = quat_rotate(middle, self.force) + np.array([0.0, 0.0, -GRAVITY])
             self.position = self.position + step * (self.velocity + 0.5 * step * a)
             self.velocity = self.velocity + step * a

@@ -94,7 +94,10 @@ def test_updates_equal_a_dense_filter():
         noises.append(variance[j])
     for h, z, r in zip(rows, values, noises, strict=True):
         dense.update(
-            np.array([z]), lambda x, h=h: h[None], lambda x, h=h: np.array([h @ x]), R=np.array([[r]])
+            np.array([z]),
+            lambda x, h=h: h[None],
+            lambda x, h=h: np.array([h @ x]),
+            R=np.array([[r]]),
         )
     f.update_rocks(np.arange(n), sight, pixel, covariance, radius, variance)
     assert f.covariance == pytest.approx(dense.P[np.ix_(place, place)], rel=1e-7, abs=1e-10)

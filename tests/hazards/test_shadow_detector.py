@@ -90,7 +90,7 @@ def test_a_rock_hides_its_shadow_from_a_camera_on_the_suns_side():
 
 @pytest.mark.parametrize("elevation", [0.0, 1.0, 85.0, np.nan])
 def test_model_refuses_a_sun_without_shadows(elevation):
-    with pytest.raises(InputError, match="sun.elevation"):
+    with pytest.raises(InputError, match=r"sun\.elevation"):
         ShadowModel(np.radians(elevation))
 
 
@@ -182,8 +182,8 @@ def test_shadow_of_terrain_is_no_rock():
     x, y = np.meshgrid(grid.x, grid.y)
     bowl = np.hypot(x, y)
     z = np.where(bowl < 25.0, -9.0 * (1.0 - (bowl / 25.0) ** 2), 0.0).astype(np.float32)
-    state, camera, counts = picture(Terrain(Heightfield(grid, z), RockField.empty()), (0.0, 0.0, 70.0),
-                                    sun=(1.2, 15.0))  # fmt: skip
+    crater = Terrain(Heightfield(grid, z), RockField.empty())
+    state, camera, counts = picture(crater, (0.0, 0.0, 70.0), sun=(1.2, 15.0))
     sun = direction_from_angles(1.2, np.radians(15.0))
     seen = detect_rocks(counts, camera, state, sun)
     assert len(seen.extended) >= 1

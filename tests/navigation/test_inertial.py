@@ -99,5 +99,5 @@ def test_a_correction_keeps_the_quaternion_a_rotation():
 def test_bad_starts_are_refused():
     with pytest.raises(InputError, match="finite"):
         InertialState(np.full(3, np.nan), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
-    with pytest.raises(InputError, match="navigation.velocity"):
+    with pytest.raises(InputError, match=r"navigation\.velocity"):
         InitialErrors(velocity=0.0)

@@ -7,7 +7,9 @@ import numpy as np
 from lunarsim._jit import kernel
 
 # Columns of the table of patches.
-ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS = range(12)
+ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS = range(
+    12
+)
 COLUMNS = 12
 
 

@@ -82,10 +82,10 @@ def paint(clear, x0, y0, posting, xy, reach, profile, weight):
     last = profile.shape[1] - 1
     for j in range(xy.shape[0]):
         r = reach[j]
-        i0 = max(int(math.ceil((xy[j, 1] - r - y0) / posting)), 0)
-        i1 = min(int(math.floor((xy[j, 1] + r - y0) / posting)), rows - 1)
-        j0 = max(int(math.ceil((xy[j, 0] - r - x0) / posting)), 0)
-        j1 = min(int(math.floor((xy[j, 0] + r - x0) / posting)), cols - 1)
+        i0 = max(math.ceil((xy[j, 1] - r - y0) / posting), 0)
+        i1 = min(math.floor((xy[j, 1] + r - y0) / posting), rows - 1)
+        j0 = max(math.ceil((xy[j, 0] - r - x0) / posting), 0)
+        j1 = min(math.floor((xy[j, 0] + r - x0) / posting), cols - 1)
         scale = last / r
         for i in range(i0, i1 + 1):
             dy = y0 + i * posting - xy[j, 1]

@@ -78,9 +78,10 @@ def associate(
         ),
         shape=(d, t + d),
     )
-    detection, column = min_weight_full_bipartite_matching(cost)
+    rows, column = min_weight_full_bipartite_matching(cost)
     paired = column < t
-    detection, rock = detection[paired].astype(np.int64), column[paired].astype(np.int64)
+    detection: Index = np.asarray(rows[paired], np.int64)
+    rock: Index = np.asarray(column[paired], np.int64)
     own = np.full(d, -1)
     own[detection] = rock
     mate = np.full(t, -1)
@@ -94,4 +95,4 @@ def associate(
     matched = ~is_pair & (mate[j] >= 0)
     np.minimum.at(rival, mate[j[matched]], distance[matched])
     sure = rival[detection] > cost_of[detection] + _RIVAL
-    return detection, rock, sure, close
+    return detection, rock, np.asarray(sure), close

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -13,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.hazards.shadows import _patch_kernels as kernels
 from lunarsim.hazards.shadows.segmentation import Segmentation, segment
-from lunarsim.hazards.shadows.shadow_model import ShadowModel
+from lunarsim.hazards.shadows.shadow_model import Patch, ShadowModel
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.rendering import View
+from lunarsim.vehicle.state import Pose
 
 Array = NDArray[np.float64]
 
@@ -24,20 +24,6 @@ Array = NDArray[np.float64]
 # share of that below which a patch is taken for several.
 _USUAL = 1.25
 _MERGED = 0.78
-
-
-class Pose(Protocol):
-    """Where the lander is: a `State` or an `Estimate`."""
-
-    @property
-    def position(self) -> Array:
-        """ENU (3,), m."""
-        ...
-
-    @property
-    def attitude(self) -> Array:
-        """Quaternion, body to ENU (4,)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -190,7 +176,9 @@ def detect_rocks(
     labels, table = _patches(shade, camera, view, direction, ground, settings)
     if len(table) == 0 or not np.deg2rad(2.0) <= elevation <= np.deg2rad(80.0):
         return _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32))
-    return _measure(labels, table, view, direction, ground, model or _half_spheres(elevation), settings)
+    return _measure(
+        labels, table, view, direction, ground, model or _half_spheres(elevation), settings
+    )
 
 
 @lru_cache(maxsize=8)
@@ -298,7 +286,13 @@ class _Radius:
 
     @classmethod
     def of(
-        cls, length: Array, width: Array, unit: object, along_px: Array, across_px: Array, pixel: float
+        cls,
+        length: Array,
+        width: Array,
+        unit: Patch,
+        along_px: Array,
+        across_px: Array,
+        pixel: float,
     ) -> _Radius:
         """Return the radius that explains length and width best.
 
@@ -318,7 +312,12 @@ class _Radius:
         return cls(radius, np.sqrt(var_length * weight))
 
     def if_merged(
-        self, view: View, ground: float, model: ShadowModel, azimuth: Array, depression: Array,
+        self,
+        view: View,
+        ground: float,
+        model: ShadowModel,
+        azimuth: Array,
+        depression: Array,
         pixels: Array,
     ) -> _Radius:
         """Return the radius with patches set right that hold the shadows of several rocks.

@@ -52,7 +52,9 @@ def cover_probability(
         for v, least in ((location_sigma, 1e-4), (radius, 0.0), (radius_sigma, 1e-4))
     )
     if form == "rice":
-        return kernels.rice_profiles(d, sigma, mean, spread, kernels._NODE, kernels._WEIGHT)
+        return np.asarray(
+            kernels.rice_profiles(d, sigma, mean, spread, kernels._NODE, kernels._WEIGHT)
+        )
     mu = (mean + _RAYLEIGH_MEAN * sigma)[:, None]
     s = np.sqrt(spread**2 + _RAYLEIGH_VARIANCE * sigma**2)[:, None]
     below = ndtr(-mu / s)

@@ -90,7 +90,7 @@ class RockFilter:
     def covariance(self) -> Array:
         """Of the lander's error state and the rocks' coordinates (15 + 2 n, 15 + 2 n)."""
         size = INERTIAL + 2 * self.count
-        return self._p[:size, :size]
+        return np.asarray(self._p[:size, :size])
 
     @property
     def xy(self) -> Array:
@@ -110,7 +110,7 @@ class RockFilter:
     def rock_covariance(self) -> Array:
         """Return the covariance of each rock's centre (n, 2, 2), m^2."""
         i = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
-        return self._p[i[:, :, None], i[:, None, :]]
+        return np.asarray(self._p[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
         """Return the covariance of each rock's centre less the lander's position (n, 2, 2), m^2.
@@ -384,8 +384,7 @@ class RockFilter:
         return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
-        """Let radii wander by a share `radius_rate` in a second: a rock looks different from
-        each side."""
+        """Let radii wander by a share `radius_rate` in a second: rocks differ from side to side."""
         self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
 
     def _reserve(self, count: int) -> None:

@@ -66,9 +66,7 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     """
     raw = np.asarray(image)
     if raw.ndim != 2 or raw.size == 0 or raw.dtype.kind not in "uifb":
-        raise InputError(
-            "image", f"{raw.dtype} {raw.shape}", "numbers in an array (height, width)"
-        )
+        raise InputError("image", f"{raw.dtype} {raw.shape}", "numbers in an array (height, width)")
     if not (np.isfinite(gamma) and gamma > 0.0):
         raise InputError("gamma", gamma, "a positive number")
     valid = np.isfinite(raw) if raw.dtype.kind == "f" else np.ones(raw.shape, bool)

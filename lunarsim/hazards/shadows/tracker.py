@@ -195,9 +195,7 @@ class RockTracker:
         self._drop(np.flatnonzero(small | (self.existence < _GONE)))
         return nis
 
-    def _agreeing(
-        self, seen: Detections, sight: Sight, d: Index, rock: Index
-    ) -> NDArray[np.bool_]:
+    def _agreeing(self, seen: Detections, sight: Sight, d: Index, rock: Index) -> NDArray[np.bool_]:
         """Return which pairs (p,) are off by what most pairs are off by.
 
         An error of the lander's pose moves all rocks of an image together, so a wrong pair shows

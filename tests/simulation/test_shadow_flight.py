@@ -1,0 +1,110 @@
+"""The closed loop by camera: pictures, filter, map, policy, touchdown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+
+SMALL = {
+    "name": "small-shadow",
+    "terrain": {"size_m": 160.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
+    "rocks": {"min_diameter_m": 0.4},
+    "sun": {"azimuth_deg": 45.0, "elevation_deg": 25.0},
+    "camera": {"pixels": [240, 320], "rate_hz": 2.0},
+    "start": {
+        "position_m": [-90.0, -40.0, 130.0],
+        "velocity_m_s": [9.0, 4.0, -9.0],
+        "position_sigma_m": 2.0,
+        "velocity_sigma_m_s": 0.1,
+    },
+    "mapper": {"kind": "shadow", "size_m": 60.0, "posting_m": 0.5},
+    "decisions": {"first_altitude_m": 90.0, "last_altitude_m": 30.0, "interval_s": 2.0},
+}
+
+
+def scenario(**changes):
+    data = {key: dict(value) if isinstance(value, dict) else value for key, value in SMALL.items()}
+    for table, values in changes.items():
+        data[table] = data.get(table, {}) | values
+    return Scenario.from_dict(data)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    simulation = Simulation(scenario(), 3, "safest")
+    return simulation, simulation.run()
+
+
+def test_a_policy_lands_on_the_shadow_map(flown):
+    simulation, flight = flown
+    assert flight.verdict.touchdown is not None
+    assert flight.hazard_map is not None
+    assert flight.hazard_map.observed.any()
+    names = [event["name"] for event in flight.events]
+    assert "first-picture" in names
+    p = flight.hazard_map.p_safe
+    assert 0.0 <= p.min() <= p.max() <= 1.0
+    # The map tells rocks from open ground, in the frame that the lander flies in.
+    grid = flight.hazard_map.grid
+    xx, yy = np.meshgrid(grid.x, grid.y)
+    points = np.stack((xx, yy), -1) - simulation.map_error[:2]
+    on_rock = simulation.world.terrain.elevation(points) > 0.25
+    seen = flight.hazard_map.observed
+    assert p[seen & on_rock].mean() < 0.5 * p[seen & ~on_rock].mean()
+
+
+def test_the_estimate_is_as_good_as_it_says(flown):
+    simulation, _ = flown
+    f = simulation.shadows.rocks
+    error = simulation.state.velocity - f.inertial.velocity
+    sigma = np.sqrt(np.diag(f.covariance)[3:6])
+    assert (np.abs(error) < 5.0 * sigma + 0.02).all()
+    # Height above the ground, which the altimeter sees; the horizontal start error stays.
+    height = f.inertial.position[2] - f.ground
+    assert height == pytest.approx(simulation.state.position[2], abs=0.5)
+    assert np.linalg.eigvalsh(f.covariance).min() > 0.0
+
+
+def test_same_seed_same_bits(flown):
+    simulation, flight = flown
+    again = Simulation(scenario(), 3, "safest").run()
+    assert np.array_equal(again.hazard_map.p_safe, flight.hazard_map.p_safe)
+    for name, column in flight.trajectory.items():
+        assert column.tobytes() == again.trajectory[name].tobytes(), name
+
+
+def test_night_flies_without_a_map():
+    """With the Sun down nothing is seen; the lander keeps its site."""
+    with pytest.raises(InputError, match=r"sun\.elevation"):
+        Simulation(scenario(sun={"elevation_deg": -5.0}), 3)
+
+
+def test_a_camera_that_is_stopped_leaves_a_usable_loop():
+    simulation = Simulation(scenario(), 4)
+    for _ in range(20):
+        simulation.step()
+    simulation.stop_camera()
+    while not simulation.done:
+        simulation.step()
+    assert simulation.verdict.touchdown is not None
+
+
+@pytest.mark.parametrize(
+    ("table", "field", "value"),
+    [
+        ("mapper", "kind", "sonar"),
+        ("mapper", "expected_shape", "pyramid"),
+        ("mapper", "expected_cover", 0.9),
+        ("mapper", "hazard_diameter_m", -1.0),
+        ("camera", "rate_hz", 0.0),
+        ("camera", "first_altitude_m", -3.0),
+        ("guidance", "arrival_acceleration_m_s2", [0.0, 0.0]),
+    ],
+)
+def test_bad_fields_are_named(table, field, value):
+    with pytest.raises(InputError, match=f"{table}.{field}"):
+        scenario(**{table: {field: value}})
