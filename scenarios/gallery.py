@@ -129,12 +129,64 @@ def draw_rock_law(out: Path) -> str:
     return f"rock_sizes.png: cover k = {k:.4f} from {found} rocks of {low} to {high} m"
 
 
+def draw_shadow_crops(out: Path) -> str:
+    """Draw shadows pixel by pixel with the places where their tips should be.
+
+    A cube, a half sphere and a half ellipsoid, each 2 m wide, on a level plane, Sun in the west.
+    """
+    from lunarsim.frames import sensor_axes
+    from lunarsim.grid import Grid
+    from lunarsim.light import Light
+    from lunarsim.sensors.rendering import Renderer, View
+    from lunarsim.terrain import Heightfield, RockField, Terrain
+    from lunarsim.terrain.shapes import CUBE, ELLIPSOID
+    from lunarsim.viz.style import new_figure, save
+
+    shapes = {"cube": (CUBE, 2.0), "half sphere": (ELLIPSOID, 1.0), "ellipsoid": (ELLIPSOID, 0.6)}
+    suns = (5.0, 10.0, 20.0, 45.0)
+    looks = (("600 m, straight down", 600.0, 0.0), ("100 m, straight down", 100.0, 0.0),
+             ("100 m, 45 deg off nadir", 100.0, 45.0), ("30 m, 45 deg off nadir", 30.0, 45.0))  # fmt: skip
+    grid = Grid.centred((0.0, 0.0), 200.0, 1.0)
+    plane = Heightfield(grid, np.zeros(grid.shape, np.float32))
+    figure = new_figure(15.0, 12.0)
+    axes = figure.subplots(len(shapes) * len(looks), len(suns))
+    for i, (name, (shape, height)) in enumerate(shapes.items()):
+        one = [np.array([v]) for v in (0.0, 0.0, 0.0, 1.0, 1.0, height, 0.0)]
+        renderer = Renderer(Terrain(plane, RockField(*one, np.array([shape]))))
+        for j, (title, distance, tilt) in enumerate(looks):
+            boresight = np.array([0.0, np.sin(np.radians(tilt)), -np.cos(np.radians(tilt))])
+            for k, elevation in enumerate(suns):
+                rise = height / np.tan(np.radians(elevation))
+                tip = 1.0 + rise if shape == CUBE else float(np.hypot(1.0, rise))
+                width = int(np.clip(1.25 * (tip + 2.5) * 554.0 / distance, 24, 640))
+                high = int(np.clip(4.5 * 554.0 / distance, 10, 120))
+                target = np.array([0.5 * tip, 0.0, 0.0])
+                view = View(target - distance * boresight, sensor_axes(boresight), 554.0, 554.0,
+                            0.5 * (width - 1), 0.5 * (high - 1), width, high)  # fmt: skip
+                image = renderer.render(view, Light(1.5 * np.pi, np.radians(elevation)))
+                point = (np.array([tip, 0.0, 0.0]) - view.position) @ view.axes
+                ax = axes[len(looks) * i + j, k]
+                ax.imshow(image.radiance, cmap="gray", interpolation="nearest", vmin=0.0,
+                          vmax=1.5 * float(image.radiance[0, -1]))  # fmt: skip
+                ax.axvline(554.0 * point[0] / point[2] + view.cx, color="#D55E00", lw=0.9)
+                ax.set_xticks([])
+                ax.set_yticks([])
+                if i == j == 0:
+                    ax.set_title(f"Sun {elevation:g} deg")
+                if k == 0:
+                    ax.set_ylabel(f"{name}\n{title}", fontsize=7, rotation=0, ha="right",
+                                  va="center")  # fmt: skip
+    figure.suptitle("Shadows as rendered; orange: the tip by the closed form")
+    save(figure, out / "shadows.png")
+    return "shadows.png: 48 crops"
+
+
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
     "--out", type=click.Path(path_type=Path), default=HERE.parent / "docs" / "images" / "gallery",
     show_default="docs/images/gallery", help="Folder for the pictures.",
 )  # fmt: skip
-@click.option("--only", type=click.Choice([*SCENES, "rocks"]), help="One picture alone.")
+@click.option("--only", type=click.Choice([*SCENES, "rocks", "shadows"]), help="One picture alone.")
 def main(out: Path, only: str | None) -> None:
     """Render the gallery."""
     out.mkdir(parents=True, exist_ok=True)
@@ -145,6 +197,8 @@ def main(out: Path, only: str | None) -> None:
                 click.echo(take_picture(scenario, out=out / f"{name}.png", **how))
         if only in {None, "rocks"}:
             click.echo(draw_rock_law(out))
+        if only in {None, "shadows"}:
+            click.echo(draw_shadow_crops(out))
     except InputError as error:
         raise click.UsageError(str(error)) from None
 

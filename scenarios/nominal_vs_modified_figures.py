@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
+from lunarsim.hazards.shadows import cover_probability
 from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES
 from lunarsim.viz.style import COLOURS, map_axes, new_figure, save
 
@@ -24,6 +25,7 @@ def draw_all(results: list[dict[str, Any]], out: Path) -> None:
     draw_contours(first, out / "contours.png")
     draw_slice(first, out / "slice.png")
     draw_reliability(results, out / "reliability.png")
+    draw_forms(out / "forms.png")
 
 
 def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
@@ -185,4 +187,25 @@ def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
     false.set_ylabel("share of detections false, FP(q)")
     false.set_ylim(0.0, 0.1)
     figure.suptitle(f"Shadow detector on rendered rocks ({shape})")
+    save(figure, path)
+
+
+def draw_forms(path: Path) -> None:
+    """Draw the exact probability that a rock covers a point, and the paper's fit to it."""
+    figure = new_figure(8.4, 3.4)
+    axes = figure.subplots(1, 2, sharey=True)
+    d = np.linspace(0.0, 2.0, 401)
+    for ax, (sigma, radius, spread) in zip(
+        axes, ((0.05, 0.5, 0.05), (0.25, 0.5, 0.1)), strict=True
+    ):
+        for form, colour, label in (
+            ("rice", COLOURS[0], "Rice, exact"), ("gaussian", COLOURS[1], "Gaussian fit (paper)"),
+        ):  # fmt: skip
+            p = cover_probability(d[None], [sigma], [radius], [spread], form)[0]
+            ax.plot(d, p, color=colour, label=label)
+        ax.set_title(f"centre ± {sigma:g} m an axis, radius {radius:g} ± {spread:g} m")
+        ax.set_xlabel("distance from the estimated centre (m)")
+        ax.grid(alpha=0.3)
+    axes[0].set_ylabel("probability that the rock covers it")
+    axes[0].legend()
     save(figure, path)

@@ -70,26 +70,28 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     if not (np.isfinite(gamma) and gamma > 0.0):
         raise InputError("gamma", gamma, "a positive number")
     valid = np.isfinite(raw) if raw.dtype.kind == "f" else np.ones(raw.shape, bool)
-    nothing = Segmentation(
-        np.zeros(raw.shape, np.uint8), np.zeros(raw.shape, np.uint8), valid, True
-    )
     grey = raw.astype(np.float32)
     if not valid.all():
         if not valid.any():
-            return nothing
+            return _nothing(valid)
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
     lit = lit_ground(grey, window)
     if not lit.max() > 0.0:
-        return nothing
+        return _nothing(valid)
     ratio = cv2.divide(cv2.max(grey, 0.0), cv2.max(lit, float(lit.max()) * 1e-3))
     tone = _tones(ratio, gamma)
     threshold = _threshold(ratio)
     if threshold is None:
-        return Segmentation(nothing.dark, tone, valid, False)
+        return Segmentation(np.zeros(raw.shape, np.uint8), tone, valid, False)
     dark = (ratio < threshold).astype(np.uint8)
     if not valid.all():
         dark[~valid] = 0
     return Segmentation(dark, tone, valid, False)
+
+
+def _nothing(valid: NDArray[np.bool_]) -> Segmentation:
+    none = np.zeros(valid.shape, np.uint8)
+    return Segmentation(none, none, valid, True)
 
 
 def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
@@ -124,7 +126,8 @@ def _tones(ratio: NDArray[np.float32], gamma: float) -> NDArray[np.uint8]:
 def _threshold(ratio: NDArray[np.float32]) -> float | None:
     """Return the ratio below which a pixel is shadow, or None if the image shows none."""
     # A histogram does for both: the mode of lit ground, and the darkest pixels.
-    bins: Any = cv2.calcHist([ratio], [0], None, [512], [0.0, 2.0]).ravel()
+    levels = np.minimum(ratio * np.float32(256.0), np.float32(600.0)).astype(np.uint16)
+    bins: Any = cv2.calcHist([levels], [0], None, [512], [0.0, 512.0]).ravel()
     level = (np.arange(512) + 0.5) / 256.0
     total = np.cumsum(bins)
     lit = float(level[np.searchsorted(total, 0.6 * total[-1])])

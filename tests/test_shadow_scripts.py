@@ -1,0 +1,79 @@
+"""The scripts of the shadow pipeline, small."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rich.console import Console
+
+from tests.conftest import ROOT
+from tests.simulation.test_shadow_flight import scenario
+
+sys.path.insert(0, str(ROOT / "scenarios"))
+
+
+def test_rates_fall_with_size(tmp_path):
+    import shadow_rates
+
+    done = CliRunner().invoke(shadow_rates.main, ["--images", "5", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    data = json.loads((tmp_path / "rates_cube.json").read_text())
+    rocks, missed = np.array(data["rocks"]), np.array(data["missed"])
+    assert missed[rocks > 50][0] > 0.5
+    assert missed[(rocks > 50)][-1] < 0.2
+    assert (tmp_path / "rates_cube.png").exists()
+
+
+def test_real_image_prints_precision_and_recall(tmp_path):
+    import shadow_real_image
+
+    arguments = ["--out", str(tmp_path), "--json", str(tmp_path / "nac.json")]
+    done = CliRunner().invoke(shadow_real_image.main, arguments)
+    assert done.exit_code == 0, done.output
+    figures = json.loads((tmp_path / "nac.json").read_text())
+    assert figures["precision"] >= 0.9
+    assert abs(figures["direction_deg"] - figures["stated_deg"]) < 10.0
+    assert (tmp_path / "nac.png").stat().st_size > 20_000
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch):
+    """Two short descents in the place of the paper's."""
+    import nominal_vs_modified as experiment
+
+    for path, speed in (("nominal", 9.0), ("modified", 11.0)):
+        short = scenario(start={"velocity_m_s": [speed, 4.0, -9.0]})
+        short.save(tmp_path / f"shadow_{path}.toml")
+    monkeypatch.setattr(experiment, "HERE", tmp_path)
+    monkeypatch.setattr(experiment, "ALTITUDES", (80.0, 50.0))
+    return experiment
+
+
+def test_experiment_compares_two_paths(small, tmp_path):
+    tasks = [small.Task(path, 0, 1, None) for path in small.PATHS]
+    results = small.fly_all(tasks, 1, Console(quiet=True))
+    assert [r["path"] for r in results] == list(small.PATHS)
+    assert all(r["landed"] for r in results)
+    summary = small.summarise(results)
+    low = summary["altitudes"][50.0]["clear_recall"]
+    assert 0.2 < low["nominal"][0] <= 1.0
+    difference = low["modified"][0] - low["nominal"][0]
+    assert low["difference"][0] == pytest.approx(difference)
+    console = Console(record=True, width=140, file=open("/dev/null", "w"))  # noqa: SIM115
+    small.show(summary, console)
+    assert "clear ground called clear" in console.export_text()
+    text = json.dumps(small.plain(summary, results))
+    assert json.loads(text)["flights"][0]["levels"]["50.0"]["counts"]["cells"] == 14_400
+
+
+def test_bad_requests_are_refused():
+    import nominal_vs_modified as experiment
+
+    for arguments in (["--fields", "0"], ["--shapes", "pyramid"], ["--jobs", "x"]):
+        done = CliRunner().invoke(experiment.main, arguments)
+        assert done.exit_code == 2
+        assert "Error" in done.output
