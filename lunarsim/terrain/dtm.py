@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -13,6 +14,7 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.transform import array_bounds
 from rasterio.warp import Resampling, calculate_default_transform, reproject
+from rasterio.warp import transform as warp
 from rasterio.windows import Window
 
 from lunarsim.errors import InputError
@@ -21,6 +23,8 @@ from lunarsim.terrain.heightfield import Heightfield
 
 # Float rasters from PDS mark missing posts by huge negative numbers, not always declared.
 _MISSING_BELOW = -1e30
+# Grid north may be off true north by as much before a raster is turned, rad.
+_LEAST_CONVERGENCE = np.deg2rad(0.1)
 
 
 @dataclass(frozen=True)
@@ -125,9 +129,9 @@ def load_dtm(
     """Load a measured terrain into a local ENU frame.
 
     The frame's origin is the centre of the raster, or of the window, at its mean elevation; rows
-    are flipped so that row 0 is the southernmost. A raster in degrees, or turned from north, is
-    resampled by cubic convolution: the former into an azimuthal equidistant frame about its
-    centre, the latter into its own frame with north up.
+    are flipped so that row 0 is the southernmost. A raster in degrees, turned, or in a projection
+    whose grid north at the centre is more than 0.1 deg off true north (as polar ones are), is
+    resampled by cubic convolution into an azimuthal equidistant frame about its centre, north up.
 
     Parameters
     ----------
@@ -150,7 +154,8 @@ def load_dtm(
     with _open(path) as source:
         found, frame = _metric_posting(source)
         part = _window(window, source.height, source.width)
-        if found is not None or source.crs is None or source.transform.is_identity:
+        plain = source.crs is None or source.transform.is_identity
+        if plain or (found is not None and abs(_convergence(source, part)) < _LEAST_CONVERGENCE):
             step = _step(path, found, posting, frame)
             z = _elevations(source, part)
         else:
@@ -164,6 +169,22 @@ def load_dtm(
     grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
     centred = z - np.float32(np.nanmean(z.astype(np.float64)))
     return Heightfield(grid, np.ascontiguousarray(centred, dtype=np.float32))
+
+
+def _body(crs: CRS) -> dict[str, Any]:
+    """Return the body's size, under whichever names a coordinate reference gives it."""
+    shape = crs.to_dict()
+    return {k: shape[k] for k in ("R", "a", "b", "rf", "ellps", "datum") if k in shape}
+
+
+def _convergence(source: rasterio.io.DatasetReader, part: Window) -> float:
+    """Return the angle (rad) from grid north to true north at the middle of a window."""
+    x, y = source.window_transform(part) @ (0.5 * part.width, 0.5 * part.height)
+    globe = CRS.from_dict({"proj": "longlat"} | _body(source.crs))
+    (lon,), (lat,) = warp(source.crs, globe, [x], [y])
+    ends = [lat - 1e-4, lat + 1e-4]
+    easts, norths = warp(globe, source.crs, [lon, lon], ends)
+    return float(np.arctan2(easts[1] - easts[0], norths[1] - norths[0]))
 
 
 def _step(path: Path, found: float | None, posting: float | None, frame: str) -> float:
@@ -201,13 +222,11 @@ def _north_up(
     transform = source.window_transform(part)
     z = _elevations(source, part)
     rows, cols = z.shape
-    target = source.crs
-    if source.crs.is_geographic:
-        lon, lat = transform @ (0.5 * cols, 0.5 * rows)
-        shape = source.crs.to_dict()
-        # The body's size, under whichever names the file gives it.
-        size = {k: shape[k] for k in ("R", "a", "b", "rf", "ellps", "datum") if k in shape}
-        target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | size)
+    x, y = transform @ (0.5 * cols, 0.5 * rows)
+    body = _body(source.crs)
+    globe = CRS.from_dict({"proj": "longlat"} | body)
+    (lon,), (lat,) = warp(source.crs, globe, [x], [y])
+    target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | body)
     bounds = array_bounds(rows, cols, transform)
     placed, wide, high = calculate_default_transform(
         source.crs, target, cols, rows, *bounds,

@@ -208,3 +208,64 @@ def test_a_raster_in_degrees_becomes_metric(tmp_path):
     fall = np.nanmax(relief.z) - relief.z
     around = (distance > 200.0) & (distance < 1500.0) & np.isfinite(relief.z)
     assert np.allclose(fall[around], 0.2 * distance[around], atol=0.2 * 40.0)
+
+
+def ridge_file(path, crs, transform, shape, to_ground):
+    """Write a ridge that runs from south to north on the ground, and falls towards the north."""
+    rows, cols = np.mgrid[: shape[0], : shape[1]] + 0.5
+    x, y = transform @ (cols, rows)
+    east, north = to_ground(x, y)
+    z = 400.0 - 0.3 * np.abs(east) - 0.1 * north
+    with rasterio.open(
+        path, "w", driver="GTiff", height=shape[0], width=shape[1], count=1, dtype="float32",
+        crs=crs, transform=transform,
+    ) as out:  # fmt: skip
+        out.write(z.astype(np.float32), 1)
+
+
+def assert_ridge(relief):
+    g = relief.grid
+    middle = relief.z[g.rows // 2 - 20 : g.rows // 2 + 20, g.cols // 2 - 20 : g.cols // 2 + 20]
+    crest = np.nanargmax(middle, axis=1)
+    assert np.ptp(crest) <= 2  # runs from south to north
+    fall = np.diff(np.nanmax(middle, axis=1)) / g.posting
+    assert np.nanmedian(fall) == pytest.approx(-0.1, abs=0.02)
+
+
+def test_a_polar_projection_is_turned_to_true_north(tmp_path):
+    """At 88 deg south, 60 deg east, grid north of a polar stereographic map is not north."""
+    path = tmp_path / "polar.tif"
+    radius, lon = 1_737_400.0, np.radians(60.0)
+    # South polar stereographic: x = rho sin(lon), y = rho cos(lon); north is away from the pole.
+    rho = 2.0 * radius * np.tan(np.radians(1.0))
+    x0, y0 = rho * np.sin(lon), rho * np.cos(lon)
+    step = 20.0
+    transform = from_origin(x0 - 80 * step, y0 + 80 * step, step, step)
+
+    def to_ground(x, y):
+        dx, dy = x - x0, y - y0
+        return dx * np.cos(lon) - dy * np.sin(lon), dx * np.sin(lon) + dy * np.cos(lon)
+
+    crs = "+proj=stere +lat_0=-90 +lon_0=0 +R=1737400 +units=m +no_defs"
+    ridge_file(path, crs, transform, (160, 160), to_ground)
+    relief = load_dtm(path)
+    assert relief.grid.posting == pytest.approx(20.0, rel=0.05)
+    assert_ridge(relief)
+
+
+def test_a_turned_raster_is_turned_back(tmp_path):
+    path = tmp_path / "turned.tif"
+    turn = np.radians(30.0)
+    step = 5.0
+    centre = np.array([0.0, 0.0])
+    transform = (
+        rasterio.Affine.translation(*centre)
+        * rasterio.Affine.rotation(30.0)
+        * rasterio.Affine.scale(step, -step)
+        * rasterio.Affine.translation(-75, -75)
+    )
+    assert turn > 0.0
+    crs = "+proj=eqc +R=1737400 +units=m +no_defs"
+    ridge_file(path, crs, transform, (150, 150), lambda x, y: (x, y))
+    relief = load_dtm(path, posting=5.0)
+    assert_ridge(relief)
