@@ -144,8 +144,12 @@ def draw_shadow_crops(out: Path) -> str:
 
     shapes = {"cube": (CUBE, 2.0), "half sphere": (ELLIPSOID, 1.0), "ellipsoid": (ELLIPSOID, 0.6)}
     suns = (5.0, 10.0, 20.0, 45.0)
-    looks = (("600 m, straight down", 600.0, 0.0), ("100 m, straight down", 100.0, 0.0),
-             ("100 m, 45 deg off nadir", 100.0, 45.0), ("30 m, 45 deg off nadir", 30.0, 45.0))  # fmt: skip
+    looks = (
+        ("600 m, straight down", 600.0, 0.0),
+        ("100 m, straight down", 100.0, 0.0),
+        ("100 m, 45 deg off nadir", 100.0, 45.0),
+        ("30 m, 45 deg off nadir", 30.0, 45.0),
+    )
     grid = Grid.centred((0.0, 0.0), 200.0, 1.0)
     plane = Heightfield(grid, np.zeros(grid.shape, np.float32))
     figure = new_figure(15.0, 12.0)

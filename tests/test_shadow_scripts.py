@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 
@@ -63,7 +64,7 @@ def test_experiment_compares_two_paths(small, tmp_path):
     assert 0.2 < low["nominal"][0] <= 1.0
     difference = low["modified"][0] - low["nominal"][0]
     assert low["difference"][0] == pytest.approx(difference)
-    console = Console(record=True, width=140, file=open("/dev/null", "w"))  # noqa: SIM115
+    console = Console(record=True, width=140, file=io.StringIO())
     small.show(summary, console)
     assert "clear ground called clear" in console.export_text()
     text = json.dumps(small.plain(summary, results))
