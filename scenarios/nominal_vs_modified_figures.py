@@ -52,7 +52,8 @@ def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
 def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw the maps in three classes by altitude (paper, Figure 7)."""
     altitudes = list(first["nominal"]["levels"])
-    figure = new_figure(3.0 * len(altitudes), 6.6)
+    figure = new_figure(3.0 * len(altitudes), 7.0)
+    figure.suptitle("Three classes by altitude, first field")
     axes = figure.subplots(2, len(altitudes), sharex=True, sharey=True)
     colours = ListedColormap([CLEAR, UNKNOWN, OCCUPIED])
     norm = BoundaryNorm([0.0, 0.0025, 0.8, 1.0], 3)
@@ -86,7 +87,8 @@ def _about(level: dict[str, Any]) -> tuple[float, float, float, float]:
 
 def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20.0) -> None:
     """Draw the last maps' probabilities about the site with the true rocks (paper, Figure 6)."""
-    figure = new_figure(9.6, 4.4)
+    figure = new_figure(9.6, 4.9)
+    figure.suptitle("Probability of hazard about the site, first field")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     levels = [0.0025, 0.01, 0.05, 0.2, 0.4, 0.6, 0.8, 1.0]
     for ax, name in zip(axes, PATHS, strict=True):

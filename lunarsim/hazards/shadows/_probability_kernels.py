@@ -8,7 +8,7 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 
-_NODE, _WEIGHT = np.polynomial.legendre.leggauss(20)
+_NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
 
 
 @kernel()
@@ -37,18 +37,17 @@ def _rice(d, sigma, mean, spread, node, weight):
         return _normal((mean - d - 0.5 * sigma * sigma / d) / math.hypot(sigma, spread))
     low = max(d - 7.0 * sigma, 0.0)
     high = d + 7.0 * sigma
-    # The radius cuts the distances within a few of its deviations: panels meet there.
+    # The radius cuts the distances within a few of its deviations: panels meet there. Beyond the
+    # last no rock reaches.
     total = 0.0
     left = low
-    for panel in range(4):
+    for panel in range(3):
         if panel == 0:
             right = mean - 4.0 * spread
         elif panel == 1:
             right = mean
-        elif panel == 2:
-            right = mean + 4.0 * spread
         else:
-            right = high
+            right = mean + 4.0 * spread
         right = min(max(right, left), high)
         half = 0.5 * (right - left)
         if half > 0.0:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsm
+from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
@@ -29,6 +31,9 @@ Index = NDArray[np.int64]
 # What a pixel depends on: position and attitude.
 _POSE = np.array([0, 1, 2, 9, 10, 11])
 _BLOCK = 384
+# One thread for the small products of an update: more would wait for each other, and the bits must
+# not depend on how many there are.
+_BLAS = ThreadpoolController()
 
 
 @dataclass(frozen=True)
@@ -145,9 +150,10 @@ class RockFilter:
             np.asarray(angle, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
         )
         p, n = self.covariance, INERTIAL
-        p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
+        with _BLAS.limit(limits=1, user_api="blas"):
+            p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
+            p[:n, n:] = transition @ p[:n, n:]
         p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
-        p[:n, n:] = transition @ p[:n, n:]
         p[n:, :n] = p[:n, n:].T
 
     # --- altimeter ------------------------------------------------------------------------
@@ -265,15 +271,28 @@ class RockFilter:
         nis
             Of the 2 m pixel coordinates; chi-squared with 2 m degrees of freedom.
         """
-        m = len(index)
-        if m == 0:
+        if len(index) == 0:
             return 0.0
+        with _BLAS.limit(limits=1, user_api="blas"):
+            white = self._update_places(index, sight, pixel, pixel_covariance, common)
+        r = self._r[index]
+        gain = r[:, 1] / (r[:, 1] + radius_variance)
+        self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
+        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], radius_floor * radius_variance)
+        return float(white @ white)
+
+    def _update_places(
+        self, index: Index, sight: Sight, pixel: Array, pixel_covariance: Array, common: float
+    ) -> Array:
+        """Correct lander and centres; return the whitened innovation (2 m,)."""
+        m = len(index)
         size = INERTIAL + 2 * self.count
         a, b = sight.by_pose[index], sight.by_rock[index]
         columns = INERTIAL + 2 * np.asarray(index)[:, None] + np.arange(2)
-        rows = self._p[columns.ravel(), :size].reshape(m, 2, size)
-        hp = (a.reshape(2 * m, 6) @ self._p[_POSE, :size]).reshape(m, 2, size) + b @ rows
-        hp = hp.reshape(2 * m, size)
+        hp = a.reshape(2 * m, 6) @ self._p[_POSE, :size]
+        east, north = self._p[columns[:, 0], :size], self._p[columns[:, 1], :size]
+        for axis in range(2):
+            hp[axis::2] += b[:, axis, :1] * east + b[:, axis, 1:] * north
         s = hp[:, _POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
@@ -283,15 +302,11 @@ class RockFilter:
         s[1::2, 1::2] += common**2
         lower = np.linalg.cholesky(0.5 * (s + s.T))
         innovation = (pixel - sight.pixel[index]).ravel()
-        both = solve_triangular(
-            lower, np.column_stack((hp, innovation)), lower=True, check_finite=False
-        )
-        self._apply(both[:, :-1], both[:, -1])
-        r = self._r[index]
-        gain = r[:, 1] / (r[:, 1] + radius_variance)
-        self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
-        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], radius_floor * radius_variance)
-        return float(both[:, -1] @ both[:, -1])
+        white = solve_triangular(lower, innovation, lower=True, check_finite=False)
+        # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
+        w = dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T
+        self._apply(w, white)
+        return np.asarray(white)
 
     def _apply(self, w: Array, innovation: Array) -> None:
         """Correct by whitened rows: gain times innovation is w' y, the covariance loses w' w."""
