@@ -118,7 +118,6 @@ def test_measuring_patches_equals_the_plain_reference():
 @pytest.mark.parametrize("shape", ["hemisphere", "cube"])
 @pytest.mark.parametrize("position", [(0.0, 0.0, 60.0), (-40.0, -15.0, 45.0), (15.0, -50.0, 50.0)])
 def test_rocks_are_found_where_they_are(shape, position):
-    # Shadows of cubes are long: fewer of them run into each other.
     terrain = rocks_on_a_plane(shape, count=120 if shape == "hemisphere" else 25)
     state, camera, counts = picture(terrain, position)
     model = ShadowModel(np.radians(20.0), RockModel(shape, burial=(0.0, 0.0)))
@@ -140,7 +139,8 @@ def test_rocks_are_found_where_they_are(shape, position):
     uv = s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]
     inside = (uv > 40.0).all(1) & (uv < [600.0, 440.0]).all(1)
     back, _ = cKDTree(seen.ground).query(true[inside])
-    assert np.mean(back < rocks.a[inside]) > 0.7
+    # Long shadows of cubes run into each other: then one rock is told where there are more.
+    assert np.mean(back < rocks.a[inside]) > (0.75 if shape == "hemisphere" else 0.55)
 
 
 def test_errors_are_as_large_as_their_covariance_says():

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 # share of that below which a patch is taken for several.
 _USUAL = 1.25
 _MERGED = 0.78
+# A patch that the rock hides but for this length, in radii, tells too little.
+_LEAST_LENGTH = 0.3
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,9 @@ class Detections:
     radius, radius_sigma
         m (n,).
     height
-        By the half-sphere model (n,), m.
+        By the length of the patch alone (n,), m.
     length
-        Extent of the dark patch towards the Sun (n,), m.
+        Of the dark patch along the Sun, as `Patch` has it (n,), m.
     q
         Root of the number of dark pixels (n,).
     label
@@ -244,39 +246,40 @@ def _measure(
     along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
     length, width = t[:, k.LENGTH], t[:, k.WIDTH]
     rocks = _Radius.of(length, width, unit, along_px, across_px, settings.pixel_sigma)
-    area = t[:, k.PIXELS] * along_px * across_px
     rocks = rocks.if_merged(view, ground, model, azimuth, depression, t[:, k.PIXELS])
-    fill = area / np.maximum(length * width, 1e-9)
-    hidden = unit.length < 0.3
+    fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
-    good = ~terrain & ~hidden
-    r = rocks.radius
-    along = t[:, k.ALONG] - r * unit.along
-    across = t[:, k.ACROSS] - r * unit.side
-    s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
-    frame = np.array([[s[0], -s[1]], [s[1], s[0]]])
-    offset = np.column_stack((along, across)) @ frame.T
-    spread_along = np.sqrt(
-        0.25 * (settings.pixel_sigma * along_px) ** 2
-        + (rocks.sigma * unit.along) ** 2
-        + (r * unit.along_sigma) ** 2
-    )
-    spread_across = np.sqrt(
-        0.25 * (settings.pixel_sigma * across_px) ** 2
-        + (rocks.sigma * unit.side) ** 2
-        + (r * unit.side_sigma) ** 2
-    )
-    pixel, covariance = _to_pixels(
-        offset, ground - view.position[2], view, frame, spread_along, spread_across
-    )
-    elevation = float(np.arcsin(sun[2]))
-    keep = good
+    frame = _sun_frame(sun)
+    offset, spread = _place(t, rocks, unit, settings.pixel_sigma)
+    offset = offset @ frame.T
+    pixel, covariance = _to_pixels(offset, ground - view.position[2], view, frame, spread)
+    keep = ~terrain & (unit.length >= _LEAST_LENGTH)
+    height = model.height * length / np.maximum(unit.length, _LEAST_LENGTH)
     extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
     return Detections(
-        pixel[keep], covariance[keep], (offset + view.position[:2])[keep], r[keep],
-        rocks.sigma[keep], (length * np.sin(elevation))[keep], length[keep],
-        np.sqrt(t[keep, k.PIXELS]), number[keep], labels, extended,
+        pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
+        rocks.sigma[keep], height[keep], length[keep], np.sqrt(t[keep, k.PIXELS]), number[keep],
+        labels, extended,
     )  # fmt: skip
+
+
+def _sun_frame(sun: Array) -> Array:
+    """Return the matrix (2, 2) from coordinates along the Sun and across to east and north."""
+    s = sun[:2] / np.hypot(sun[0], sun[1])
+    return np.array([[s[0], -s[1]], [s[1], s[0]]])
+
+
+def _place(table: Array, rocks: _Radius, unit: Patch, pixel: float) -> tuple[Array, Array]:
+    """Return centres (n, 2) along the Sun and across, m, and their standard deviations (n, 2)."""
+    k, r = kernels, rocks.radius
+    centre = np.column_stack(
+        (table[:, k.ALONG] - r * unit.along, table[:, k.ACROSS] - r * unit.side)
+    )
+    # The mean of a patch is found more closely than one of its ends.
+    edge = 0.5 * pixel * table[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
+    lever = rocks.sigma[:, None] * np.column_stack((unit.along, unit.side))
+    shape = r[:, None] * np.column_stack((unit.along_sigma, unit.side_sigma))
+    return centre, np.sqrt(edge**2 + lever**2 + shape**2)
 
 
 @dataclass(frozen=True)
@@ -320,11 +323,11 @@ class _Radius:
         depression: Array,
         pixels: Array,
     ) -> _Radius:
-        """Return the radius with patches set right that hold the shadows of several rocks.
+        """Return the radii, those of patches that hold several shadows set right.
 
         Such a patch has far less area than its length and width promise. Its area is the sum of
-        theirs, so the radius that goes with it is an upper bound on each that is nearer.
-        """  # fmt: skip
+        the shadows', so the radius of a rock with that area bounds each of theirs.
+        """
         slant = (view.position[2] - ground) / np.maximum(np.sin(depression), 1e-3)
         pixel = slant / np.sqrt(view.fx * view.fy)
         expected = model.visible_pixels(self.radius, azimuth, depression, pixel) ** 2
@@ -344,7 +347,7 @@ def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
 
 
 def _to_pixels(
-    offset: Array, drop: float, view: View, frame: Array, along: Array, across: Array
+    offset: Array, drop: float, view: View, frame: Array, spread: Array
 ) -> tuple[Array, Array]:
     """Return pixels (n, 2) and their covariances (n, 2, 2) of points on the ground."""
     points = np.column_stack((offset, np.full(len(offset), drop))) @ view.axes
@@ -355,7 +358,5 @@ def _to_pixels(
     slope = view.axes[:2, :2].T[None] - (points[:, :2] / z[:, None])[:, :, None] * view.axes[:2, 2]
     jacobian = focal[:, None] * slope / z[:, None, None]
     turned = jacobian @ frame
-    covariance = (turned * np.stack((along**2, across**2), -1)[:, None, :]) @ np.swapaxes(
-        turned, 1, 2
-    )
+    covariance = (turned * (spread**2)[:, None, :]) @ np.swapaxes(turned, 1, 2)
     return pixel, covariance

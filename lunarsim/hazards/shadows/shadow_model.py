@@ -83,6 +83,8 @@ class ShadowModel:
 
     Attributes
     ----------
+    height
+        Mean height above the ground, in radii.
     outline
         Mean and standard deviation of the distance from a rock's centre to its outline, over all
         directions and shapes, in radii.
@@ -107,6 +109,8 @@ class ShadowModel:
             (_AZIMUTHS, _DEPRESSIONS), _tabulate(round(elevation, 3), self.shapes)
         )
 
+        drawn = self.shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
+        self.height = float(np.mean(drawn.base + drawn.height))
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
     def patch(self, azimuth: Any, depression: Any) -> Patch:
