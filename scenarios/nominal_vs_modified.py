@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -118,21 +119,39 @@ def _one_thread() -> None:
 
 
 def fly_all(tasks: list[Task], jobs: int, console: Console) -> list[dict[str, Any]]:
-    """Fly all tasks, in as many processes as asked for; the order is that of the tasks."""
+    """Fly all tasks, in as many processes as asked for; the order is that of the tasks.
+
+    An interrupt ends the flying; the fields that both paths have flown are kept.
+    """
+    results: list[dict[str, Any]] = []
     with Progress(console=console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
-        results = []
-        if jobs == 1:
-            for task in tasks:
-                results.append(fly(task))
-                progress.advance(bar)
-            return results
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread) as pool:
-            for result in pool.map(fly, tasks):
+        try:
+            for result in _outcomes(tasks, jobs):
                 results.append(result)
                 progress.advance(bar)
-        return results
+        except KeyboardInterrupt:
+            whole = len(results) // len(PATHS)
+            results = results[: whole * len(PATHS)]
+            if not results:
+                raise
+            console.print(f"interrupted: what follows is of the first {whole} fields")
+    return results
+
+
+def _outcomes(tasks: list[Task], jobs: int) -> Iterator[dict[str, Any]]:
+    if jobs == 1:
+        yield from map(fly, tasks)
+        return
+    # OpenGL contexts and Numba's thread pools do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread)
+    try:
+        yield from pool.map(fly, tasks)
+        pool.shutdown()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
 
 
 def mean_interval(values: list[float]) -> tuple[float, float]:
