@@ -456,6 +456,17 @@ def terrain() -> None:
         )
 
 
+def _yardstick() -> float:
+    """Return the time of a fixed piece of other people's work, ms, by which to compare machines."""
+    import numpy as np
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(0)
+    u, v = np.meshgrid(np.linspace(-50.0, 50.0, 256), np.linspace(-50.0, 50.0, 256))
+    points = np.column_stack((u.ravel(), v.ravel())) + 0.05 * rng.standard_normal((65_536, 2))
+    return median_ms(lambda: Delaunay(points), 3)
+
+
 @click.command()
 @click.argument("parts", nargs=-1)
 def main(parts: tuple[str, ...]) -> None:
@@ -463,7 +474,10 @@ def main(parts: tuple[str, ...]) -> None:
     unknown = [name for name in parts if name not in PARTS]
     if unknown:
         raise click.UsageError(f"no such part: {unknown[0]}; there are {', '.join(PARTS)}")
-    print(f"{os.cpu_count()} cores, {numba.get_num_threads()} threads")
+    print(
+        f"{os.cpu_count()} cores, {numba.get_num_threads()} threads; yardstick: SciPy triangulates "
+        f"the returns of one scan in {_yardstick():.0f} ms"
+    )
     for name in parts or PARTS:
         print(f"{name}: {(PARTS[name].__doc__ or '').strip().splitlines()[0]}")
         PARTS[name]()
