@@ -82,7 +82,7 @@ def test_conservative_bounds_agree_with_the_plain_reference(lander):
 def test_conservative_never_calls_an_unsafe_site_safe(seed, legs, radius, posting, rough, tilt):
     """Proposition III.1, on random terrain and landers."""
     lander = Lander(legs=legs, leg_radius=radius, pad_diameter=0.3)
-    z, grid = terrain(seed, rough, 28, posting)
+    z, grid = terrain(seed, rough, 36, posting)
     z = (z + tilt * grid.x[None, :]).astype(np.float32)
     exact = exact_safety(z, grid, lander)
     bound = conservative_safety(z, grid, lander)
