@@ -31,16 +31,10 @@ class Segmentation:
         (height, width), uint8 0 or 1.
     brightness
         Gamma-corrected brightness over that of the lit ground nearby, 8 bits (height, width).
-    valid
-        Whether the pixel was a number (height, width).
-    night
-        True if nothing in the image is lit.
     """
 
     dark: NDArray[np.uint8]
     brightness: NDArray[np.uint8]
-    valid: NDArray[np.bool_]
-    night: bool
 
 
 def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Segmentation:
@@ -73,25 +67,25 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     grey = raw.astype(np.float32)
     if not valid.all():
         if not valid.any():
-            return _nothing(valid)
+            return _nothing(raw.shape)
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
     lit = lit_ground(grey, window)
     if not lit.max() > 0.0:
-        return _nothing(valid)
+        return _nothing(raw.shape)
     ratio = cv2.divide(cv2.max(grey, 0.0), cv2.max(lit, float(lit.max()) * 1e-3))
     tone = _tones(ratio, gamma)
     threshold = _threshold(ratio)
     if threshold is None:
-        return Segmentation(np.zeros(raw.shape, np.uint8), tone, valid, False)
+        return Segmentation(np.zeros(raw.shape, np.uint8), tone)
     dark = (ratio < threshold).astype(np.uint8)
     if not valid.all():
         dark[~valid] = 0
-    return Segmentation(dark, tone, valid, False)
+    return Segmentation(dark, tone)
 
 
-def _nothing(valid: NDArray[np.bool_]) -> Segmentation:
-    none = np.zeros(valid.shape, np.uint8)
-    return Segmentation(none, none, valid, True)
+def _nothing(shape: tuple[int, ...]) -> Segmentation:
+    none = np.zeros(shape, np.uint8)
+    return Segmentation(none, none)
 
 
 def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:

@@ -131,7 +131,6 @@ class RockTracker:
         self.settings = settings or TrackerSettings()
         self.existence = np.empty(0)
         self.hits = np.empty(0, np.int64)
-        self.nis = 0.0, 0
         self.tentative = Tentative.none()
         self._updated = np.empty(0)
         self._time: float | None = None
@@ -186,7 +185,6 @@ class RockTracker:
             b, sight, seen.pixel[a], seen.pixel_covariance[a], seen.radius[a], radius_variance[a],
             s.common_pixels, s.radius_floor,
         )  # fmt: skip
-        self.nis = nis, 2 * len(b)
         self._judge(rock, at, seen, d, camera, sun)
         born = self._birth(~close, seen, camera, radius_variance)
         self._keep_tentative(~close & ~born, seen, camera, radius_variance)
