@@ -4,6 +4,17 @@ Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Re
 Map".
 """
 
+from lunarsim.hazards.quadtree.settings import InterestMap, SiteSettings
+from lunarsim.hazards.quadtree.sites import STATUS, Selection, Site, SiteSelector
 from lunarsim.hazards.quadtree.tree import Inserted, QuadtreeMap
 
-__all__ = ["Inserted", "QuadtreeMap"]
+__all__ = [
+    "STATUS",
+    "Inserted",
+    "InterestMap",
+    "QuadtreeMap",
+    "Selection",
+    "Site",
+    "SiteSelector",
+    "SiteSettings",
+]

@@ -1,0 +1,120 @@
+"""What a landing site must be like, and how sites are scored (Table 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SiteSettings:
+    """Tolerances, weights and the sizes of cells; defaults are those of Table 1.
+
+    The paper gives no sizes of cells, no number of sites and no separation; those here are ours.
+
+    Attributes
+    ----------
+    slope_limit
+        lambda_theta, rad.
+    roughness_limit
+        lambda_d: farthest that a point may lie from its plane without being an exception, m.
+    density
+        lambda_rho: least number of points on a square metre.
+    exception_limit
+        lambda_e: greatest share of exceptions among a cell's points.
+    zone
+        lambda_z: half side of the landing zone, m.
+    weight_interest, weight_slope, weight_roughness
+        alpha of Eq. 9, for (1 - interest), (1 - cosine of the slope) and the roughness in m.
+    mesh_band, hazard_band, site_band
+        Smallest and largest cells, m, that become nodes of the mesh, are searched for exceptions,
+        and are sites.
+    count
+        Sites on the scoreboard.
+    separation
+        Least distance between them, m.
+    roughness
+        ``"rms"``: root mean square distance to the plane. ``"printed"``: Eq. 8 as printed,
+        sum |d| / sqrt(N), which grows with the square root of the number of points, so that ground
+        seen more often scores worse.
+    """
+
+    slope_limit: float = np.deg2rad(5.0)
+    roughness_limit: float = 0.3
+    density: float = 5.0
+    exception_limit: float = 0.015
+    zone: float = 2.5
+    weight_interest: float = 1.0
+    weight_slope: float = 1000.0
+    weight_roughness: float = 100.0
+    mesh_band: tuple[float, float] = (6.4, 12.8)
+    hazard_band: tuple[float, float] = (1.6, 1.6)
+    site_band: tuple[float, float] = (0.8, 1.6)
+    count: int = 5
+    separation: float = 5.0
+    roughness: Literal["rms", "printed"] = "rms"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.slope_limit < np.pi / 2:
+            raise InputError("sites.slope_limit", self.slope_limit, "between 0 and pi/2")
+        for name in ("roughness_limit", "zone"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"sites.{name}", value, "a positive length in metres")
+        for name in (
+            "density", "separation", "weight_interest", "weight_slope", "weight_roughness",
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"sites.{name}", value, "0 or a positive number")
+        if not 0.0 <= self.exception_limit < 1.0:
+            raise InputError("sites.exception_limit", self.exception_limit, "from 0 to below 1")
+        for name in ("mesh_band", "hazard_band", "site_band"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high < np.inf:
+                raise InputError(f"sites.{name}", (low, high), "two rising sizes in metres")
+        if self.count < 1:
+            raise InputError("sites.count", self.count, "1 or more")
+        if self.roughness not in {"rms", "printed"}:
+            raise InputError("sites.roughness", self.roughness, "rms or printed")
+
+
+@dataclass(frozen=True)
+class InterestMap:
+    """How much the mission wants to land where.
+
+    Attributes
+    ----------
+    grid
+        Places the cells, ENU.
+    value
+        Interest (rows, cols) in [0, 1]; 0: not to be landed on, as is everything off the map.
+    """
+
+    grid: Grid
+    value: Array
+
+    def __post_init__(self) -> None:
+        value = np.asarray(self.value, dtype=np.float64)
+        object.__setattr__(self, "value", value)
+        if value.shape != self.grid.shape:
+            raise InputError("interest", value.shape, f"an array of the grid's {self.grid.shape}")
+        wrong = ~((value >= 0.0) & (value <= 1.0))
+        if wrong.any():
+            raise InputError("interest", float(value[wrong][0]), "numbers from 0 to 1")
+
+    def at(self, xy: Array) -> Array:
+        """Return the interest (n,) of points (n, 2)."""
+        row, col = self.grid.cell(xy)
+        inside = self.grid.contains(xy)
+        g = self.grid
+        value = self.value[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)]
+        return np.where(inside, value, 0.0)
