@@ -1,0 +1,110 @@
+"""Compiled averaging of a scan over the posts of a map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+
+@kernel()
+def average(points, x0, y0, posting, least):
+    """Average points (n, 3) over the squares of a grid that they touch.
+
+    NaN points are left out, and squares with fewer than `least` points.
+
+    Returns
+    -------
+    column, row, mean, count
+        Of the squares (m,), (m,), (m, 3), (m,), row by row; columns and rows may be negative or lie
+        beyond the map.
+    """
+    n = points.shape[0]
+    col = np.empty(n, np.int64)
+    row = np.empty(n, np.int64)
+    west, east, south, north = 1 << 40, -(1 << 40), 1 << 40, -(1 << 40)
+    for i in range(n):
+        if not (np.isfinite(points[i, 0]) and np.isfinite(points[i, 2])):
+            row[i] = -(1 << 40)
+            continue
+        col[i] = np.int64(np.floor((points[i, 0] - x0) / posting + 0.5))
+        row[i] = np.int64(np.floor((points[i, 1] - y0) / posting + 0.5))
+        west, east = min(west, col[i]), max(east, col[i])
+        south, north = min(south, row[i]), max(north, row[i])
+    wide = east - west + 1
+    high = north - south + 1
+    # A scan that grazes the horizon spreads without bound: nothing to compare it with.
+    if east < west or wide * high > 4_000_000:
+        none = np.empty(0, np.int64)
+        return none, none, np.empty((0, 3)), none
+    sums = np.zeros((high * wide, 3))
+    count = np.zeros(high * wide, np.int64)
+    for i in range(n):
+        if row[i] == -(1 << 40):
+            continue
+        s = (row[i] - south) * wide + col[i] - west
+        count[s] += 1
+        for k in range(3):
+            sums[s, k] += points[i, k]
+    m = 0
+    for s in range(count.size):
+        if count[s] >= least:
+            m += 1
+    out_col = np.empty(m, np.int64)
+    out_row = np.empty(m, np.int64)
+    mean = np.empty((m, 3))
+    number = np.empty(m, np.int64)
+    m = 0
+    for s in range(count.size):
+        if count[s] >= least:
+            out_col[m] = west + s % wide
+            out_row[m] = south + s // wide
+            number[m] = count[s]
+            for k in range(3):
+                mean[m, k] = sums[s, k] / count[s]
+            m += 1
+    return out_col, out_row, mean, number
+
+
+@kernel()
+def surface(col, row, mean, x0, y0, posting, centre_tolerance):
+    """Carry averages to the middles of their squares, by the slope between their neighbours.
+
+    Returns
+    -------
+    height, slope, good
+        At the middles (m,) and (m, 2); `good` (m,) where there is a neighbour on both sides along
+        either axis and the points lie evenly: their mean within `centre_tolerance` of the middle.
+    """
+    m = col.size
+    height = np.empty(m)
+    slope = np.zeros((m, 2))
+    good = np.zeros(m, np.bool_)
+    if m == 0:
+        return height, slope, good
+    west, south = col.min(), row.min()
+    wide, high = col.max() - west + 1, row.max() - south + 1
+    place = np.full(wide * high, -1, np.int64)
+    for i in range(m):
+        place[(row[i] - south) * wide + col[i] - west] = i
+    for i in range(m):
+        c, r = col[i] - west, row[i] - south
+        x, y = x0 + posting * col[i], y0 + posting * row[i]
+        if (
+            abs(mean[i, 0] - x) > centre_tolerance
+            or abs(mean[i, 1] - y) > centre_tolerance
+            or c == 0
+            or r == 0
+            or c == wide - 1
+            or r == high - 1
+        ):
+            continue
+        left, right = place[r * wide + c - 1], place[r * wide + c + 1]
+        below, above = place[(r - 1) * wide + c], place[(r + 1) * wide + c]
+        if left < 0 or right < 0 or below < 0 or above < 0:
+            continue
+        slope[i, 0] = (mean[right, 2] - mean[left, 2]) / (mean[right, 0] - mean[left, 0])
+        slope[i, 1] = (mean[above, 2] - mean[below, 2]) / (mean[above, 1] - mean[below, 1])
+        height[i] = mean[i, 2] + slope[i, 0] * (x - mean[i, 0]) + slope[i, 1] * (y - mean[i, 1])
+        good[i] = True
+    return height, slope, good

@@ -1,0 +1,454 @@
+"""LiDAR-inertial navigation relative to a map (quadtree paper, section 3)."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
+from lunarsim.grid import Grid
+from lunarsim.navigation.estimate import Estimate
+from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
+from lunarsim.navigation.prior_map import PriorMap
+from lunarsim.navigation.registration import (
+    Features,
+    Fit,
+    Match,
+    Patch,
+    Surface,
+    features_of,
+    fit,
+    search,
+    surface_of,
+)
+from lunarsim.sensors.lidar import LidarScan
+
+Array = NDArray[np.float64]
+
+# The lander's pose in the error state, and that of the scan before.
+_POSE = np.r_[0:3, 9:12]
+_CLONE = np.arange(INERTIAL, INERTIAL + 6)
+_SIZE = INERTIAL + 6
+
+
+@dataclass(frozen=True)
+class RegistrationSettings:
+    """How scans are compared with the map and with each other.
+
+    Attributes
+    ----------
+    model_sigma
+        What else sets a scan's mean over a post's square apart from the post: rocks that hide the
+        ground behind them, points that lie unevenly, m.
+    least_squares
+        Fewest squares for a registration.
+    least_share
+        Least share of them that must agree with the map.
+    greatest_misfit
+        Mean square of their residuals, in units of their variance, above which there is no match.
+    gate
+        Greatest squared Mahalanobis distance of a correction; chi-squared of 6 exceeds 30 once in
+        25,000.
+    certainty
+        Probability of the best place that a search must reach to be believed.
+    patch_s
+        Scans of so many seconds are searched for together, s.
+    level_sigma
+        Of a height taken from the level of the ground before the place is known, m.
+    feature_reach
+        What is wider than twice this many posts is no feature to search by.
+    search_s
+        Between two searches, s.
+    lost_s
+        Without agreement for so long the lock is lost, s.
+    odometry_posting
+        Squares in which consecutive scans are compared, m.
+    odometry_sigma
+        Of the difference of their heights there, m.
+    """
+
+    model_sigma: float = 0.05
+    least_squares: int = 12
+    least_share: float = 0.6
+    greatest_misfit: float = 2.5
+    gate: float = 30.0
+    certainty: float = 0.99999
+    patch_s: float = 4.0
+    level_sigma: float = 0.5
+    feature_reach: int = 4
+    search_s: float = 0.5
+    lost_s: float = 2.0
+    odometry_posting: float = 0.4
+    odometry_sigma: float = 0.03
+
+
+@dataclass(frozen=True)
+class NavigationEvent:
+    """A change of the lock.
+
+    Attributes
+    ----------
+    time
+        s.
+    name
+        "lock", "lock-lost" or "relock".
+    moved
+        By how much the position was corrected then (3,), m.
+    """
+
+    time: float
+    name: str
+    moved: Array
+
+
+class LidarInertialFilter:
+    """Error-state filter: inertial samples carry it, LiDAR scans tie it to a map.
+
+    Without a lock a scan is compared with the one before (odometry; the pose at that scan is part
+    of the state), and the scans of the last seconds are searched for on the map. Once found, every
+    scan is fitted to the map. A post's error is the same whenever it is seen, so its k-th use counts
+    1 / (k (k + 1)) of a full one: all uses together never count more than one.
+
+    Parameters
+    ----------
+    inertial
+        State at the start.
+    errors
+        Its standard deviations.
+    prior
+        The map.
+    settings
+        Limits of the registration.
+    """
+
+    def __init__(
+        self,
+        inertial: InertialState,
+        errors: InitialErrors,
+        prior: PriorMap,
+        settings: RegistrationSettings | None = None,
+    ) -> None:
+        self.inertial = inertial
+        self.prior = prior
+        self.settings = settings or RegistrationSettings()
+        self.covariance = np.zeros((_SIZE, _SIZE))
+        self.covariance[:INERTIAL, :INERTIAL] = inertial.covariance(errors)
+        self.locked = False
+        self.events: list[NavigationEvent] = []
+        self._uses = np.zeros(prior.grid.shape, np.int32)
+        self._agreed = -np.inf
+        self._searched = -np.inf
+        self._patch: deque[tuple[float, Features]] = deque()
+        self._before: tuple[Surface, Array] | None = None
+        self._odometry_grid = Grid(0.0, 0.0, self.settings.odometry_posting, 1, 1)
+
+    # --- state ----------------------------------------------------------------------------
+
+    @property
+    def found(self) -> bool:
+        """Whether the lander has been found on the map at least once."""
+        return any(event.name == "lock" for event in self.events)
+
+    @property
+    def position_sigma(self) -> float:
+        """Greatest standard deviation of the position on an axis, m."""
+        return float(np.sqrt(np.diag(self.covariance)[:3].max()))
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state as the rest of the loop takes it."""
+        s = self.inertial
+        keep = np.r_[0:6, 9:12]
+        # Attitude errors are kept in body axes here, in ENU there.
+        turn = np.eye(9)
+        turn[6:, 6:] = quat_to_matrix(s.attitude)
+        covariance = turn @ self.covariance[np.ix_(keep, keep)] @ turn.T
+        return Estimate(
+            time, s.position.copy(), s.velocity.copy(), s.attitude.copy(), s.rate, mass, covariance
+        )
+
+    def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
+        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        transition, noise = self.inertial.propagate(
+            np.asarray(angle, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+        )
+        p, n = self.covariance, INERTIAL
+        p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
+        p[:n, n:] = transition @ p[:n, n:]
+        p[n:, :n] = p[:n, n:].T
+        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+
+    # --- scans ----------------------------------------------------------------------------
+
+    def update_scan(self, scan: LidarScan, time: float) -> bool:
+        """Take in a scan; return whether it agreed with the map.
+
+        A scan without returns, or too slanted to average, changes nothing.
+        """
+        if not self._seen(scan, self.prior.grid):
+            return False
+        if not self.locked:
+            self._follow(scan)
+            if self._search(scan, time):
+                self._lock(time)
+        agreed = self._register(scan, time)
+        if self.locked and time - self._agreed > self.settings.lost_s:
+            self.locked = False
+            self._patch.clear()
+            self.events.append(NavigationEvent(time, "lock-lost", np.zeros(3)))
+        self._remember(scan)
+        return agreed
+
+    def _seen(self, scan: LidarScan, grid: Grid) -> int:
+        return len(self._surface(scan, grid))
+
+    def _surface(self, scan: LidarScan, grid: Grid) -> Surface:
+        s = self.inertial
+        return surface_of(scan.points(s.position, s.attitude), grid)
+
+    def _lock(self, time: float) -> None:
+        name = "relock" if self.found else "lock"
+        self.locked = True
+        self._agreed = time
+        self._patch.clear()
+        self.events.append(NavigationEvent(time, name, self._moved))
+
+    # --- the map --------------------------------------------------------------------------
+
+    def _compare(self, surface: Surface) -> tuple[Array, Array, Array, tuple[Array, Array]]:
+        """Return Jacobian, residual and variance against the map, and the posts compared."""
+        g = self.prior.grid
+        inside = (
+            (surface.col >= 0)
+            & (surface.col < g.cols)
+            & (surface.row >= 0)
+            & (surface.row < g.rows)
+        )
+        inside[inside] = np.isfinite(self.prior.elevation[surface.row[inside], surface.col[inside]])
+        row, col = surface.row[inside], surface.col[inside]
+        uses = self._uses[row, col] + 1.0
+        variance = self.prior.sigma**2 * uses * (uses + 1.0) + self.settings.model_sigma**2
+        residual = self.prior.elevation[row, col] - surface.position[inside, 2]
+        jacobian = pose_jacobian(
+            surface.position[inside],
+            surface.normal[inside],
+            self.inertial.position,
+            self.inertial.attitude,
+        )
+        return jacobian, residual, variance, (row, col)
+
+    def _register(self, scan: LidarScan, time: float) -> bool:
+        """Fit a scan to the map; without a lock only where the state is certain enough for it."""
+        s, g = self.settings, self.prior.grid
+        if not self.locked and not (self.found and self.position_sigma < g.posting):
+            return False
+        jacobian, residual, variance, posts = self._compare(self._surface(scan, g))
+        if len(residual) < s.least_squares:
+            return False
+        result = fit(jacobian, residual, variance, self.covariance[np.ix_(_POSE, _POSE)])
+        if not self._believable(result):
+            return False
+        if not self._apply(_POSE, result.information, result.vector, s.gate):
+            return False
+        self._uses[posts] += 1
+        if not self.locked:
+            self._lock(time)
+        self._agreed = time
+        return True
+
+    def _believable(self, result: Fit) -> bool:
+        s = self.settings
+        return (
+            result.used >= s.least_squares
+            and result.share >= s.least_share
+            and result.misfit <= s.greatest_misfit
+        )
+
+    def _search(self, scan: LidarScan, time: float) -> bool:
+        """Look for the scans of the last seconds on the map; return whether they were found."""
+        s, g = self.settings, self.prior.grid
+        self._patch.append((time, features_of(self._surface(scan, g), s.feature_reach)))
+        while self._patch[0][0] < time - s.patch_s:
+            self._patch.popleft()
+        if time - self._searched < s.search_s - 1e-9:
+            return False
+        self._searched = time
+        patch = Patch.merged([features for _, features in self._patch])
+        if patch is None:
+            return False
+        rows, cols = np.nonzero(patch.known)
+        middle = np.array(
+            [
+                g.x0 + g.posting * (patch.first[1] + cols.mean()),
+                g.y0 + g.posting * (patch.first[0] + rows.mean()),
+                patch.level[patch.known].mean(),
+            ]
+        )
+        jacobian = point_jacobian(middle, self.inertial.position, self.inertial.attitude)
+        p = jacobian @ self.covariance[np.ix_(_POSE, _POSE)] @ jacobian.T
+        reach = int(np.ceil(3.5 * np.sqrt(max(p[0, 0], p[1, 1])) / g.posting))
+        window = _window(
+            self.prior.elevation, patch.first[0] - reach, patch.first[1] - reach,
+            patch.known.shape[0] + 2 * reach, patch.known.shape[1] + 2 * reach,
+        )  # fmt: skip
+        variance = 1.5 * self.prior.sigma**2 + s.model_sigma**2
+        match = search(
+            patch, window, g.posting, variance, p[:2, :2], np.full(2, -reach * g.posting),
+            reach=s.feature_reach,
+        )  # fmt: skip
+        if match is None or match.misfit > s.greatest_misfit:
+            return False
+        if match.certainty < s.certainty:
+            self._take_height(jacobian, match, float(p[2, 2]))
+            return False
+        information = np.linalg.inv(match.covariance)
+        return self._apply(
+            _POSE,
+            jacobian.T @ information @ jacobian,
+            jacobian.T @ information @ match.shift,
+            s.gate,
+        )
+
+    def _take_height(self, jacobian: Array, match: Match, before: float) -> None:
+        """Take in the height alone, where it is known much better than before: level ground."""
+        # The map's own level over the patch is the same in every search: counted once, not again.
+        variance = match.up_variance + self.settings.level_sigma**2
+        if 9.0 * variance < before:
+            row = jacobian[2]
+            information = np.outer(row, row) / variance
+            if self._apply(_POSE, information, row * match.up / variance, self.settings.gate):
+                # Earlier scans lie where the lander was thought to be.
+                self._patch.clear()
+
+    # --- odometry -------------------------------------------------------------------------
+
+    def _remember(self, scan: LidarScan) -> None:
+        """Keep this scan and the pose at it, for the next one to be compared with."""
+        surface = self._surface(scan, self._odometry_grid)
+        s = self.inertial
+        self._before = (surface, np.concatenate((s.position, s.attitude)))
+        copy = np.eye(_SIZE)
+        copy[_CLONE] = 0.0
+        copy[_CLONE, _POSE] = 1.0
+        self.covariance = copy @ self.covariance @ copy.T
+
+    def _follow(self, scan: LidarScan) -> None:
+        """Compare a scan with the one before."""
+        if self._before is None:
+            return
+        old, pose = self._before
+        new = self._surface(scan, self._odometry_grid)
+        i, j = _common(old, new)
+        if len(i) < self.settings.least_squares:
+            return
+        s = self.inertial
+        here = pose_jacobian(new.position[j], new.normal[j], s.position, s.attitude)
+        there = pose_jacobian(old.position[i], new.normal[j], pose[:3], pose[3:])
+        result = fit(
+            np.hstack((here, -there)),
+            old.position[i, 2] - new.position[j, 2],
+            np.full(len(i), self.settings.odometry_sigma**2),
+            self.covariance[np.ix_(_BOTH, _BOTH)],
+        )
+        if self._believable(result):
+            self._apply(_BOTH, result.information, result.vector, self.settings.gate)
+
+    # --- correction -----------------------------------------------------------------------
+
+    def _apply(self, part: NDArray[np.int64], information: Array, vector: Array, gate: float) -> bool:
+        """Take in information on a part of the error state, unless the correction is too unlikely."""
+        p = self.covariance
+        own = p[np.ix_(part, part)]
+        inner = np.linalg.solve(np.eye(len(part)) + information @ own, np.column_stack((information, vector)))
+        # Distance of the correction from nothing, in units of what it might have been.
+        innovation = inner[:, -1]
+        spread = own - own @ inner[:, :-1] @ own
+        correction = own @ innovation
+        distance = float(innovation @ correction)
+        expected = own - spread
+        d2 = float(correction @ np.linalg.pinv(expected, rcond=1e-9, hermitian=True) @ correction)
+        if not np.isfinite(distance) or d2 > gate:
+            return False
+        error = p[:, part] @ innovation
+        self.covariance = p - p[:, part] @ inner[:, :-1] @ p[part]
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+        self._moved = error[:3].copy()
+        self.inertial.correct(error[:INERTIAL])
+        return True
+
+
+_BOTH = np.concatenate((_POSE, _CLONE))
+
+
+def point_jacobian(point: Array, position: Array, attitude: Array) -> Array:
+    """Return how a point (3,) seen from a pose moves with the pose's error (3, 6).
+
+    Columns: position (ENU) and small rotation (body axes).
+    """
+    rotation = quat_to_matrix(attitude)
+    x, y, z = point - position
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.hstack((np.eye(3), -cross @ rotation))
+
+
+def pose_jacobian(points: Array, normals: Array, position: Array, attitude: Array) -> Array:
+    """Return how the height of a scanned surface over fixed places moves with the pose's error.
+
+    Parameters
+    ----------
+    points, normals
+        On the surface (m, 3), and (-dz/dx, -dz/dy, 1) there (m, 3), ENU.
+    position, attitude
+        Of the lander.
+
+    Returns
+    -------
+    jacobian
+        (m, 6); columns: position (ENU) and small rotation (body axes).
+    """
+    turn = np.cross(points - position, normals) @ quat_to_matrix(attitude)
+    return np.hstack((normals, turn))
+
+
+def _window(elevation: Array, row: int, col: int, rows: int, cols: int) -> Array:
+    """Return a part of a map, NaN where it lies off the map."""
+    out = np.full((rows, cols), np.nan)
+    r0, r1 = max(row, 0), min(row + rows, elevation.shape[0])
+    c0, c1 = max(col, 0), min(col + cols, elevation.shape[1])
+    if r0 < r1 and c0 < c1:
+        out[r0 - row : r1 - row, c0 - col : c1 - col] = elevation[r0:r1, c0:c1]
+    return out
+
+
+def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the places in `a` and in `b` of the squares that both hold."""
+    if len(a) == 0 or len(b) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1
+    west = min(a.col.min(), b.col.min())
+    _, i, j = np.intersect1d(
+        a.row * wide + a.col - west, b.row * wide + b.col - west,
+        assume_unique=True, return_indices=True,
+    )  # fmt: skip
+    return i, j
+
+
+def checked_prior(prior: PriorMap, centre: ArrayLike, half_side: float) -> PriorMap:
+    """Return the map, or raise InputError if it does not cover a square about `centre` (2,)."""
+    west, east, south, north = prior.grid.extent
+    x, y = np.asarray(centre, dtype=np.float64)[:2]
+    if (
+        x - half_side < west
+        or x + half_side > east
+        or y - half_side < south
+        or y + half_side > north
+    ):
+        raise InputError(
+            "prior.size_m",
+            (west, east, south, north),
+            f"a map that covers {2 * half_side:g} m about ({x:g}, {y:g})",
+        )
+    return prior

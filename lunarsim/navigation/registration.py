@@ -1,0 +1,334 @@
+"""Where a scan lies on a map: fine registration by least squares, coarse search by correlation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.signal import correlate
+
+from lunarsim.grid import Grid
+from lunarsim.navigation import _registration_kernels as k
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A scan averaged over the squares of a grid, at their middles.
+
+    Attributes
+    ----------
+    col, row
+        Of the squares (m,); may lie beyond the grid.
+    position
+        Middles of the squares at the scan's height there (m, 3), ENU, m.
+    normal
+        (-dz/dx, -dz/dy, 1) of the scan (m, 3). It comes from the scan, not from the map, whose noise
+        would look like slope and make flat ground seem to tell where it is.
+    """
+
+    col: IntArray
+    row: IntArray
+    position: Array
+    normal: Array
+
+    def __len__(self) -> int:
+        return len(self.col)
+
+
+def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
+    """Average points (n, 3), NaN for none, over the squares of a grid."""
+    col, row, mean, _ = k.average(
+        np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
+    )
+    height, slope, good = k.surface(
+        col, row, mean, grid.x0, grid.y0, grid.posting, 0.25 * grid.posting
+    )
+    col, row, height, slope = col[good], row[good], height[good], slope[good]
+    position = np.stack(
+        (grid.x0 + grid.posting * col, grid.y0 + grid.posting * row, height), axis=-1
+    )
+    return Surface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Outcome of a registration, as information on an error state.
+
+    Attributes
+    ----------
+    information
+        J' W J (d, d).
+    vector
+        J' W y (d,).
+    used, offered
+        Squares that agree with the map, and all that could be compared.
+    misfit
+        Mean square of the residuals used, in units of their variance.
+    """
+
+    information: Array
+    vector: Array
+    used: int
+    offered: int
+    misfit: float
+
+    @property
+    def share(self) -> float:
+        """Share of the squares that agree."""
+        return self.used / self.offered if self.offered else 0.0
+
+
+def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: float = 3.0) -> Fit:
+    """Fit an error to residuals, leaving out those that no likely error explains.
+
+    Parameters
+    ----------
+    jacobian, residual, variance
+        Of m scalar measurements (m, d), (m,), (m,).
+    prior
+        Covariance (d, d) of the error before.
+    gate
+        Residuals farther than so many deviations from the fit are left out.
+    """
+    d = jacobian.shape[1]
+    if len(residual) == 0:
+        return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
+    inverse = np.linalg.inv(prior)
+    keep = np.ones(len(residual), np.bool_)
+    # The first fit rests on the bulk: a patch that has changed would pull a plain mean along.
+    middle = np.median(residual)
+    spread = 1.4826 * np.median(np.abs(residual - middle))
+    if spread > 0.0:
+        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(variance.min())))
+    for _ in range(4):
+        j, w = jacobian[keep], 1.0 / variance[keep]
+        information = (j * w[:, None]).T @ j
+        vector = (j * w[:, None]).T @ residual[keep]
+        error = np.linalg.solve(information + inverse, vector)
+        after = residual - jacobian @ error
+        agree = after**2 <= gate**2 * variance
+        if np.array_equal(agree, keep):
+            break
+        keep = agree
+    used = int(keep.sum())
+    misfit = float(np.mean(after[keep] ** 2 / variance[keep])) if used else np.nan
+    j, w = jacobian[keep], 1.0 / variance[keep]
+    return Fit(
+        (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
+    )
+
+
+@dataclass(frozen=True)
+class Match:
+    """Where the correlation search finds a patch.
+
+    Attributes
+    ----------
+    shift
+        To be added to the patch (3,), ENU, m.
+    covariance
+        Of the shift (3, 3), m^2.
+    certainty
+        Probability that the patch lies within one and a half posts of there.
+    misfit
+        Mean square of the residuals there in units of their variance: about 1 where the map is right.
+    up, up_variance
+        Mean and variance of the vertical shift over all places, by their probability, m and m^2: on
+        level ground the height is known before the place.
+    """
+
+    shift: Array
+    covariance: Array
+    certainty: float
+    misfit: float
+    up: float
+    up_variance: float
+
+
+def high_pass(height: Array, known: NDArray[np.bool_], reach: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Return heights less their mean over a square of 2 `reach` + 1, and where all of it is known.
+
+    What is left are features; swells and the tilt of a wrong attitude are gone.
+    """
+    side = 2 * reach + 1
+    full = ndimage.uniform_filter(known.astype(np.float64), side, mode="constant") > 1.0 - 1e-9
+    filled = np.where(known, height, 0.0)
+    return np.where(full, filled - ndimage.uniform_filter(filled, side, mode="constant"), 0.0), full
+
+
+@dataclass(frozen=True)
+class Features:
+    """What of a scan stands out from its surroundings.
+
+    Attributes
+    ----------
+    col, row
+        Of the squares (m,).
+    height
+        Above the mean of the square around (m,), m.
+    level
+        Height of the scan itself there (m,), m.
+    """
+
+    col: IntArray
+    row: IntArray
+    height: Array
+    level: Array
+
+
+def features_of(surface: Surface, reach: int) -> Features:
+    """Return a scan's features: each scan by itself, so that drift between scans leaves no step."""
+    if len(surface) == 0:
+        return Features(surface.col, surface.row, np.zeros(0), np.zeros(0))
+    first = (int(surface.row.min()), int(surface.col.min()))
+    shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
+    height, known = np.zeros(shape), np.zeros(shape, np.bool_)
+    place = (surface.row - first[0], surface.col - first[1])
+    height[place] = surface.position[:, 2]
+    known[place] = True
+    above, kept = high_pass(height, known, reach)
+    row, col = np.nonzero(kept)
+    return Features(col + first[1], row + first[0], above[kept], height[kept])
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Features of several scans on one raster.
+
+    Attributes
+    ----------
+    first
+        Row and column of its corner.
+    height, level
+        As in `Features`, averaged (rows, cols), m; 0 where unknown.
+    known
+        (rows, cols).
+    """
+
+    first: tuple[int, int]
+    height: Array
+    level: Array
+    known: NDArray[np.bool_]
+
+    @classmethod
+    def merged(cls, scans: list[Features]) -> Patch | None:
+        """Return the features of scans together; None if there are none."""
+        row = np.concatenate([f.row for f in scans])
+        col = np.concatenate([f.col for f in scans])
+        if len(row) == 0:
+            return None
+        first = (int(row.min()), int(col.min()))
+        shape = (int(row.max()) - first[0] + 1, int(col.max()) - first[1] + 1)
+        place = (row - first[0]) * shape[1] + col - first[1]
+        size = shape[0] * shape[1]
+        count = np.bincount(place, minlength=size)
+        height, level = (
+            np.bincount(place, np.concatenate([getattr(f, name) for f in scans]), size)
+            / np.maximum(count, 1)
+            for name in ("height", "level")
+        )
+        known = (count > 0).reshape(shape)
+        return cls(first, height.reshape(shape), level.reshape(shape), known)
+
+
+def search(
+    patch: Patch,
+    elevation: Array,
+    posting: float,
+    variance: float,
+    prior: Array,
+    first: Array,
+    *,
+    reach: int,
+    least: int = 60,
+) -> Match | None:
+    """Find a patch on a map: the posterior over whole-post shifts.
+
+    For every shift the features of patch and map are compared, and judged against what the map would
+    show there if the patch lay elsewhere: a map's noise agrees with flat ground everywhere, and only
+    features tell. All shifts at once by correlation.
+
+    Parameters
+    ----------
+    patch
+        What was scanned.
+    elevation
+        Map (rows, cols), m; NaN for none.
+    posting
+        Of both, m.
+    variance
+        Of a residual, m^2.
+    prior
+        Covariance (2, 2) of the shift beforehand, m^2.
+    first
+        Shift that puts the patch's corner on the map's (2,), east and north, m.
+    reach
+        By which the features were found, posts.
+    least
+        Fewest posts to compare.
+
+    Returns
+    -------
+    match
+        None if the patch is too small, or no shift puts all of it on the map.
+    """
+    z, kept = patch.height, patch.known
+    h, covered_posts = high_pass(elevation, np.isfinite(elevation), reach)
+    total = float(kept.sum())
+    if total < least:
+        return None
+    weight = kept.astype(np.float64)
+
+    def slide(template: Array, image: Array) -> Array:
+        return np.asarray(correlate(image, template, mode="valid", method="fft"))
+
+    covered = slide(weight, covered_posts.astype(np.float64)) > total - 0.5
+    if not covered.any():
+        return None
+    energy = slide(weight, h * h)
+    square = energy - 2.0 * slide(z, h) + (z * z).sum()
+    # If the patch lay elsewhere, the map's window would be noise, or relief of the window's own
+    # strength: with that the window tells nothing unless it resembles the patch.
+    strength = np.maximum(energy / total, variance)
+    nothing = energy / strength + total * np.log(strength / variance)
+    square = np.where(covered, np.maximum(square, 0.0), np.inf)
+    sy, sx = np.meshgrid(
+        np.arange(square.shape[0]) * posting + first[1],
+        np.arange(square.shape[1]) * posting + first[0],
+        indexing="ij",
+    )
+    inverse = np.linalg.inv(prior)
+    away = inverse[0, 0] * sx**2 + 2.0 * inverse[0, 1] * sx * sy + inverse[1, 1] * sy**2
+    log = -0.5 * (square / variance - nothing + away)
+    p = np.exp(log - log.max())
+    p /= p.sum()
+    best = np.unravel_index(int(np.argmax(p)), p.shape)
+    near = np.hypot(sx - sx[best], sy - sy[best]) <= 1.5 * posting + 1e-9
+    certainty = float(p[near].sum())
+    q = np.where(near, p, 0.0) / certainty
+    east, north = float((q * sx).sum()), float((q * sy).sum())
+    ground = slide(weight, np.where(covered_posts, elevation, 0.0)) / total
+    rise = np.where(covered, ground - patch.level[kept].mean(), 0.0)
+    up = float((p * rise).sum())
+    up_variance = float((p * (rise - up) ** 2).sum())
+    # A post's width is left open besides the spread of the posterior.
+    covariance = np.diag(
+        [
+            float((q * (sx - east) ** 2).sum()) + posting**2,
+            float((q * (sy - north) ** 2).sum()) + posting**2,
+            variance / total + (0.4 * posting) ** 2,
+        ]
+    )
+    return Match(
+        np.array([east, north, float(rise[best])]),
+        covariance,
+        certainty,
+        float(square[best] / variance / total),
+        up,
+        up_variance,
+    )
