@@ -40,7 +40,9 @@ _PRESETS: dict[str, dict[str, float]] = {
 class TerrainSection(Section):
     """The relief."""
 
-    kind: Literal["dtm", "fractal"] = Field("fractal", description="measured or procedural")
+    kind: Literal["dtm", "fractal", "hazard-field"] = Field(
+        "fractal", description="measured, procedural, or boulders and craters on level grass"
+    )
     path: Path | None = Field(None, description="raster, relative to the scenario file (dtm)")
     dtm_posting_m: Positive | None = Field(None, description="for a raster without metric frame")
     dtm_window: tuple[int, int, int, int] | None = Field(
@@ -51,7 +53,11 @@ class TerrainSection(Section):
     )
     relief_scale: NonNegative = Field(1.0, description="c of Eq. 20 of the Gaussian DEM paper")
     posting_m: Positive = Field(0.25, description="working posting of the relief")
-    size_m: Positive = Field(160.0, description="side of the square (fractal)")
+    size_m: Positive = Field(160.0, description="side of the square (fractal, hazard-field)")
+    field_m: Positive = Field(100.0, description="side of the hazard field in it (hazard-field)")
+    field_turn_deg: Finite = Field(20.0, description="of the field in the frame (hazard-field)")
+    boulders: int = Field(300, ge=0, description="0.3 to 1 m across (hazard-field)")
+    craters: int = Field(24, ge=0, description="1.5 to 5 m across (hazard-field)")
     preset: Literal["none", "mare", "highland", "polar"] = Field(
         "none", description="roughness and craters that keys below may override"
     )
@@ -216,8 +222,9 @@ class LidarSection(Section):
 class MapperSection(Section):
     """The hazard mapper."""
 
-    kind: Literal["gaussian-dem", "shadow"] = Field(
-        "gaussian-dem", description="LiDAR, or rocks by their shadows in the camera"
+    kind: Literal["gaussian-dem", "shadow", "quadtree"] = Field(
+        "gaussian-dem",
+        description="LiDAR flashes, rocks by their shadows, or a LiDAR sweep tied to a map",
     )
     posting_m: Positive = 0.2
     size_m: Positive = 100.0
@@ -232,6 +239,55 @@ class MapperSection(Section):
     expected_cover: float = Field(0.05, gt=0.0, le=0.2, description="of rocks, beforehand (shadow)")
     hazard_diameter_m: Positive = Field(0.5, description="least diameter of a hazard (shadow)")
     refresh_s: Positive = Field(1.0, description="between two evaluations of the map (shadow)")
+
+
+class SweepSection(Section):
+    """How a gimballed LiDAR sweeps the ground (quadtree)."""
+
+    duration_s: Positive = Field(20.0, description="then it dwells on the site")
+    rate_hz: Positive = Field(20.0, description="flashes a second while it sweeps")
+    dwell_rate_hz: Positive = Field(5.0, description="flashes a second on the site")
+    size_m: Positive = Field(90.0, description="side of the square swept")
+    last_altitude_m: NonNegative = Field(15.0, description="below it the LiDAR is turned away")
+    update_s: Positive = Field(1.0, description="between two selections of sites")
+
+
+class PriorSection(Section):
+    """The map that a lander brings along to find its place on (quadtree)."""
+
+    size_m: Positive = Field(300.0, description="side of the square about the target")
+    posting_m: Positive = 0.5
+    sigma_m: Positive = Field(0.1, description="noise of each post")
+    offset_m: Vector3 = Field((0.0, 0.0, 0.0), description="by which the whole map is wrong")
+    stale_share: float = Field(0.0, ge=0.0, lt=1.0, description="of the map out of date")
+    stale_side_m: Positive = Field(12.0, description="of the patches out of date")
+    stale_sigma_m: NonNegative = Field(0.4, description="of what they show besides the ground")
+
+
+class SitesSection(Section):
+    """What a landing site must be like (quadtree); defaults are Table 1 of the paper."""
+
+    slope_limit_deg: float = Field(5.0, gt=0.0, lt=45.0)
+    roughness_limit_m: Positive = 0.3
+    density_m2: NonNegative = Field(5.0, description="least points on a square metre")
+    exception_limit: float = Field(0.015, ge=0.0, lt=1.0)
+    zone_m: Positive = Field(2.5, description="half side of the landing zone")
+    weight_interest: NonNegative = 1.0
+    weight_slope: NonNegative = 1000.0
+    weight_roughness: NonNegative = 100.0
+    roughness: Literal["rms", "printed"] = "rms"
+    count: int = Field(5, ge=1, description="sites on the scoreboard")
+    separation_m: NonNegative = 5.0
+    mesh_band_m: tuple[Positive, Positive] = Field((6.4, 12.8), description="cells of the mesh")
+    hazard_band_m: tuple[Positive, Positive] = (1.6, 1.6)
+    site_band_m: tuple[Positive, Positive] = (0.8, 1.6)
+    least_m: Positive = Field(0.1, description="least cells of the quadtree")
+    split_count: int = Field(8, ge=2, description="points at which a cell divides")
+    hold_sigma_m: Positive = Field(
+        0.5, description="scans whose ground is less certain than this wait until it is"
+    )
+    jerk_m_s3: Positive = Field(0.25, description="limit that sets the time-to-go for fuel")
+    snap_m_s4: Positive = Field(0.05, description="likewise")
 
 
 class NavigationSection(Section):
@@ -292,6 +348,9 @@ class Scenario(Section):
     lidar: LidarSection = LidarSection()
     camera: CameraSection = CameraSection()
     mapper: MapperSection = MapperSection()
+    sweep: SweepSection = SweepSection()
+    prior: PriorSection = PriorSection()
+    sites: SitesSection = SitesSection()
     navigation: NavigationSection = NavigationSection()
     decisions: DecisionsSection = DecisionsSection()
     simulation: SimulationSection = SimulationSection()

@@ -78,7 +78,7 @@ def fly(task: Task) -> dict[str, Any]:
             levels[pending.pop(0)] = judge(simulation)
             if not pending:
                 # The maps are done: the rest of the flight tells propellant and time.
-                simulation.stop_camera()
+                simulation.eyes.stop()
     wet = scenario.lander.dry_mass_kg + scenario.lander.propellant_kg
     return {
         "path": task.path,
@@ -93,7 +93,7 @@ def fly(task: Task) -> dict[str, Any]:
 
 def judge(simulation: Simulation) -> dict[str, Any]:
     """Compare the map as it stands with the truth, in the frame that the lander lands in."""
-    mapper = simulation.mapper
+    mapper = simulation.eyes.mapper
     probability = mapper.probability.probability(mapper.tracker)
     g = mapper.grid
     east, north, _ = simulation.map_error

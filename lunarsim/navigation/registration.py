@@ -98,7 +98,6 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
     d = jacobian.shape[1]
     if len(residual) == 0:
         return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
-    inverse = np.linalg.inv(prior)
     keep = np.ones(len(residual), np.bool_)
     # The first fit rests on the bulk: a patch that has changed would pull a plain mean along.
     middle = np.median(residual)
@@ -109,7 +108,8 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
         j, w = jacobian[keep], 1.0 / variance[keep]
         information = (j * w[:, None]).T @ j
         vector = (j * w[:, None]).T @ residual[keep]
-        error = np.linalg.solve(information + inverse, vector)
+        # The prior may be singular: two scans at nearly the same place err alike.
+        error = prior @ np.linalg.solve(np.eye(d) + information @ prior, vector)
         after = residual - jacobian @ error
         agree = after**2 <= gate**2 * variance
         if np.array_equal(agree, keep):

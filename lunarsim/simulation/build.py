@@ -25,6 +25,7 @@ from lunarsim.terrain import (
     add_craters,
     add_detail,
     fractal_relief,
+    hazard_field,
     load_dtm,
     place_rocks,
     sample_diameters,
@@ -109,6 +110,8 @@ def build_world(scenario: Scenario, streams: Streams) -> World:
     InputError
         If the terrain cannot be loaded or is smaller than the lander's footprint.
     """
+    if scenario.terrain.kind == "hazard-field":
+        return World(_field_of(scenario, streams), scenario.gravity_m_s2, light_of(scenario))
     relief = relief_of(scenario.terrain)
     west, east, south, north = relief.bounds
     diameter = 2.0 * scenario.lander.leg_radius_m + scenario.lander.pad_diameter_m
@@ -132,6 +135,20 @@ def build_world(scenario: Scenario, streams: Streams) -> World:
         model = RockModel(r.shape, r.height_ratio, r.burial, r.axis_ratio)
         rocks = place_rocks(relief, diameters, rng, model=model)
     return World(Terrain(relief, rocks), scenario.gravity_m_s2, light_of(scenario))
+
+
+def _field_of(scenario: Scenario, streams: Streams) -> Terrain:
+    """Return a made hazard field, drawn anew for every flight."""
+    s = scenario.terrain
+    return hazard_field(
+        streams.get("rocks"),
+        size=s.field_m,
+        surround=s.size_m,
+        posting=s.posting_m,
+        turn=np.deg2rad(s.field_turn_deg),
+        boulders=s.boulders,
+        craters=s.craters,
+    )
 
 
 def light_of(scenario: Scenario) -> Light:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.hazards.shadows import (
     HazardPrior,
     ProbabilityMap,
@@ -14,12 +13,12 @@ from lunarsim.hazards.shadows import (
     ShadowModel,
     TrackerSettings,
 )
-from lunarsim.navigation.inertial import InertialState, InitialErrors
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.altimeter import RadarAltimeter
 from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import build
+from lunarsim.simulation.build_inertial import started
 from lunarsim.simulation.filtered_navigation import FilteredNavigation
 from lunarsim.terrain import RockModel
 from lunarsim.vehicle import Lander, State
@@ -71,22 +70,9 @@ def navigation_of(
     `ground` is the elevation of the site in the true frame; the filter's ground is as far off as
     its first height, so that both stay in the estimated frame.
     """
-    s = scenario.navigation
-    errors = InitialErrors(
-        max(s.position_bias_m, 1e-3), max(s.velocity_m_s, 1e-4),
-        max(np.deg2rad(s.attitude_deg), 1e-6),
-    )  # fmt: skip
-    drawn = streams.get("navigation").standard_normal((3, 3))
-    turn = quat_from_rotation_vector(errors.attitude * drawn[2])
-    offset = errors.position * drawn[0]
-    step = scenario.simulation.step_s
-    inertial = InertialState(
-        state.position + offset,
-        state.velocity + errors.velocity * drawn[1],
-        quat_multiply(state.attitude, turn),
-        scenario.gravity_m_s2,
-        step=step,
-    )
+    inertial, errors, offset = started(scenario, state, streams)
     rocks = RockFilter(inertial, errors, ground=ground + offset[2])
-    imu = Imu(streams.get("imu"), 1.0 / step)
-    return FilteredNavigation(rocks, world, imu, RadarAltimeter(), streams.get("altimeter"))
+    imu = Imu(streams.get("imu"), 1.0 / scenario.simulation.step_s)
+    return FilteredNavigation(
+        rocks, world, imu, altimeter=RadarAltimeter(), rng=streams.get("altimeter")
+    )

@@ -1,6 +1,8 @@
-"""Navigation by inertial unit, altimeter and the rocks that the camera tracks."""
+"""Navigation by instruments: an inertial unit, and what else the filter takes."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +18,46 @@ from lunarsim.world import World
 Array = NDArray[np.float64]
 
 
+class InertialFilter(Protocol):
+    """A filter that inertial samples carry."""
+
+    def propagate(self, angle: Array, velocity: Array) -> None:
+        """Carry the filter over samples (n, 3)."""
+        ...
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state."""
+        ...
+
+
 class FilteredNavigation:
-    """Feeds a `RockFilter` with what the lander's instruments measure.
+    """Feeds a filter with what the lander's instruments measure.
 
     Parameters
     ----------
-    rocks
-        The filter; the shadow mapper adds what the camera sees.
+    filter
+        A `RockFilter`, to which the shadow mapper adds what the camera sees, or a
+        `LidarInertialFilter`, to which scans are given.
     world
         What the altimeter measures.
-    imu, altimeter
-        The instruments.
+    imu
+        The inertial unit.
+    altimeter
+        Of a `RockFilter`; left out: none.
     rng
         Source of the altimeter's noise.
     """
 
     def __init__(
         self,
-        rocks: RockFilter,
+        filter: InertialFilter,
         world: World,
         imu: Imu,
-        altimeter: RadarAltimeter,
-        rng: np.random.Generator,
+        *,
+        altimeter: RadarAltimeter | None = None,
+        rng: np.random.Generator | None = None,
     ) -> None:
-        self.rocks = rocks
+        self.filter = filter
         self._world = world
         self._imu = imu
         self._altimeter = altimeter
@@ -65,12 +83,13 @@ class FilteredNavigation:
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
         force = np.diff(rows[:, 3:6], axis=0) / step + [0.0, 0.0, self._world.gravity]
         angle, velocity = self._imu.measure(turn / step, quat_rotate(quat_conjugate(middle), force))
-        self.rocks.propagate(angle, velocity)
+        self.filter.propagate(angle, velocity)
 
     def update(self, state: State, time: float) -> Estimate:
-        """Take one altimeter reading and return the estimate."""
-        if self._time is None or time > self._time:
+        """Take one altimeter reading, if there is an altimeter, and return the estimate."""
+        if self._altimeter is not None and (self._time is None or time > self._time):
+            assert self._rng is not None and isinstance(self.filter, RockFilter)
             reading = self._altimeter.measure(self._world, state, time, self._rng)
-            self.rocks.update_range(reading.range, reading.sigma, self._altimeter.boresight)
+            self.filter.update_range(reading.range, reading.sigma, self._altimeter.boresight)
             self._time = time
-        return self.rocks.estimate(time, state.mass)
+        return self.filter.estimate(time, state.mass)

@@ -18,17 +18,13 @@ from lunarsim.guidance.policies.library import TRUTH_ORACLE, make_policy
 from lunarsim.guidance.policies.oracle import TruthOracle
 from lunarsim.guidance.sites import candidate_sites
 from lunarsim.guidance.vertical import VerticalDescent
-from lunarsim.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.hazards.shadows import ShadowMapper, Shot
-from lunarsim.navigation.error_model import NavigationErrorModel
-from lunarsim.navigation.estimate import Estimate, Navigation
+from lunarsim.navigation.estimate import Estimate
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.gimbal import gimbal_mount
+from lunarsim.sensors.lidar import LidarScan
 from lunarsim.simulation import build
-from lunarsim.simulation.build_shadows import navigation_of, shadow_mapper_of
-from lunarsim.simulation.filtered_navigation import FilteredNavigation
+from lunarsim.simulation.eyes import eyes_of
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.recorder import Recorder
 from lunarsim.simulation.truth import Truth
@@ -85,7 +81,6 @@ class Simulation:
         self.dynamics = build.dynamics_of(scenario, self.lander)
         self.lidar = build.lidar_of(scenario)
         self.limits = build.limits_of(scenario)
-        self._lidar_rng = self.streams.get("lidar")
         self._heading = np.deg2rad(scenario.start.heading_deg)
         self._steps = round(scenario.simulation.cycle_s / scenario.simulation.step_s)
         self._approach_height = scenario.guidance.vertical_altitude_m + self.lander.com_height
@@ -93,18 +88,11 @@ class Simulation:
         site = self._draw_target()
         self.state = self._draw_start(site)
         self.time = 0.0
-        self.navigation: Navigation = NavigationErrorModel(
-            build.budget_of(scenario), self.streams.get("navigation")
-        )
-        self.shadows: FilteredNavigation | None = None
-        if scenario.mapper.kind == "shadow":
-            self._navigate_by_shadows(site[2])
-        self.estimate = self.navigation.update(self.state, self.time)
-        # The onboard map of the mission is drawn in the estimated frame from the start.
-        self.site = site + self.navigation_error
-        self.mapper: GaussianDemMapper | ShadowMapper
-        if self.shadows is None:
-            self.mapper = build.mapper_of(scenario, self.lander, self.site)
+        self.ground = float(site[2])
+        self.eyes = eyes_of(self)
+        self.estimate = self.eyes.navigation.update(self.state, self.time)
+        # Unless navigation finds its place on a map, sites lie in the estimated frame.
+        self.site = site if self.eyes.tied_to_map else site + self.navigation_error
         self.vertical = VerticalDescent(scenario.gravity_m_s2, scenario.guidance.vertical_speed_m_s)
         self.guidance = ApolloGuidance(
             scenario.gravity_m_s2,
@@ -114,30 +102,16 @@ class Simulation:
         self.recorder = Recorder()
         self.phase = APPROACH
         self.state = self._settled(self.state)
-        if self.shadows is not None:
-            # The same draws again, now about the attitude that the lander starts with.
-            rocks = self._navigate_by_shadows(site[2]).rocks
-            self.estimate = self.navigation.update(self.state, self.time)
-            self.mapper = shadow_mapper_of(scenario, self.lander, self.site, rocks)
-        self.camera = build.camera_of(scenario)
-        self._camera_rng = self.streams.get("camera")
-        self._next_picture = 0.0
+        self.eyes.settle(self)
         self.verdict: Verdict | None = None
         self.map_error = np.zeros(3)
         self.first_map_estimate: Estimate | None = None
-        self._pending_scans = sorted(scenario.lidar.scan_altitudes_m, reverse=True)
         self._next_decision = 0.0
         self._retimed = False
         self._aim: tuple[HazardMap, FloatMap] | None = None
         self.policy = self._resolve(policy)
 
     # --- set-up ---------------------------------------------------------------------------
-
-    def _navigate_by_shadows(self, ground: float) -> FilteredNavigation:
-        """Put the filter that tracks rocks in the place of the error model."""
-        self.shadows = navigation_of(self.scenario, self.world, self.state, ground, self.streams)
-        self.navigation = self.shadows
-        return self.shadows
 
     def _draw_target(self) -> Array:
         section = self.scenario.target
@@ -218,7 +192,7 @@ class Simulation:
         return TruthOracle(
             truth.safety,
             truth.elevation,
-            lambda: self.navigation_error,
+            lambda: self.frame_error,
             self.lander,
             self.scenario.gravity_m_s2,
             self._approach_height,
@@ -238,6 +212,11 @@ class Simulation:
     def navigation_error(self) -> Array:
         """Estimated minus true position (3,), m."""
         return self.estimate.position - self.state.position
+
+    @property
+    def frame_error(self) -> Array:
+        """Offset of the frame of sites and maps from the true one (3,), m."""
+        return np.zeros(3) if self.eyes.tied_to_map else self.navigation_error
 
     @property
     def altitude(self) -> float:
@@ -273,7 +252,7 @@ class Simulation:
     def observe(self) -> Observation:
         """Return what the onboard computer knows now."""
         section = self.scenario.decisions
-        hazard_map = self.mapper.hazard_map()
+        hazard_map = self.eyes.hazard_map()
         if self._aim is None or self._aim[0] is not hazard_map:
             self._aim = (hazard_map, hazard_map.dispersed(section.touchdown_sigma_m))
         aim = self._aim[1]
@@ -313,7 +292,7 @@ class Simulation:
         first, self._retimed = not self._retimed, True
         if decision.site is None:
             if first and self.scenario.guidance.time_to_go_s is None:
-                self._retime()
+                self.retime()
             return True
         site = np.asarray(decision.site, dtype=np.float64)
         time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
@@ -325,7 +304,7 @@ class Simulation:
         self.guidance.arrival = self.time + time_to_go
         return True
 
-    def _retime(self) -> None:
+    def retime(self) -> None:
         """Choose the time-to-go to the present site afresh.
 
         A divert does so anyway. Without this a lander that keeps its site would fly on the
@@ -335,56 +314,21 @@ class Simulation:
         if np.isfinite(time_to_go):
             self.guidance.arrival = self.time + time_to_go
 
-    def _scan(self) -> None:
-        """Flash at the site, or straight down, and update the map."""
-        to_site = self.site - self.estimate.position
-        down = np.array([0.0, 0.0, -1.0])
-        boresight = to_site if self.scenario.lidar.boresight == "site" else down
-        # The gimbal is steered by the estimated attitude; the true one decides where it looks.
-        limit = np.deg2rad(self.scenario.lidar.gimbal_limit_deg)
-        mount = gimbal_mount(self.estimate.attitude, boresight, limit)
-        scan = self.lidar.measure(self.world, self.state, self.time, self._lidar_rng, mount)
-        assert isinstance(self.mapper, GaussianDemMapper)
-        self.mapper.update(scan, self.estimate)
-        self.map_error = self.navigation_error
-        self.recorder.scan(scan, self.estimate)
-        returns = int(np.isfinite(scan.range).sum())
-        self.recorder.event(self.time, "scan", altitude=self.altitude, returns=returns)
+    def saw(self, scan: LidarScan | None) -> None:
+        """Note that the map has been updated, and by which scan, for the record."""
+        self.map_error = self.frame_error
+        if scan is not None:
+            self.recorder.scan(scan, self.estimate)
+            if not self.eyes.tied_to_map:
+                returns = int(np.isfinite(scan.range).sum())
+                self.recorder.event(self.time, "scan", altitude=self.altitude, returns=returns)
         if self.first_map_estimate is None:
             self.first_map_estimate = self.estimate
-
-    def _photograph(self) -> None:
-        """Take a picture of the site, and update filter and map."""
-        self._next_picture = self.time + 1.0 / self.scenario.camera.rate_hz
-        limit = np.deg2rad(self.scenario.camera.gimbal_limit_deg)
-        mount = gimbal_mount(self.estimate.attitude, self.site - self.estimate.position, limit)
-        camera = replace(self.camera, mount=mount)
-        photo = camera.expose(self.world, self.state, self.time, self._camera_rng)
-        assert isinstance(self.mapper, ShadowMapper)
-        self.mapper.update(Shot(self.time, photo.counts, camera), self.estimate)
-        # What the picture told of the lander counts at once.
-        self.estimate = self.navigation.update(self.state, self.time)
-        self.map_error = self.navigation_error
-        if self.first_map_estimate is None:
-            self.first_map_estimate = self.estimate
-            self.recorder.event(self.time, "first-picture", altitude=self.altitude)
-
-    def stop_camera(self) -> None:
-        """Take no more pictures: the rest of the flight goes by inertial unit and altimeter."""
-        self._next_picture = np.inf
 
     def navigate_and_scan(self) -> None:
         """Do the first half of a cycle: update the estimate and the map."""
-        self.estimate = self.navigation.update(self.state, self.time)
-        if self.shadows is not None:
-            due = self.time >= self._next_picture - 1e-9
-            if due and 0.0 < self.altitude <= self.scenario.camera.first_altitude_m:
-                self._photograph()
-            return
-        if self._pending_scans and self.altitude <= self._pending_scans[0]:
-            while self._pending_scans and self.altitude <= self._pending_scans[0]:
-                self._pending_scans.pop(0)
-            self._scan()
+        self.estimate = self.eyes.navigation.update(self.state, self.time)
+        self.eyes.look(self)
 
     def guide_and_move(self) -> None:
         """Do the second half of a cycle: command the vehicle and move it."""
@@ -401,8 +345,7 @@ class Simulation:
         touched = self._first_contact(history)
         last = history[touched if touched is not None else -1]
         steps = self._steps if touched is None else touched + 1
-        if self.shadows is not None:
-            self.shadows.sense(self.state, history[:steps], self.scenario.simulation.step_s)
+        self.eyes.sense(self.state, history[:steps], self.scenario.simulation.step_s)
         self.state = State.from_vector(last)
         self.time += steps * self.scenario.simulation.step_s
         if touched is not None:
@@ -455,7 +398,7 @@ class Simulation:
 
     def _end(self, verdict: Verdict) -> None:
         self.verdict = verdict
-        self.estimate = self.navigation.update(self.state, self.time)
+        self.estimate = self.eyes.navigation.update(self.state, self.time)
         self.recorder.row(self.time, self.state, self.estimate, self.site, 0.0, self.phase)
         self.recorder.event(
             self.time, "touchdown" if verdict.touchdown else "end", failed=list(verdict.failed)
@@ -478,10 +421,9 @@ class Simulation:
 
     def _last_map(self) -> HazardMap | None:
         """Return the map, or None if nothing was ever seen."""
-        last = self.mapper.hazard_map()
-        if isinstance(self.mapper, GaussianDemMapper) and self.mapper.dem is None:
+        if self.eyes.blank or self.first_map_estimate is None:
             return None
-        return last if self.first_map_estimate is not None else None
+        return self.eyes.hazard_map()
 
     def flight(self) -> Flight:
         """Return the record of the flight so far."""

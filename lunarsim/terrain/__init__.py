@@ -2,6 +2,7 @@
 
 from lunarsim.terrain.craters import CraterLaw, add_craters, crater_profile
 from lunarsim.terrain.dtm import DtmInfo, load_dtm, read_info
+from lunarsim.terrain.hazard_field import hazard_field
 from lunarsim.terrain.heightfield import Heightfield
 from lunarsim.terrain.relief import add_detail, fractal_relief
 from lunarsim.terrain.rocks import (
@@ -28,6 +29,7 @@ __all__ = [
     "fractal_relief",
     "golombek_cover",
     "golombek_number",
+    "hazard_field",
     "load_dtm",
     "place_rocks",
     "read_info",

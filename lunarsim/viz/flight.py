@@ -13,6 +13,7 @@ from matplotlib.patches import Circle, Patch
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.hazards.shadows import RockFilter
+from lunarsim.simulation.eyes import CameraEyes
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.simulation import Simulation
 from lunarsim.viz.style import COLOURS, hillshade, map_axes, new_figure, save, show
@@ -63,7 +64,7 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
             ls="",
             marker="s",
             color=COLOURS[2],
-            label="LiDAR scan" if simulation.shadows is None else "first picture",
+            label="LiDAR scan" if not isinstance(simulation.eyes, CameraEyes) else "first picture",
         ),
         Line2D([], [], ls="", marker="D", color=COLOURS[1], label="divert"),
         Line2D([], [], ls="", marker="v", color="black", label="touchdown"),
@@ -169,8 +170,8 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
 
     show(panels[3], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     points = flight.scans
-    if simulation.shadows is not None:
-        _tracked_rocks(panels[3], simulation.shadows.rocks, error)
+    if isinstance(simulation.eyes, CameraEyes):
+        _tracked_rocks(panels[3], simulation.eyes.filtered.filter, error)
     if len(points):
         dots = panels[3].scatter(
             points[:, 0] - error[0],
@@ -184,7 +185,7 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
     map_axes(
         panels[3],
         "LiDAR returns (thinned)"
-        if simulation.shadows is None
+        if not isinstance(simulation.eyes, CameraEyes)
         else "rocks tracked by their shadows",
     )
 

@@ -59,7 +59,7 @@ def test_a_policy_lands_on_the_shadow_map(flown):
 
 def test_the_estimate_is_as_good_as_it_says(flown):
     simulation, _ = flown
-    f = simulation.shadows.rocks
+    f = simulation.eyes.filtered.filter
     error = simulation.state.velocity - f.inertial.velocity
     sigma = np.sqrt(np.diag(f.covariance)[3:6])
     assert (np.abs(error) < 5.0 * sigma + 0.02).all()
@@ -87,7 +87,7 @@ def test_a_camera_that_is_stopped_leaves_a_usable_loop():
     simulation = Simulation(scenario(), 4)
     for _ in range(20):
         simulation.step()
-    simulation.stop_camera()
+    simulation.eyes.stop()
     while not simulation.done:
         simulation.step()
     assert simulation.verdict.touchdown is not None

@@ -4,6 +4,8 @@ Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Re
 Map".
 """
 
+from lunarsim.hazards.quadtree.calibration import SafetyModel, fit_safety
+from lunarsim.hazards.quadtree.mapper import QuadtreeMapper
 from lunarsim.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.hazards.quadtree.sites import STATUS, Selection, Site, SiteSelector
 from lunarsim.hazards.quadtree.tree import Inserted, QuadtreeMap
@@ -13,8 +15,11 @@ __all__ = [
     "Inserted",
     "InterestMap",
     "QuadtreeMap",
+    "QuadtreeMapper",
+    "SafetyModel",
     "Selection",
     "Site",
     "SiteSelector",
     "SiteSettings",
+    "fit_safety",
 ]

@@ -1,0 +1,186 @@
+"""The quadtree mapper: LiDAR scans in, ranked sites and a `HazardMap` out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
+from lunarsim.grid import Grid
+from lunarsim.hazards.hazard_map import HazardMap
+from lunarsim.hazards.quadtree.calibration import SafetyModel
+from lunarsim.hazards.quadtree.settings import InterestMap, SiteSettings
+from lunarsim.hazards.quadtree.sites import Selection, SiteSelector
+from lunarsim.hazards.quadtree.tree import QuadtreeMap
+from lunarsim.navigation.estimate import Estimate
+from lunarsim.sensors.lidar import LidarScan
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class _Held:
+    """A scan whose place is too uncertain yet, and the pose it was taken at as known now."""
+
+    scan: LidarScan
+    time: float
+    position: Array
+    attitude: Array
+
+
+class QuadtreeMapper:
+    """Keeps a quadtree of scans and judges landing sites on it.
+
+    Parameters
+    ----------
+    grid
+        Cells of the hazard map, estimated ENU frame; the quadtree covers them.
+    settings
+        Tolerances, weights, sizes of cells.
+    elevation
+        Level from which the quadtree counts heights, m.
+    least, split_count
+        Of the quadtree.
+    interest
+        Left out: 1 everywhere.
+    model
+        Turns slope, roughness and exceptions into a probability; left out: the calibrated one.
+    hold_sigma
+        Scans whose ground is uncertain by more than this in any direction (1 sigma, m) wait until
+        navigation knows better, and are then placed anew. Infinite: taken as they come, so that what
+        was seen before the first lock is smeared by the drift, as in the paper.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        settings: SiteSettings | None = None,
+        *,
+        elevation: float = 0.0,
+        least: float = 0.1,
+        split_count: int = 8,
+        interest: InterestMap | None = None,
+        model: SafetyModel | None = None,
+        hold_sigma: float = 0.5,
+    ) -> None:
+        self.grid = grid
+        west, east, south, north = grid.extent
+        centre = (0.5 * (west + east), 0.5 * (south + north), elevation)
+        self.map = QuadtreeMap(
+            centre, max(east - west, north - south), least, split_count=split_count
+        )
+        self.selector = SiteSelector(self.map, settings, interest, thorough=True)
+        self.selection: Selection | None = None
+        self._model = model or SafetyModel.default()
+        self._hold_sigma = hold_sigma
+        self._held: list[_Held] = []
+        self._judged = -1
+        self.drawn = HazardMap.unobserved(grid)
+
+    @property
+    def held(self) -> int:
+        """Scans that wait for a better estimate."""
+        return len(self._held)
+
+    def update(self, measurement: LidarScan, estimate: Estimate) -> None:
+        """Add a scan taken at the estimated pose, or hold it; one without returns changes nothing."""
+        seen = np.isfinite(measurement.range)
+        if not seen.any():
+            return
+        if ground_sigma(measurement, estimate) > self._hold_sigma:
+            self._held.append(
+                _Held(measurement, estimate.time, estimate.position, estimate.attitude)
+            )
+            return
+        for held in self._held:
+            self.map.insert(held.scan.points(held.position, held.attitude))
+        self._held.clear()
+        self.map.insert(measurement.points(estimate.position, estimate.attitude))
+
+    def correct(self, before: Estimate, after: Estimate) -> None:
+        """Move the scans held by what navigation has just learnt of pose and velocity."""
+        turn = quat_multiply(after.attitude, quat_conjugate(before.attitude))
+        faster = after.velocity - before.velocity
+        for held in self._held:
+            held.position = (
+                after.position
+                + quat_rotate(turn, held.position - before.position)
+                - faster * (before.time - held.time)
+            )
+            held.attitude = quat_multiply(turn, held.attitude)
+
+    def select(self) -> Selection:
+        """Return all sites as they stand."""
+        if self.selection is None or self._judged != self.map.version:
+            self._judged = self.map.version
+            self.selection = self.selector.update()
+            self.drawn = self._draw(self.selection)
+        return self.selection
+
+    def hazard_map(self) -> HazardMap:
+        """Return the map as it stands."""
+        self.select()
+        return self.drawn
+
+    def _draw(self, selection: Selection) -> HazardMap:
+        """Return the sites' probabilities on the grid: each cell has that of the site under it."""
+        g, s = self.grid, self.selector.settings
+        known = np.isfinite(selection.roughness)
+        p = np.zeros(len(known))
+        p[known] = self._model.probability(
+            selection.slope[known] / s.slope_limit,
+            selection.roughness[known] / s.roughness_limit,
+            selection.ratio[known],
+        )
+        size = self.map.sizes(selection.nodes)
+        p_safe = np.zeros(g.shape, np.float32)
+        observed = np.zeros(g.shape, np.bool_)
+        elevation = np.full(g.shape, np.nan, np.float32)
+        _paint(
+            g, selection.position[:, :2], size, p, known, selection.position[:, 2],
+            (p_safe, observed, elevation),
+        )  # fmt: skip
+        return HazardMap(g, p_safe, observed, elevation)
+
+
+def _paint(
+    grid: Grid,
+    xy: Array,
+    size: Array,
+    p: Array,
+    known: NDArray[np.bool_],
+    z: Array,
+    out: tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]],
+) -> None:
+    """Write what cells (n,) know into the raster cells whose centres they hold."""
+    for half in np.unique(size):
+        # Cells of one size make a raster of their own: look up instead of filling.
+        mine = np.flatnonzero(size == half)
+        col0 = np.floor(xy[mine, 0] / half).astype(np.int64)
+        row0 = np.floor(xy[mine, 1] / half).astype(np.int64)
+        corner = (xy[mine[0]] - half * (np.array([col0[0], row0[0]]) + 0.5)) if len(mine) else 0.0
+        cols = np.floor((grid.x - corner[0]) / half).astype(np.int64)
+        rows = np.floor((grid.y - corner[1]) / half).astype(np.int64)
+        west, south = min(col0.min(), cols.min()), min(row0.min(), rows.min())
+        shape = (max(row0.max(), rows.max()) - south + 1, max(col0.max(), cols.max()) - west + 1)
+        index = np.full(shape, -1, np.int64)
+        index[row0 - south, col0 - west] = mine
+        under = index[np.ix_(rows - south, cols - west)]
+        here = under >= 0
+        out[0][here] = p[under[here]]
+        out[1][here] = known[under[here]]
+        out[2][here] = z[under[here]]
+
+
+def ground_sigma(scan: LidarScan, estimate: Estimate) -> float:
+    """Return the greatest standard deviation (m) of where the middle of a scan lies."""
+    points = scan.points(estimate.position, estimate.attitude)
+    x, y, z = np.nanmean(points, axis=0) - estimate.position
+    # A small turn phi (ENU) moves the point by phi x rho.
+    by_turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    jacobian = np.hstack((np.eye(3), by_turn))
+    keep = np.r_[0:3, 6:9]
+    covariance = jacobian @ estimate.covariance[np.ix_(keep, keep)] @ jacobian.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

@@ -1,0 +1,91 @@
+"""From a scenario's tables to navigation by LiDAR on a prior map, and to the quadtree mapper."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.hazards.quadtree import QuadtreeMapper, SiteSettings
+from lunarsim.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.navigation.prior_map import PriorMap, survey
+from lunarsim.rng import Streams
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.imu import Imu
+from lunarsim.simulation import build
+from lunarsim.simulation.build_inertial import started
+from lunarsim.simulation.filtered_navigation import FilteredNavigation
+from lunarsim.vehicle import Lander, State
+from lunarsim.world import World
+
+
+def prior_map_of(scenario: Scenario, world: World, streams: Streams) -> PriorMap:
+    """Return the map that the lander brings along.
+
+    Raises
+    ------
+    InputError
+        If its section is wrong.
+    """
+    s = scenario.prior
+    grid = Grid.centred(scenario.target.position_m, s.size_m, s.posting_m)
+    made = survey(
+        world.terrain,
+        grid,
+        streams.get("prior"),
+        sigma=s.sigma_m,
+        stale_share=s.stale_share,
+        stale_side=s.stale_side_m,
+        stale_sigma=s.stale_sigma_m,
+    )
+    east, north, up = s.offset_m
+    moved = Grid(grid.x0 + east, grid.y0 + north, grid.posting, grid.rows, grid.cols)
+    return PriorMap(moved, made.elevation + up, made.sigma)
+
+
+def lidar_inertial_of(
+    scenario: Scenario, world: World, state: State, streams: Streams
+) -> FilteredNavigation:
+    """Return navigation started with errors of the scenario's budget."""
+    inertial, errors, _ = started(scenario, state, streams)
+    found = LidarInertialFilter(inertial, errors, prior_map_of(scenario, world, streams))
+    imu = Imu(streams.get("imu"), 1.0 / scenario.simulation.step_s)
+    return FilteredNavigation(found, world, imu)
+
+
+def settings_of(scenario: Scenario) -> SiteSettings:
+    """Return tolerances, weights and sizes of cells."""
+    s = scenario.sites
+    return SiteSettings(
+        slope_limit=np.deg2rad(s.slope_limit_deg),
+        roughness_limit=s.roughness_limit_m,
+        density=s.density_m2,
+        exception_limit=s.exception_limit,
+        zone=s.zone_m,
+        weight_interest=s.weight_interest,
+        weight_slope=s.weight_slope,
+        weight_roughness=s.weight_roughness,
+        mesh_band=s.mesh_band_m,
+        hazard_band=s.hazard_band_m,
+        site_band=s.site_band_m,
+        count=s.count,
+        separation=s.separation_m,
+        roughness=s.roughness,
+    )
+
+
+def quadtree_mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray) -> QuadtreeMapper:
+    """Return the mapper, its grid centred on the target.
+
+    Raises
+    ------
+    InputError
+        If the map is smaller than the lander's footprint or its posting is too coarse.
+    """
+    return QuadtreeMapper(
+        build.map_grid(scenario, lander, centre),
+        settings_of(scenario),
+        elevation=float(centre[2]),
+        least=scenario.sites.least_m,
+        split_count=scenario.sites.split_count,
+        hold_sigma=scenario.sites.hold_sigma_m,
+    )
