@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_to_matrix
+from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
@@ -29,7 +29,7 @@ from lunarsim.sensors.lidar import LidarScan
 
 Array = NDArray[np.float64]
 
-# The lander's pose in the error state, and that of the scan before.
+# The lander's pose in the error state, and that at the scan kept for odometry.
 _POSE = np.r_[0:3, 9:12]
 _CLONE = np.arange(INERTIAL, INERTIAL + 6)
 _SIZE = INERTIAL + 6
@@ -65,10 +65,13 @@ class RegistrationSettings:
         Between two searches, s.
     lost_s
         Without agreement for so long the lock is lost, s.
-    odometry_posting
-        Squares in which consecutive scans are compared, m.
+    odometry_postings
+        Least and greatest squares in which scans are compared with each other, m: a twenty-fourth of
+        a scan's width between them.
     odometry_sigma
         Of the difference of their heights there, m.
+    key_share
+        A scan is compared with an earlier one until less than this share of it lies on that one.
     """
 
     model_sigma: float = 0.05
@@ -82,8 +85,19 @@ class RegistrationSettings:
     feature_reach: int = 4
     search_s: float = 0.5
     lost_s: float = 2.0
-    odometry_posting: float = 0.4
+    odometry_postings: tuple[float, float] = (0.05, 0.4)
     odometry_sigma: float = 0.03
+    key_share: float = 0.8
+
+
+@dataclass(frozen=True)
+class _Key:
+    """A scan kept to compare later ones with: its squares, and the pose as it was known then."""
+
+    grid: Grid
+    surface: Surface
+    position: Array
+    attitude: Array
 
 
 @dataclass(frozen=True)
@@ -108,10 +122,10 @@ class NavigationEvent:
 class LidarInertialFilter:
     """Error-state filter: inertial samples carry it, LiDAR scans tie it to a map.
 
-    Without a lock a scan is compared with the one before (odometry; the pose at that scan is part
-    of the state), and the scans of the last seconds are searched for on the map. Once found, every
-    scan is fitted to the map. A post's error is the same whenever it is seen, so its k-th use counts
-    1 / (k (k + 1)) of a full one: all uses together never count more than one.
+    Where a scan does not agree with the map it is compared with an earlier one (odometry; the pose
+    at that scan is part of the state), and the scans of the last seconds are searched for on the map. Once found, every
+    scan is fitted to the map. A post's error is the same whenever it is seen, so its k-th use
+    counts 1 / (k (k + 1)) of a full one: all uses together never count more than one.
 
     Parameters
     ----------
@@ -143,8 +157,9 @@ class LidarInertialFilter:
         self._agreed = -np.inf
         self._searched = -np.inf
         self._patch: deque[tuple[float, Features]] = deque()
-        self._before: tuple[Surface, Array] | None = None
-        self._odometry_grid = Grid(0.0, 0.0, self.settings.odometry_posting, 1, 1)
+        self._key: _Key | None = None
+        self._shared = 0.0
+        self._moved = np.zeros(3)
 
     # --- state ----------------------------------------------------------------------------
 
@@ -188,22 +203,30 @@ class LidarInertialFilter:
 
         A scan without returns, or too slanted to average, changes nothing.
         """
-        if not self._seen(scan, self.prior.grid):
+        width = self._width(scan)
+        if not np.isfinite(width):
             return False
-        if not self.locked:
+        if self.locked:
+            agreed = self._register(scan, time)
+            if not agreed:
+                self._follow(scan)
+        else:
             self._follow(scan)
             if self._search(scan, time):
                 self._lock(time)
-        agreed = self._register(scan, time)
+            agreed = self._register(scan, time)
         if self.locked and time - self._agreed > self.settings.lost_s:
             self.locked = False
             self._patch.clear()
             self.events.append(NavigationEvent(time, "lock-lost", np.zeros(3)))
-        self._remember(scan)
+        self._remember(scan, width)
         return agreed
 
-    def _seen(self, scan: LidarScan, grid: Grid) -> int:
-        return len(self._surface(scan, grid))
+    def _width(self, scan: LidarScan) -> float:
+        """Return the width of the ground that a scan covers, across the line of sight, m."""
+        reach = np.nanmedian(scan.range) if np.isfinite(scan.range).any() else np.nan
+        cosine = float(np.min(scan.direction @ scan.direction[len(scan.direction) // 2]))
+        return float(2.0 * reach * np.sqrt(max(1.0 - cosine**2, 0.0)))
 
     def _surface(self, scan: LidarScan, grid: Grid) -> Surface:
         s = self.inertial
@@ -218,7 +241,9 @@ class LidarInertialFilter:
 
     # --- the map --------------------------------------------------------------------------
 
-    def _compare(self, surface: Surface) -> tuple[Array, Array, Array, tuple[Array, Array]]:
+    def _compare(
+        self, surface: Surface
+    ) -> tuple[Array, Array, Array, tuple[NDArray[np.int64], NDArray[np.int64]]]:
         """Return Jacobian, residual and variance against the map, and the posts compared."""
         g = self.prior.grid
         inside = (
@@ -325,31 +350,38 @@ class LidarInertialFilter:
 
     # --- odometry -------------------------------------------------------------------------
 
-    def _remember(self, scan: LidarScan) -> None:
-        """Keep this scan and the pose at it, for the next one to be compared with."""
-        surface = self._surface(scan, self._odometry_grid)
+    def _remember(self, scan: LidarScan, width: float) -> None:
+        """Keep this scan and the pose at it to compare later ones with, if the last kept is left."""
+        if self._key is not None and self._shared >= self.settings.key_share:
+            return
+        posting = float(np.clip(width / 24.0, *self.settings.odometry_postings))
         s = self.inertial
-        self._before = (surface, np.concatenate((s.position, s.attitude)))
+        grid = Grid(0.0, 0.0, posting, 1, 1)
+        self._key = _Key(grid, self._surface(scan, grid), s.position.copy(), s.attitude.copy())
         copy = np.eye(_SIZE)
         copy[_CLONE] = 0.0
         copy[_CLONE, _POSE] = 1.0
         self.covariance = copy @ self.covariance @ copy.T
+        self._shared = 1.0
 
     def _follow(self, scan: LidarScan) -> None:
-        """Compare a scan with the one before."""
-        if self._before is None:
+        """Compare a scan with the one kept."""
+        self._shared = 0.0
+        if self._key is None:
             return
-        old, pose = self._before
-        new = self._surface(scan, self._odometry_grid)
-        i, j = _common(old, new)
-        if len(i) < self.settings.least_squares:
+        key, least = self._key, self.settings.least_squares
+        new = self._surface(scan, key.grid)
+        i, j = _common(key.surface, new)
+        if len(i) < least:
             return
+        # A scan from nearer covers less ground: it need only lie on the one kept.
+        self._shared = len(i) / len(new) if len(i) >= 2 * least else 0.0
         s = self.inertial
         here = pose_jacobian(new.position[j], new.normal[j], s.position, s.attitude)
-        there = pose_jacobian(old.position[i], new.normal[j], pose[:3], pose[3:])
+        there = pose_jacobian(key.surface.position[i], new.normal[j], key.position, key.attitude)
         result = fit(
             np.hstack((here, -there)),
-            old.position[i, 2] - new.position[j, 2],
+            key.surface.position[i, 2] - new.position[j, 2],
             np.full(len(i), self.settings.odometry_sigma**2),
             self.covariance[np.ix_(_BOTH, _BOTH)],
         )
@@ -358,26 +390,48 @@ class LidarInertialFilter:
 
     # --- correction -----------------------------------------------------------------------
 
-    def _apply(self, part: NDArray[np.int64], information: Array, vector: Array, gate: float) -> bool:
-        """Take in information on a part of the error state, unless the correction is too unlikely."""
+    def _apply(
+        self, part: NDArray[np.int64], information: Array, vector: Array, gate: float
+    ) -> bool:
+        """Take in information on a part of the error state, unless its correction is too unlikely.
+
+        Written without the inverse of the covariance, which is singular while two poses coincide.
+        """
         p = self.covariance
         own = p[np.ix_(part, part)]
-        inner = np.linalg.solve(np.eye(len(part)) + information @ own, np.column_stack((information, vector)))
-        # Distance of the correction from nothing, in units of what it might have been.
-        innovation = inner[:, -1]
-        spread = own - own @ inner[:, :-1] @ own
+        system = np.eye(len(part)) + information @ own
+        inner = np.linalg.solve(system, np.column_stack((information, vector)))
+        gain, innovation = inner[:, :-1], inner[:, -1]
         correction = own @ innovation
-        distance = float(innovation @ correction)
-        expected = own - spread
-        d2 = float(correction @ np.linalg.pinv(expected, rcond=1e-9, hermitian=True) @ correction)
-        if not np.isfinite(distance) or d2 > gate:
+        expected = own @ gain @ own
+        distance = correction @ np.linalg.pinv(expected, rcond=1e-9, hermitian=True) @ correction
+        if not distance <= gate:
             return False
         error = p[:, part] @ innovation
-        self.covariance = p - p[:, part] @ inner[:, :-1] @ p[part]
+        self.covariance = p - p[:, part] @ gain @ p[part]
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
         self._moved = error[:3].copy()
         self.inertial.correct(error[:INERTIAL])
+        if self._key is not None:
+            self._correct_key(error[_CLONE])
         return True
+
+    def _correct_key(self, error: Array) -> None:
+        """Move the scan kept with its pose."""
+        assert self._key is not None
+        key = self._key
+        jacobian = pose_jacobian(
+            key.surface.position, key.surface.normal, key.position, key.attitude
+        )
+        position = key.surface.position.copy()
+        position[:, 2] += jacobian @ error
+        turn = np.concatenate((0.5 * error[3:], [1.0]))
+        self._key = replace(
+            key,
+            surface=replace(key.surface, position=position),
+            position=key.position + error[:3],
+            attitude=normalised(quat_multiply(key.attitude, turn)),
+        )
 
 
 _BOTH = np.concatenate((_POSE, _CLONE))

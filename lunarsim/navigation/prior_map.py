@@ -44,7 +44,9 @@ class PriorMap:
                 "prior.elevation", self.elevation.shape, f"an array of {self.grid.shape}"
             )
         if np.isinf(self.elevation).any() or not np.isfinite(self.elevation).any():
-            raise InputError("prior.elevation", "no finite elevation", "elevations in m, NaN for none")
+            raise InputError(
+                "prior.elevation", "no finite elevation", "elevations in m, NaN for none"
+            )
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
             raise InputError("prior.sigma_m", self.sigma, "a positive deviation in metres")
 

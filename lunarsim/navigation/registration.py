@@ -150,7 +150,9 @@ class Match:
     up_variance: float
 
 
-def high_pass(height: Array, known: NDArray[np.bool_], reach: int) -> tuple[Array, NDArray[np.bool_]]:
+def high_pass(
+    height: Array, known: NDArray[np.bool_], reach: int
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return heights less their mean over a square of 2 `reach` + 1, and where all of it is known.
 
     What is left are features; swells and the tilt of a wrong attitude are gone.

@@ -24,7 +24,6 @@ from lunarsim.sensors.lidar import LidarScan
 from lunarsim.simulation import build
 from lunarsim.simulation.build_quadtree import lidar_inertial_of, quadtree_mapper_of
 from lunarsim.simulation.build_shadows import navigation_of, shadow_mapper_of
-from lunarsim.simulation.filtered_navigation import FilteredNavigation
 from lunarsim.vehicle import State
 
 if TYPE_CHECKING:
@@ -238,7 +237,9 @@ class SweepEyes:
         row %= rows
         col = col if row % 2 == 0 else rows - 1 - col
         step = section.size_m / (rows - 1)
-        offset = np.array([row * step, col * step, 0.0]) - 0.5 * section.size_m * np.array([1, 1, 0])
+        offset = np.array([row * step, col * step, 0.0]) - 0.5 * section.size_m * np.array(
+            [1, 1, 0]
+        )
         return np.asarray(self._centre + offset)
 
     def look(self, sim: Simulation) -> None:

@@ -341,10 +341,7 @@ def _mean_square(s, n, z0, normal):
     syz = s[7] - z0 * s[1]
     szz = s[8] - 2.0 * z0 * s[2] + n * z0 * z0
     total = (
-        a * a * s[3]
-        + b * b * s[6]
-        + c * c * szz
-        + 2.0 * (a * b * s[4] + a * c * sxz + b * c * syz)
+        a * a * s[3] + b * b * s[6] + c * c * szz + 2.0 * (a * b * s[4] + a * c * sxz + b * c * syz)
     )
     return max(total / n, 0.0)
 

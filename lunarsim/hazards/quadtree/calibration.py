@@ -36,9 +36,7 @@ def features(slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike) -> Array:
     slope, roughness, ratio = (np.asarray(a, dtype=np.float64) for a in (slope, roughness, ratio))
     exceptions = np.log10(np.maximum(ratio, _LEAST_RATIO) / _LEAST_RATIO)
     rough = np.log(np.maximum(roughness, 1e-3))
-    return np.column_stack(
-        (np.ones(len(slope)), exceptions, slope, rough, exceptions**2, rough**2)
-    )
+    return np.column_stack((np.ones(len(slope)), exceptions, slope, rough, exceptions**2, rough**2))
 
 
 @dataclass(frozen=True)

@@ -241,12 +241,16 @@ class SiteSelector:
         position = np.column_stack((self.map.centres(nodes), self.map.elevation(nodes)))
         slope = np.arccos(np.clip(cosine, -1.0, 1.0))
         ranked = tuple(
-            Site(position[i], float(score[i]), float(interest[i]), float(slope[i]), float(roughness[i]))
+            Site(
+                position[i],
+                float(score[i]),
+                float(interest[i]),
+                float(slope[i]),
+                float(roughness[i]),
+            )
             for i in best_apart(score, position[:, :2], s.count, s.separation)
         )
-        return Selection(
-            nodes, position, interest, slope, ratio, roughness, status, score, ranked
-        )
+        return Selection(nodes, position, interest, slope, ratio, roughness, status, score, ranked)
 
 
 def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:
