@@ -56,8 +56,8 @@ class TerrainSection(Section):
     size_m: Positive = Field(160.0, description="side of the square (fractal, hazard-field)")
     field_m: Positive = Field(100.0, description="side of the hazard field in it (hazard-field)")
     field_turn_deg: Finite = Field(20.0, description="of the field in the frame (hazard-field)")
-    boulders: int = Field(300, ge=0, description="0.3 to 1 m across (hazard-field)")
-    craters: int = Field(24, ge=0, description="1.5 to 5 m across (hazard-field)")
+    boulders: int = Field(300, ge=0, description="0.4 to 1 m across (hazard-field)")
+    craters: int = Field(24, ge=0, description="2 to 5 m across (hazard-field)")
     preset: Literal["none", "mare", "highland", "polar"] = Field(
         "none", description="roughness and craters that keys below may override"
     )

@@ -10,21 +10,18 @@ python scenarios/nominal_vs_modified.py --fields 20 --jobs 2 --out out/shadows
 from __future__ import annotations
 
 import json
-import multiprocessing
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
-import numba
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 from scipy.stats import t as student
 
+from lunarsim.campaign.pool import in_order
 from lunarsim.grid import Grid
 from lunarsim.hazards.shadows.classification import classify, reliability
 from lunarsim.rng import flight_seed
@@ -114,10 +111,6 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     }
 
 
-def _one_thread() -> None:
-    numba.set_num_threads(1)
-
-
 def fly_all(tasks: list[Task], jobs: int, console: Console) -> list[dict[str, Any]]:
     """Fly all tasks, in as many processes as asked for; the order is that of the tasks.
 
@@ -127,7 +120,7 @@ def fly_all(tasks: list[Task], jobs: int, console: Console) -> list[dict[str, An
     with Progress(console=console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
-            for result in _outcomes(tasks, jobs):
+            for result in in_order(fly, tasks, jobs):
                 results.append(result)
                 progress.advance(bar)
         except KeyboardInterrupt:
@@ -137,21 +130,6 @@ def fly_all(tasks: list[Task], jobs: int, console: Console) -> list[dict[str, An
                 raise
             console.print(f"interrupted: what follows is of the first {whole} fields")
     return results
-
-
-def _outcomes(tasks: list[Task], jobs: int) -> Iterator[dict[str, Any]]:
-    if jobs == 1:
-        yield from map(fly, tasks)
-        return
-    # OpenGL contexts and Numba's thread pools do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread)
-    try:
-        yield from pool.map(fly, tasks)
-        pool.shutdown()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
 
 
 def mean_interval(values: list[float]) -> tuple[float, float]:

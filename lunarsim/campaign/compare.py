@@ -7,21 +7,19 @@ derive from the root seed and i alone, so any number of processes gives the same
 from __future__ import annotations
 
 import json
-import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 import lunarsim
 from lunarsim.campaign.evaluate import evaluate
+from lunarsim.campaign.pool import outcomes
 from lunarsim.errors import InputError, suggestion
 from lunarsim.guidance.policies.library import policy_names
 from lunarsim.rng import Streams, flight_seed
@@ -102,40 +100,6 @@ def _fly_all(task: _Task) -> _Outcome:
     return _Outcome(task.flight, rows, seconds, shares)
 
 
-def _one_thread() -> None:
-    """Keep a worker to one thread: the processes share the cores."""
-    numba.set_num_threads(1)
-
-
-def _outcomes(tasks: Sequence[_Task], jobs: int) -> Iterator[_Outcome]:
-    """Yield outcomes as they come."""
-    if jobs == 1:
-        yield from map(_fly_all, tasks)
-        return
-    # OpenGL contexts and Numba's thread pools do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread)
-    try:
-        waiting: set[Future[_Outcome]] = set()
-        queue = iter(tasks)
-        for task in queue:
-            waiting.add(pool.submit(_fly_all, task))
-            if len(waiting) >= 2 * jobs:
-                break
-        while waiting:
-            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
-            for task in queue:
-                waiting.add(pool.submit(_fly_all, task))
-                if len(waiting) >= 2 * jobs:
-                    break
-        pool.shutdown()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-
-
 def check_request(policies: Sequence[str], flights: int, jobs: int) -> None:
     """Raise `InputError` for a request that cannot be met."""
     known = policy_names()
@@ -209,7 +173,7 @@ def compare(
     done: list[_Outcome] = []
     complete = False
     try:
-        for outcome in _outcomes(tasks, min(jobs, flights)):
+        for _, outcome in outcomes(_fly_all, tasks, min(jobs, flights)):
             done.append(outcome)
             if progress is not None:
                 progress(len(policies))

@@ -22,6 +22,9 @@ from lunarsim.navigation.registration import (
     Surface,
     features_of,
     fit,
+    point_jacobian,
+    pose_jacobian,
+    register,
     search,
     surface_of,
 )
@@ -74,7 +77,7 @@ class RegistrationSettings:
         A scan is compared with an earlier one until less than this share of it lies on that one.
     """
 
-    model_sigma: float = 0.05
+    model_sigma: float = 0.03
     least_squares: int = 12
     least_share: float = 0.6
     greatest_misfit: float = 2.5
@@ -154,6 +157,7 @@ class LidarInertialFilter:
         self.locked = False
         self.events: list[NavigationEvent] = []
         self._uses = np.zeros(prior.grid.shape, np.int32)
+        self._variance = self._of_uses(self._uses)
         self._agreed = -np.inf
         self._searched = -np.inf
         self._patch: deque[tuple[float, Features]] = deque()
@@ -241,48 +245,34 @@ class LidarInertialFilter:
 
     # --- the map --------------------------------------------------------------------------
 
-    def _compare(
-        self, surface: Surface
-    ) -> tuple[Array, Array, Array, tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """Return Jacobian, residual and variance against the map, and the posts compared."""
-        g = self.prior.grid
-        inside = (
-            (surface.col >= 0)
-            & (surface.col < g.cols)
-            & (surface.row >= 0)
-            & (surface.row < g.rows)
-        )
-        inside[inside] = np.isfinite(self.prior.elevation[surface.row[inside], surface.col[inside]])
-        row, col = surface.row[inside], surface.col[inside]
-        uses = self._uses[row, col] + 1.0
-        variance = self.prior.sigma**2 * uses * (uses + 1.0) + self.settings.model_sigma**2
-        residual = self.prior.elevation[row, col] - surface.position[inside, 2]
-        jacobian = pose_jacobian(
-            surface.position[inside],
-            surface.normal[inside],
-            self.inertial.position,
-            self.inertial.attitude,
-        )
-        return jacobian, residual, variance, (row, col)
-
     def _register(self, scan: LidarScan, time: float) -> bool:
         """Fit a scan to the map; without a lock only where the state is certain enough for it."""
         s, g = self.settings, self.prior.grid
         if not self.locked and not (self.found and self.position_sigma < g.posting):
             return False
-        jacobian, residual, variance, posts = self._compare(self._surface(scan, g))
-        if len(residual) < s.least_squares:
-            return False
-        result = fit(jacobian, residual, variance, self.covariance[np.ix_(_POSE, _POSE)])
+        result, posts = register(
+            scan,
+            self.prior,
+            self.inertial.position,
+            self.inertial.attitude,
+            self.covariance[np.ix_(_POSE, _POSE)],
+            self._variance,
+        )
         if not self._believable(result):
             return False
         if not self._apply(_POSE, result.information, result.vector, s.gate):
             return False
         self._uses[posts] += 1
+        self._variance[posts] = self._of_uses(self._uses[posts])
         if not self.locked:
             self._lock(time)
         self._agreed = time
         return True
+
+    def _of_uses(self, uses: NDArray[np.int32]) -> Array:
+        """Return the variance of a residual at posts that were compared `uses` times before."""
+        own = self.prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
+        return np.asarray(own + self.settings.model_sigma**2)
 
     def _believable(self, result: Fit) -> bool:
         s = self.settings
@@ -435,36 +425,6 @@ class LidarInertialFilter:
 
 
 _BOTH = np.concatenate((_POSE, _CLONE))
-
-
-def point_jacobian(point: Array, position: Array, attitude: Array) -> Array:
-    """Return how a point (3,) seen from a pose moves with the pose's error (3, 6).
-
-    Columns: position (ENU) and small rotation (body axes).
-    """
-    rotation = quat_to_matrix(attitude)
-    x, y, z = point - position
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.hstack((np.eye(3), -cross @ rotation))
-
-
-def pose_jacobian(points: Array, normals: Array, position: Array, attitude: Array) -> Array:
-    """Return how the height of a scanned surface over fixed places moves with the pose's error.
-
-    Parameters
-    ----------
-    points, normals
-        On the surface (m, 3), and (-dz/dx, -dz/dy, 1) there (m, 3), ENU.
-    position, attitude
-        Of the lander.
-
-    Returns
-    -------
-    jacobian
-        (m, 6); columns: position (ENU) and small rotation (body axes).
-    """
-    turn = np.cross(points - position, normals) @ quat_to_matrix(attitude)
-    return np.hstack((normals, turn))
 
 
 def _window(elevation: Array, row: int, col: int, rows: int, cols: int) -> Array:

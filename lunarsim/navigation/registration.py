@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.signal import correlate
 
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.navigation import _registration_kernels as k
+from lunarsim.navigation.prior_map import PriorMap
+from lunarsim.sensors.lidar import LidarScan
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -121,6 +124,104 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
     return Fit(
         (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
     )
+
+
+def point_jacobian(point: Array, position: Array, attitude: Array) -> Array:
+    """Return how a point (3,) seen from a pose moves with the pose's error (3, 6).
+
+    Columns: position (ENU) and small rotation (body axes).
+    """
+    rotation = quat_to_matrix(attitude)
+    x, y, z = point - position
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.hstack((np.eye(3), -cross @ rotation))
+
+
+def pose_jacobian(points: Array, normals: Array, position: Array, attitude: Array) -> Array:
+    """Return how the height of a scanned surface over fixed places moves with the pose's error.
+
+    Parameters
+    ----------
+    points, normals
+        On the surface (m, 3), and (-dz/dx, -dz/dy, 1) there (m, 3), ENU.
+    position, attitude
+        Of the lander.
+
+    Returns
+    -------
+    jacobian
+        (m, 6); columns: position (ENU) and small rotation (body axes).
+    """
+    turn = np.cross(points - position, normals) @ quat_to_matrix(attitude)
+    return np.hstack((normals, turn))
+
+
+def register(
+    scan: LidarScan,
+    prior: PriorMap,
+    position: Array,
+    attitude: Array,
+    covariance: Array,
+    variance: Array,
+    *,
+    passes: int = 4,
+) -> tuple[Fit, tuple[IntArray, IntArray]]:
+    """Fit a scan to a map.
+
+    Gauss-Newton: the scan is averaged afresh at each corrected pose, until the ground moves by less
+    than a twentieth of a post. What is returned refers to the pose that was given.
+
+    Parameters
+    ----------
+    scan, prior
+        To be compared.
+    position, attitude
+        Estimated pose (3,) and (4,).
+    covariance
+        Of its error (6, 6): position (ENU), small rotation (body axes).
+    variance
+        Of a residual at each post (rows, cols), m^2.
+    passes
+        At most.
+
+    Returns
+    -------
+    fit
+        Information on the error of the pose.
+    posts
+        Rows and columns of the posts compared.
+    """
+    g = prior.grid
+    error = np.zeros(6)
+    for _ in range(passes):
+        turned = quat_multiply(attitude, quat_from_rotation_vector(error[3:]))
+        surface = surface_of(scan.points(position + error[:3], turned), g)
+        inside = (
+            (surface.col >= 0)
+            & (surface.col < g.cols)
+            & (surface.row >= 0)
+            & (surface.row < g.rows)
+        )
+        inside[inside] = np.isfinite(prior.elevation[surface.row[inside], surface.col[inside]])
+        posts = surface.row[inside], surface.col[inside]
+        jacobian = pose_jacobian(
+            surface.position[inside], surface.normal[inside], position + error[:3], turned
+        )
+        residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
+        result = fit(jacobian, residual, variance[posts], covariance)
+        if result.used == 0:
+            break
+        step = (
+            covariance
+            @ np.linalg.solve(np.eye(6) + result.information @ covariance, result.vector)
+            - error
+        )
+        error = error + step
+        middle = surface.position[inside].mean(axis=0)
+        moved = point_jacobian(middle, position, attitude) @ step
+        if np.abs(moved).max() < 0.05 * g.posting:
+            break
+    return result, posts
 
 
 @dataclass(frozen=True)

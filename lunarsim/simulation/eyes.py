@@ -5,6 +5,7 @@ Each kind owns its navigation and its mapper and is asked once a control cycle w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,7 +18,7 @@ from lunarsim.hazards.hazard_map import HazardMap
 from lunarsim.hazards.quadtree import QuadtreeMapper
 from lunarsim.hazards.shadows import ShadowMapper, Shot
 from lunarsim.navigation.error_model import NavigationErrorModel
-from lunarsim.navigation.estimate import Navigation
+from lunarsim.navigation.estimate import Estimate, Navigation
 from lunarsim.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.sensors.gimbal import gimbal_mount
 from lunarsim.sensors.lidar import LidarScan
@@ -187,6 +188,11 @@ class SweepEyes:
     """A LiDAR that sweeps the ground, finds its place on a prior map, and fills a quadtree.
 
     When the sweep is over it dwells on the site.
+
+    Attributes
+    ----------
+    on_scan
+        Called with every scan and the estimate after it, by studies that want to see them.
     """
 
     tied_to_map = True
@@ -207,6 +213,7 @@ class SweepEyes:
         self._judged = -np.inf
         self._events = 0
         self._found_path = False
+        self.on_scan: Callable[[LidarScan, Estimate], None] | None = None
 
     def _start(self, sim: Simulation) -> None:
         self.filtered = lidar_inertial_of(sim.scenario, sim.world, sim.state, sim.streams)
@@ -261,6 +268,8 @@ class SweepEyes:
         after = self.filter.estimate(sim.time, sim.state.mass)
         self.mapper.correct(before, after)
         self.mapper.update(scan, after)
+        if self.on_scan is not None:
+            self.on_scan(scan, after)
         sim.estimate = after
         for event in self.filter.events[self._events :]:
             moved = float(np.linalg.norm(event.moved))

@@ -48,8 +48,8 @@ def hazard_field(
     turn
         Of the field, counter-clockwise, rad.
     boulders, craters
-        How many; diameters fall off as the inverse square from 1 m down to 0.3 m and from 5 m down
-        to 1.5 m.
+        How many; diameters fall off as the inverse square from 1 m down to 0.4 m and from 5 m down
+        to 2 m.
     grass_sigma
         Roughness of the grass, m.
     swell
@@ -62,11 +62,11 @@ def hazard_field(
     grid = Grid.centred((0.0, 0.0), surround, posting)
     waves = fractal_relief(grid, rng, hurst=0.95, rms_slope=np.deg2rad(1.0)).z.astype(np.float64)
     z = waves * (swell / waves.std()) + grass_sigma * rng.standard_normal(grid.shape)
-    x, y, diameter = _scattered(rng, craters, 1.5, 5.0, size, turn)
+    x, y, diameter = _scattered(rng, craters, 2.0, 5.0, size, turn)
     fresh = np.full(craters, _FRESHNESS)
     stamp(z, grid.x0, grid.y0, grid.posting, x, y, diameter, fresh, DEPTH, RIM, APRON)
     relief = Heightfield(grid, (z - z.mean()).astype(np.float32))
-    x, y, diameter = _scattered(rng, boulders, 0.3, 1.0, size, turn)
+    x, y, diameter = _scattered(rng, boulders, 0.4, 1.0, size, turn)
     ground = Terrain(relief).elevation(np.column_stack((x, y)))
     return Terrain(relief, RockField.hemispheres(x, y, ground, 0.5 * diameter))
 

@@ -130,6 +130,17 @@ def steepest_normal(x, y, mesh, out):
 
 
 @kernel()
+def normals_at(x, y, mesh):
+    """Return the steepest normals (n, 3) at places given in half steps, NaN off the mesh."""
+    out = np.full((x.size, 3), np.nan)
+    normal = np.empty(3)
+    for i in range(x.size):
+        if steepest_normal(x[i], y[i], mesh, normal):
+            out[i] = normal
+    return out
+
+
+@kernel()
 def _exceptions(tree, node, x, y, z, normal, tolerance, stack):
     """Count a cell's points farther than `tolerance` from a plane through (x, y, z)."""
     beyond = 0
@@ -384,15 +395,16 @@ def _root_sum(tree, west, east, south, north, x, y, z, normal, stack):
 
 
 @kernel()
-def _worst_ratio(raster, west, east, south, north):
+def _worst_ratio(raster, x, y, reach):
     """Return the greatest exception ratio over squares that overlap a zone; NaN if one is NaN.
 
-    Bounds in squares of the raster, as fractions; squares that only touch do not count.
+    Middle and half side of the zone in squares of the raster, as fractions; squares that only touch
+    do not count.
     """
     worst = np.float32(0.0)
-    touch = 1e-6
-    for row in range(int(np.floor(south + touch)), int(np.ceil(north - touch))):
-        for col in range(int(np.floor(west + touch)), int(np.ceil(east - touch))):
+    reach = reach - 1e-6
+    for row in range(int(np.floor(y - reach)), int(np.ceil(y + reach))):
+        for col in range(int(np.floor(x - reach)), int(np.ceil(x + reach))):
             v = raster[row, col]
             if np.isnan(v):
                 return v
@@ -415,16 +427,17 @@ def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, 
     interest
         Of each site (n,).
     limits
-        Least cosine of the slope, exception tolerance, half side of the zone (m).
+        Least cosine of the slope, exception tolerance, half sides of the zone and of its middle (m).
     printed
         Roughness by Eq. 8 as printed, else root mean square.
     thorough
         Find the roughness of rejected sites too, where there are points.
     out
-        cosine, roughness, ratio (N,) and status (N,), one entry a node of the tree.
+        cosine, roughness, ratio, ratio near the middle (N,) and status (N,), one entry a node of
+        the tree.
     """
-    cosine, roughness, ratio, status = out
-    least_cosine, exception, zone = limits
+    cosine, roughness, ratio, near, status = out
+    least_cosine, exception, zone, middle = limits
     per_square = 2.0 * tree.half / raster.shape[0]
     for i in prange(nodes.size):
         node = nodes[i]
@@ -434,6 +447,7 @@ def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, 
         cosine[node] = np.nan
         roughness[node] = np.nan
         ratio[node] = np.nan
+        near[node] = np.nan
         hx, hy = half_steps(tree, node)
         if not steepest_normal(hx, hy, mesh, normal):
             status[node] = NO_PLANE
@@ -444,14 +458,10 @@ def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, 
         if west < -tree.half or east > tree.half or south < -tree.half or north > tree.half:
             status[node] = OFF_MAP
             continue
-        worst = _worst_ratio(
-            raster,
-            (west + tree.half) / per_square,
-            (east + tree.half) / per_square,
-            (south + tree.half) / per_square,
-            (north + tree.half) / per_square,
-        )
+        column, row = (x + tree.half) / per_square, (y + tree.half) / per_square
+        worst = _worst_ratio(raster, column, row, zone / per_square)
         ratio[node] = worst
+        near[node] = _worst_ratio(raster, column, row, middle / per_square)
         if interest[i] <= 0.0:
             verdict = NO_INTEREST
         elif normal[2] < least_cosine:

@@ -23,20 +23,25 @@ _LEAST_RATIO = 1e-4
 _RIDGE = 1e-3
 
 
-def features(slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike) -> Array:
-    """Return what the probability is computed from (n, 6).
+def features(slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike, near: ArrayLike) -> Array:
+    """Return what the probability is computed from (n, 8).
 
     Parameters
     ----------
     slope, roughness
         Over the limits of the settings (n,): 1 at the limit.
-    ratio
-        Greatest exception ratio in the zone (n,).
+    ratio, near
+        Greatest exception ratio in the zone and in its middle (n,).
     """
-    slope, roughness, ratio = (np.asarray(a, dtype=np.float64) for a in (slope, roughness, ratio))
-    exceptions = np.log10(np.maximum(ratio, _LEAST_RATIO) / _LEAST_RATIO)
+    slope, roughness = (np.asarray(a, dtype=np.float64) for a in (slope, roughness))
+    whole, middle = (
+        np.log10(np.maximum(np.asarray(r, dtype=np.float64), _LEAST_RATIO) / _LEAST_RATIO)
+        for r in (ratio, near)
+    )
     rough = np.log(np.maximum(roughness, 1e-3))
-    return np.column_stack((np.ones(len(slope)), exceptions, slope, rough, exceptions**2, rough**2))
+    return np.column_stack(
+        (np.ones(len(slope)), whole, middle, slope, rough, whole**2, middle**2, rough**2)
+    )
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class SafetyModel:
     Attributes
     ----------
     weights
-        (6,).
+        One a feature.
     note
         Where they come from.
     """
@@ -54,9 +59,11 @@ class SafetyModel:
     weights: tuple[float, ...]
     note: str = ""
 
-    def probability(self, slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike) -> Array:
+    def probability(
+        self, slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike, near: ArrayLike
+    ) -> Array:
         """Return the probability of landing safely (n,); arguments as in `features`."""
-        return np.asarray(expit(features(slope, roughness, ratio) @ np.array(self.weights)))
+        return np.asarray(expit(features(slope, roughness, ratio, near) @ np.array(self.weights)))
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
@@ -81,16 +88,21 @@ class SafetyModel:
             model = cls(tuple(float(w) for w in data["weights"]), str(data.get("note", "")))
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("sites.calibration", name, f"a calibration file ({error})") from None
-        if len(model.weights) != features([0], [0], [0]).shape[1]:
+        if len(model.weights) != features([0], [0], [0], [0]).shape[1]:
             raise InputError("sites.calibration", name, "as many weights as there are features")
         return model
 
 
 def fit_safety(
-    slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike, safe: ArrayLike, note: str = ""
+    slope: ArrayLike,
+    roughness: ArrayLike,
+    ratio: ArrayLike,
+    near: ArrayLike,
+    safe: ArrayLike,
+    note: str = "",
 ) -> SafetyModel:
     """Fit a model to sites whose safety is known (n,), by maximum likelihood."""
-    x = features(slope, roughness, ratio)
+    x = features(slope, roughness, ratio, near)
     y = np.asarray(safe, dtype=np.float64)
     if not 0.0 < y.mean() < 1.0:
         raise InputError("calibration.safe", float(y.mean()), "both safe and unsafe sites")

@@ -133,6 +133,7 @@ class QuadtreeMapper:
             selection.slope[known] / s.slope_limit,
             selection.roughness[known] / s.roughness_limit,
             selection.ratio[known],
+            selection.near[known],
         )
         size = self.map.sizes(selection.nodes)
         p_safe = np.zeros(g.shape, np.float32)

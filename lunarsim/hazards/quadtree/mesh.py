@@ -74,6 +74,13 @@ class GroundMesh:
         self._index()
         return self._changed(*before)
 
+    def normals_of(self, nodes: Nodes) -> Array:
+        """Return the ground's unit normals (n, 3) at the centres of cells; NaN off the mesh."""
+        tree = self._map.tree
+        size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
+        x, y = (2 * tree.column[nodes] + 1) * size, (2 * tree.row[nodes] + 1) * size
+        return np.asarray(k.normals_at(x, y, self.arrays))
+
     def _triangulate(self) -> IntArray:
         """Triangulate the nodes, in an order that depends on their places alone."""
         if len(self.xy) < 3:

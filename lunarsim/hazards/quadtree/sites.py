@@ -16,6 +16,8 @@ from lunarsim.hazards.quadtree.tree import Nodes, QuadtreeMap
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# Width of the middle of a zone over that of the zone.
+_MIDDLE = 0.6
 # Meaning of a site's status.
 STATUS = (
     "eligible",
@@ -69,6 +71,8 @@ class Selection:
         (n,), rad; NaN without a ground plane.
     ratio
         Greatest exception ratio in the zone (n,); NaN where a cell of it has too few points.
+    near
+        The same in the middle of the zone, 0.6 of its width: about what the lander covers (n,).
     roughness
         (n,), m; NaN where not evaluated.
     status
@@ -84,6 +88,7 @@ class Selection:
     interest: Array
     slope: Array
     ratio: Array
+    near: Array
     roughness: Array
     status: NDArray[np.int8]
     score: Array
@@ -131,7 +136,7 @@ class SiteSelector:
         self._seen = np.zeros(size, np.int32)
         self._of_node = (
             np.full(size, np.nan), np.full(size, np.nan), np.full(size, np.nan),
-            np.full(size, k.NO_PLANE, np.int8),
+            np.full(size, np.nan), np.full(size, k.NO_PLANE, np.int8),
         )  # fmt: skip
 
     def update(self) -> Selection:
@@ -151,12 +156,12 @@ class SiteSelector:
         if size > len(self._seen):
             more = size - len(self._seen)
             self._seen = np.concatenate((self._seen, np.zeros(more, np.int32)))
-            fill = (np.nan, np.nan, np.nan, k.NO_PLANE)
-            cosine, roughness, ratio, status = (
+            fill = (np.nan, np.nan, np.nan, np.nan, k.NO_PLANE)
+            cosine, roughness, ratio, near, status = (
                 np.concatenate((a, np.full(more, v, a.dtype)))
                 for a, v in zip(self._of_node, fill, strict=True)
             )
-            self._of_node = (cosine, roughness, ratio, status)
+            self._of_node = (cosine, roughness, ratio, near, status)
 
     def _fresh(self, depth: int) -> IntArray:
         """Return the outlines of cells of a depth, or leaves above it, that got points."""
@@ -214,7 +219,7 @@ class SiteSelector:
             self.mesh.arrays,
             self.ratios,
             self._interest_of(nodes),
-            (np.cos(s.slope_limit), s.exception_limit, s.zone),
+            (np.cos(s.slope_limit), s.exception_limit, s.zone, _MIDDLE * s.zone),
             s.roughness == "printed",
             self._thorough,
             self._of_node,
@@ -230,7 +235,7 @@ class SiteSelector:
     def _select(self) -> Selection:
         s = self.settings
         nodes = self.map.band(*s.site_band)
-        cosine, roughness, ratio, status = (a[nodes] for a in self._of_node)
+        cosine, roughness, ratio, near, status = (a[nodes] for a in self._of_node)
         interest = self._interest_of(nodes)
         score = (
             s.weight_interest * (1.0 - interest)
@@ -250,7 +255,7 @@ class SiteSelector:
             )
             for i in best_apart(score, position[:, :2], s.count, s.separation)
         )
-        return Selection(nodes, position, interest, slope, ratio, roughness, status, score, ranked)
+        return Selection(nodes, position, interest, slope, ratio, near, roughness, status, score, ranked)
 
 
 def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:

@@ -1,0 +1,71 @@
+"""Work spread over processes, with results that do not depend on how many there are."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from typing import TypeVar
+
+import numba
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def _one_thread() -> None:
+    """Keep a worker to one thread: the processes share the cores."""
+    numba.set_num_threads(1)
+
+
+def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[tuple[int, R]]:
+    """Yield the index of each task and what `function` makes of it, as they come.
+
+    Few tasks wait at a time, so an interrupt ends soon; what was yielded before is good.
+
+    Parameters
+    ----------
+    function
+        Of the top level of a module, so that processes find it.
+    tasks
+        Its arguments.
+    jobs
+        Processes; 1: this one.
+    """
+    if jobs == 1:
+        for index, task in enumerate(tasks):
+            yield index, function(task)
+        return
+    # OpenGL contexts and Numba's thread pools do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread)
+    try:
+        waiting: dict[Future[R], int] = {}
+        queue = iter(enumerate(tasks))
+
+        def fill() -> None:
+            for index, task in queue:
+                waiting[pool.submit(function, task)] = index
+                if len(waiting) >= 2 * jobs:
+                    break
+
+        fill()
+        while waiting:
+            for future in wait(waiting, return_when=FIRST_COMPLETED)[0]:
+                yield waiting.pop(future), future.result()
+            fill()
+        pool.shutdown()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+def in_order(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[R]:
+    """Yield what `function` makes of the tasks, in their order; arguments as for `outcomes`."""
+    early: dict[int, R] = {}
+    due = 0
+    for index, result in outcomes(function, tasks, jobs):
+        early[index] = result
+        while due in early:
+            yield early.pop(due)
+            due += 1

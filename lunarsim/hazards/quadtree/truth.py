@@ -1,0 +1,76 @@
+"""The truth that the quadtree paper compares with: a coarse mesh, and what leaves its planes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+
+Array = NDArray[np.float64]
+
+
+class TruthMesh:
+    """Triangles between the means of squares of the true elevation (section 5).
+
+    Parameters
+    ----------
+    elevation
+        True elevation at full resolution (rows, cols), m.
+    grid
+        Places it.
+    spacing
+        Side of the squares, m: 2 lambda_z in the paper. It is rounded to whole cells.
+    """
+
+    def __init__(self, elevation: ArrayLike, grid: Grid, spacing: float) -> None:
+        z = np.asarray(elevation, dtype=np.float64)
+        n = round(spacing / grid.posting)
+        rows, cols = grid.rows // n, grid.cols // n
+        if n < 1 or rows < 2 or cols < 2:
+            raise InputError(
+                "truth.spacing", spacing, f"from {grid.posting} m to half the side of the map"
+            )
+        self.spacing = n * grid.posting
+        self.z = z[: rows * n, : cols * n].reshape(rows, n, cols, n).mean(axis=(1, 3))
+        self.x0 = grid.x0 + 0.5 * (n - 1) * grid.posting
+        self.y0 = grid.y0 + 0.5 * (n - 1) * grid.posting
+
+    def plane(self, xy: ArrayLike) -> tuple[Array, Array]:
+        """Return the unit normals (..., 3) and heights (...,) of the mesh at points (..., 2).
+
+        NaN outside the outermost nodes. Between four nodes the diagonal runs from south-west to
+        north-east.
+        """
+        xy = np.asarray(xy, dtype=np.float64)
+        u = (xy[..., 0] - self.x0) / self.spacing
+        v = (xy[..., 1] - self.y0) / self.spacing
+        rows, cols = self.z.shape
+        inside = (u >= 0) & (u <= cols - 1) & (v >= 0) & (v <= rows - 1)
+        col = np.clip(np.floor(u), 0, cols - 2).astype(np.int64)
+        row = np.clip(np.floor(v), 0, rows - 2).astype(np.int64)
+        u, v = u - col, v - row
+        a, b = self.z[row, col], self.z[row, col + 1]
+        c, d = self.z[row + 1, col], self.z[row + 1, col + 1]
+        lower = u >= v
+        east = np.where(lower, b - a, d - c)
+        north = np.where(lower, d - b, c - a)
+        height = np.where(inside, a + u * east + v * north, np.nan)
+        slope = np.stack((-east / self.spacing, -north / self.spacing, np.ones_like(east)), axis=-1)
+        normal = slope / np.linalg.norm(slope, axis=-1, keepdims=True)
+        return np.where(inside[..., None], normal, np.nan), height
+
+    def distance(self, elevation: ArrayLike, grid: Grid) -> Array:
+        """Return the orthogonal distance of each cell to the mesh (rows, cols), m, signed."""
+        normal, height = self.plane(grid.centres())
+        return np.asarray((np.asarray(elevation, dtype=np.float64) - height) * normal[..., 2])
+
+
+def truth_hazards(elevation: ArrayLike, grid: Grid, spacing: float, limit: float) -> Array:
+    """Return 1 where the ground leaves the mesh's planes by more than `limit` (m), else 0.
+
+    NaN where there is no mesh (rows, cols).
+    """
+    d = TruthMesh(elevation, grid, spacing).distance(elevation, grid)
+    return np.where(np.isnan(d), np.nan, (np.abs(d) > limit).astype(np.float64))

@@ -1,0 +1,260 @@
+"""Figures of the hazard field experiment: the counterparts of Figures 10 to 23 of the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch, Rectangle
+
+from lunarsim.viz.style import COLOURS, map_axes, new_figure, save, show
+
+GREY = "#bdbdbd"
+
+
+def draw_all(result: dict[str, Any], out: Path) -> None:
+    """Draw every figure of the experiment into a folder."""
+    last = result["looks"][-1]
+    draw_mapping(last, out / "mapping.png")
+    draw_slopes(last, out / "slopes.png")
+    draw_hazards(last, out / "hazards.png")
+    draw_quadtrees(result["looks"], out / "quadtree.png")
+    draw_sites(result["looks"], out / "sites.png")
+    draw_choice(last, out / "choice.png")
+    draw_navigation(result, out / "navigation.png")
+
+
+def _cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
+    """Draw square cells (n,) coloured by a value; those without one stay grey."""
+    known = np.isfinite(value)
+    boxes = [
+        Rectangle((x - 0.5 * s, y - 0.5 * s), s, s)
+        for (x, y), s in zip(xy[known], size[known], strict=True)
+    ]
+    limits = {k: options.pop(k) for k in ("vmin", "vmax") if k in options}
+    patches = PatchCollection(boxes, linewidth=0.0, antialiased=False, **options)
+    patches.set_array(value[known])
+    if limits:
+        patches.set_clim(limits["vmin"], limits["vmax"])
+    axes.add_collection(patches)
+    axes.set_facecolor(GREY)
+    return patches
+
+
+def _frame(axes: Any, maps: dict[str, Any], title: str) -> None:
+    map_axes(axes, title)
+    west, east, south, north = maps["fine"].extent
+    axes.set_xlim(west, east)
+    axes.set_ylim(south, north)
+
+
+def _terrain(axes: Any, maps: dict[str, Any]) -> Any:
+    low, high = np.nanpercentile(maps["elevation"], [0.2, 99.9])
+    return show(axes, maps["elevation"], maps["fine"], cmap="cividis", vmin=low, vmax=high)
+
+
+def draw_mapping(look: dict[str, Any], path: Path) -> None:
+    """Draw true and mapped elevation and the error between (paper, Figures 10 to 12)."""
+    maps = look["maps"]
+    xy, size, error, _ = maps["height"]
+    figure = new_figure(13.0, 4.4)
+    truth, mapped, wrong = figure.subplots(1, 3, sharex=True, sharey=True)
+    image = _terrain(truth, maps)
+    figure.colorbar(image, ax=truth, label="elevation (m)", shrink=0.8)
+    _frame(truth, maps, "truth")
+    low, high = image.get_clim()
+    cells = _cells(mapped, xy, size, maps["mapped"], cmap="cividis", vmin=low, vmax=high)
+    figure.colorbar(cells, ax=mapped, label="elevation (m)", shrink=0.8)
+    _frame(mapped, maps, f"map at {look['time']:.0f} s")
+    cells = _cells(wrong, xy, size, error, cmap="RdBu_r", vmin=-0.15, vmax=0.15)
+    figure.colorbar(cells, ax=wrong, label="map - truth (m)", shrink=0.8, extend="both")
+    _frame(wrong, maps, f"error, root mean square {look['map_error_rms']:.3f} m")
+    save(figure, path)
+
+
+def draw_slopes(look: dict[str, Any], path: Path) -> None:
+    """Draw slope estimates and their errors at the sites (paper, Figures 13 and 14)."""
+    maps = look["maps"]
+    selection, size = maps["selection"], maps["sizes"]
+    figure = new_figure(9.4, 4.4)
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    xy = selection.position[:, :2]
+    cells = _cells(left, xy, size, np.rad2deg(selection.slope), cmap="viridis", vmin=0.0, vmax=5.0)
+    figure.colorbar(cells, ax=left, label="slope (deg)", shrink=0.8, extend="max")
+    _frame(left, maps, f"slope of the ground planes at {look['time']:.0f} s")
+    cells = _cells(right, xy, size, maps["slope"], cmap="magma_r", vmin=0.0, vmax=2.0)
+    figure.colorbar(
+        cells, ax=right, label="angle to the true normal (deg)", shrink=0.8, extend="max"
+    )
+    _frame(right, maps, f"slope error, greatest {look['slope_error_max']:.1f} deg")
+    save(figure, path)
+
+
+def draw_hazards(look: dict[str, Any], path: Path) -> None:
+    """Draw exception ratio, hazards on the truth, and what is right (paper, Figures 15 to 17)."""
+    maps = look["maps"]
+    figure = new_figure(13.0, 4.9)
+    ratio, over, right = figure.subplots(1, 3, sharex=True, sharey=True)
+    raster, half = maps["ratios"], 0.5 * maps["side"]
+    cx, cy = maps["centre"][:2]
+    extent = (cx - half, cx + half, cy - half, cy + half)
+    ratio.set_facecolor(GREY)
+    image = ratio.imshow(
+        raster, origin="lower", extent=extent, interpolation="nearest", cmap="YlOrRd",
+        vmin=0.0, vmax=0.1,
+    )  # fmt: skip
+    figure.colorbar(image, ax=ratio, label="exceptions / points", shrink=0.8, extend="max")
+    _outline(ratio, raster > maps["limit"], extent)
+    _frame(ratio, maps, "exception ratio; hazards outlined")
+    image = _terrain(over, maps)
+    figure.colorbar(image, ax=over, label="true elevation (m)", shrink=0.8)
+    _outline(over, raster > maps["limit"], extent, colour="white")
+    _frame(over, maps, "hazards on the true ground")
+    estimated, hazard = maps["estimated"], maps["hazard"]
+    judged = np.isfinite(estimated) & np.isfinite(hazard)
+    classes = np.where(
+        judged, np.where(estimated == hazard, 0.0, np.where(estimated == 1.0, 1.0, 2.0)), np.nan
+    )
+    right.set_facecolor(GREY)
+    show(
+        right, classes, maps["fine"], cmap=ListedColormap(["#a6cee3", "#33a02c", "#e31a1c"]),
+        vmin=-0.5, vmax=2.5,
+    )  # fmt: skip
+    _frame(right, maps, "against the truth")
+    right.legend(
+        handles=[
+            Patch(color="#a6cee3", label="right"),
+            Patch(color="#33a02c", label=f"called hazard, safe: {look['false_m2']:.0f} m²"),
+            Patch(color="#e31a1c", label=f"hazard missed: {look['missed_m2']:.1f} m²"),
+            Patch(color=GREY, label="too few points"),
+        ],
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.16),
+        ncols=2,
+    )
+    save(figure, path)
+
+
+def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None:
+    """Draw the edges of hazardous squares."""
+    west, east, south, north = extent
+    rows, cols = hazard.shape
+    dx, dy = (east - west) / cols, (north - south) / rows
+    padded = np.pad(hazard, 1)
+    lines = []
+    for row, col in zip(*np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1]), strict=True):
+        x = west + col * dx
+        lines.append([(x, south + row * dy), (x, south + (row + 1) * dy)])
+    for row, col in zip(*np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1]), strict=True):
+        y = south + row * dy
+        lines.append([(west + col * dx, y), (west + (col + 1) * dx, y)])
+    axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.7))
+
+
+def draw_quadtrees(looks: list[dict[str, Any]], path: Path) -> None:
+    """Draw the divisions of the quadtree (paper, Figures 19 and 20)."""
+    figure = new_figure(9.6, 5.0)
+    for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
+        xy, size = look["maps"]["cells"]
+        half = 0.5 * size[:, None, None]
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
+        axes.add_collection(
+            LineCollection(xy[:, None, :] + half * corners, colors="black", linewidths=0.15)
+        )
+        _frame(axes, look["maps"], f"quadtree at {look['time']:.0f} s, to the 8th division")
+    save(figure, path)
+
+
+def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
+    zone = look["maps"]["zone"]
+    for rank, site in enumerate(look["sites"]):
+        x, y = site["position"][:2]
+        colour = COLOURS[(rank + 1) % len(COLOURS)]
+        label = (
+            f"{rank + 1}: score {site['score']:.2f}, {site['propellant']:.0f} kg"
+            if legend
+            else None
+        )
+        axes.plot(x, y, "o", color=colour, ms=4, mec="white", mew=0.5, label=label)
+        box = Rectangle((x - zone, y - zone), 2 * zone, 2 * zone, fill=False, ec=colour, lw=1.6)
+        axes.add_patch(box)
+    if legend and look["sites"]:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, title="site")
+
+
+def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
+    """Draw the ranked sites on the true ground while and after it is swept (Figures 21 and 22)."""
+    figure = new_figure(10.4, 5.8)
+    for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
+        maps = look["maps"]
+        image = _terrain(axes, maps)
+        half = 0.5 * maps["side"]
+        cx, cy = maps["centre"][:2]
+        extent = (cx - half, cx + half, cy - half, cy + half)
+        _outline(axes, maps["ratios"] > maps["limit"], extent, colour="white")
+        grey = np.where(np.isnan(maps["ratios"]), 1.0, np.nan)
+        axes.imshow(grey, origin="lower", extent=extent, cmap=ListedColormap([GREY]), alpha=0.75)
+        _sites(axes, look, legend=True)
+        figure.colorbar(image, ax=axes, label="true elevation (m)", shrink=0.8)
+        _frame(axes, maps, f"sites at {look['time']:.0f} s (grey: not seen)")
+    save(figure, path)
+
+
+def draw_choice(look: dict[str, Any], path: Path) -> None:
+    """Draw the sites on the true hazards and on the interest (paper, Figures 18 and 23)."""
+    maps = look["maps"]
+    figure = new_figure(10.0, 4.9)
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    left.set_facecolor(GREY)
+    show(
+        left, maps["hazard"], maps["fine"], cmap=ListedColormap(["#a6cee3", "#e31a1c"]),
+        vmin=-0.5, vmax=1.5,
+    )  # fmt: skip
+    _sites(left, look, legend=False)
+    _frame(left, maps, "sites and true hazards")
+    left.legend(
+        handles=[Patch(color="#a6cee3", label="safe"), Patch(color="#e31a1c", label="hazard"),
+                 Patch(color=GREY, label="no truth mesh")],
+        loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3,
+    )  # fmt: skip
+    interest = maps["interest"]
+    image = show(right, interest.value, interest.grid, cmap="RdYlBu", vmin=0.0, vmax=1.0)
+    figure.colorbar(image, ax=right, label="interest", shrink=0.8)
+    _sites(right, look, legend=False)
+    _frame(right, maps, "sites and interest")
+    save(figure, path)
+
+
+def draw_navigation(result: dict[str, Any], path: Path) -> None:
+    """Draw the errors of navigation and what the filter makes of them."""
+    track = result["track"]
+    figure = new_figure(9.6, 5.4)
+    panels = figure.subplots(2, 1, sharex=True)
+    for axes, first, names, scale, unit in (
+        (panels[0], 1, ("east", "north", "up"), 1.0, "position error (m)"),
+        (panels[1], 4, ("body x", "body y", "body z"), np.rad2deg(1.0), "attitude error (deg)"),
+    ):
+        for k, name in enumerate(names):
+            axes.semilogy(
+                track[:, 0], np.abs(track[:, first + k]) * scale, color=COLOURS[k], lw=1.0,
+                label=name,
+            )  # fmt: skip
+            axes.semilogy(
+                track[:, 0], track[:, first + 6 + k] * scale, color=COLOURS[k], ls="--", lw=1.0
+            )
+        for time, name in result["events"]:
+            if time <= track[-1, 0]:
+                axes.axvline(time, color="black", lw=0.8)
+                axes.annotate(
+                    name, (time, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -10),
+                    textcoords="offset points",
+                )  # fmt: skip
+        axes.set_ylabel(unit)
+        axes.grid(alpha=0.3)
+        axes.legend(ncols=3, loc="upper right")
+    panels[0].set_title("size of the error (solid) and the filter's 1 sigma (dashed)")
+    panels[1].set_xlabel("time (s)")
+    save(figure, path)

@@ -1,0 +1,160 @@
+"""From slope, roughness and exceptions to a probability: measured on simulated hazard fields.
+
+Flies the LiDAR sweep over fields of few and of many boulders, looks at every site that the quadtree
+holds afterwards, and fits the probability that the lander would be exactly safe there. Every fourth
+field is kept out of the fit and draws the reliability diagram.
+
+python scenarios/quadtree_calibration.py --fields 24 --jobs 2 --out out/calibration
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from lunarsim.campaign.pool import in_order
+from lunarsim.hazards.quadtree import SafetyModel, fit_safety
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.viz.style import COLOURS, new_figure, save
+
+HERE = Path(__file__).parent
+# Fields differ in what lies on them, so that neither kind of site is rare.
+BOULDERS = (60, 150, 300, 500)
+EDGES = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
+
+
+@dataclass(frozen=True)
+class Task:
+    """One sweep."""
+
+    field: int
+    seed: int
+
+
+def sweep(task: Task) -> dict[str, Any]:
+    """Fly one sweep and return features and truth of the sites (n,) that it saw whole."""
+    base = Scenario.load(HERE / "morpheus.toml")
+    boulders = BOULDERS[task.field % len(BOULDERS)]
+    terrain = base.terrain.model_copy(update={"boulders": boulders})
+    scenario = base.model_copy(update={"terrain": terrain})
+    simulation = Simulation(scenario, flight_seed(task.seed, task.field))
+    while simulation.time < scenario.sweep.duration_s + 0.2 and not simulation.done:
+        simulation.step()
+    selection = simulation.eyes.mapper.select()
+    seen = np.isfinite(selection.roughness)
+    # The map may lie beside the ground by what navigation errs.
+    error = simulation.navigation_error if not simulation.eyes.filter.found else np.zeros(3)
+    limits = simulation.eyes.mapper.selector.settings
+    return {
+        "slope": selection.slope[seen] / limits.slope_limit,
+        "roughness": selection.roughness[seen] / limits.roughness_limit,
+        "ratio": selection.ratio[seen],
+        "near": selection.near[seen],
+        "safe": simulation.truth.safe_at(selection.position[seen, :2] - error[:2]),
+    }
+
+
+def reliability(p: np.ndarray, safe: np.ndarray) -> np.ndarray:
+    """Return mean probability, share of safe sites and number by bin of probability (bins, 3)."""
+    which = np.clip(np.digitize(p, EDGES) - 1, 0, len(EDGES) - 2)
+    rows = []
+    for b in range(len(EDGES) - 1):
+        mine = which == b
+        n = int(mine.sum())
+        rows.append((p[mine].mean() if n else np.nan, safe[mine].mean() if n else np.nan, n))
+    return np.array(rows)
+
+
+def calibration_error(table: np.ndarray) -> float:
+    """Return the mean distance between probability and share, weighted by number (ECE)."""
+    full = table[:, 2] > 0
+    gap = np.abs(table[full, 0] - table[full, 1])
+    return float((gap * table[full, 2]).sum() / table[full, 2].sum())
+
+
+def draw(table: np.ndarray, fields: int, path: Path) -> None:
+    """Draw the reliability diagram with 95 % intervals."""
+    figure = new_figure(5.4, 5.6)
+    top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1)})
+    full = table[:, 2] > 0
+    p, share, n = table[full].T
+    half = 1.96 * np.sqrt(np.maximum(share * (1.0 - share), 0.25 / n) / n)
+    top.plot([0, 1], [0, 1], color="#999999", lw=1, label="perfect")
+    top.errorbar(p, share, half, fmt="o", color=COLOURS[0], capsize=2, label="fields not fitted")
+    top.set_ylabel("share of sites that are safe")
+    top.set_title(
+        f"Quadtree probability of safety, {fields} fields kept out "
+        f"(ECE {calibration_error(table):.3f})"
+    )
+    top.legend()
+    top.grid(alpha=0.3)
+    bottom.bar(EDGES[:-1], table[:, 2], np.diff(EDGES), align="edge", color=COLOURS[0])
+    bottom.set_yscale("log")
+    bottom.set_xlabel("probability of landing safely")
+    bottom.set_ylabel("sites")
+    save(figure, path)
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=4), default=24, show_default=True,
+              help="Fields; every fourth is kept out of the fit.")  # fmt: skip
+@click.option("--seed", type=int, default=7, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write the model to this file; the package's own is "
+                   "lunarsim/hazards/quadtree/calibration.json.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the diagram.")  # fmt: skip
+def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
+    """Fit the quadtree's probability of safety and judge it on fields kept out."""
+    console = Console(width=110)
+    tasks = [Task(field, seed) for field in range(fields)]
+    swept = list(
+        track(in_order(sweep, tasks, jobs), total=fields, console=console, description="sweeps")
+    )
+    # Every fourth in turn of the kinds: 0, 5, 10, 15, ...
+    out_of_fit = [i for i in range(fields) if i % 4 == (i // 4) % 4]
+    fitted = [i for i in range(fields) if i not in out_of_fit]
+
+    def joined(which: list[int]) -> dict[str, np.ndarray]:
+        return {key: np.concatenate([swept[i][key] for i in which]) for key in swept[0]}
+
+    train, test = joined(fitted), joined(out_of_fit)
+    note = (
+        f"scenarios/quadtree_calibration.py --fields {fields} --seed {seed}: "
+        f"{train['safe'].size} sites of {len(fitted)} fields"
+    )
+    model = fit_safety(**train, note=note)
+    p = model.probability(*(test[key] for key in ("slope", "roughness", "ratio", "near")))
+    table = reliability(p, test["safe"])
+    shown = Table(title=f"Reliability on {len(out_of_fit)} fields kept out")
+    for heading in ("probability", "mean", "share safe", "sites"):
+        shown.add_column(heading, justify="right")
+    for (low, high), row in zip(zip(EDGES[:-1], EDGES[1:], strict=True), table, strict=True):
+        shown.add_row(f"{low:.2f}-{high:.2f}", f"{row[0]:.3f}", f"{row[1]:.3f}", f"{row[2]:.0f}")
+    console.print(shown)
+    called = p > 0.5
+    console.print(
+        f"expected calibration error {calibration_error(table):.4f}; at 0.5: precision "
+        f"{test['safe'][called].mean():.4f}, recall {called[test['safe']].mean():.4f}; "
+        f"{test['safe'].mean():.3f} of {p.size} sites are safe"
+    )
+    console.print("weights " + ", ".join(f"{w:.4f}" for w in model.weights))
+    if target is not None:
+        model.save(target)
+    if out is not None:
+        draw(table, len(out_of_fit), out / "reliability.png")
+
+
+if __name__ == "__main__":
+    main()
