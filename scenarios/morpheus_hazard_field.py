@@ -219,9 +219,7 @@ def confused(
     col = np.floor((fine.x - corner[0]) / square).astype(int)
     row = np.floor((fine.y - corner[1]) / square).astype(int)
     ratio = ratios[np.ix_(row, col)]
-    estimated = np.where(
-        np.isnan(ratio), np.nan, ratio > mapper.selector.settings.exception_limit
-    )
+    estimated = np.where(np.isnan(ratio), np.nan, ratio > mapper.selector.settings.exception_limit)
     judged = np.isfinite(estimated) & np.isfinite(hazard)
     area = fine.posting**2
     called, true = estimated == 1.0, hazard == 1.0
@@ -235,9 +233,9 @@ def confused(
 
 def zone_hazard(position: np.ndarray, hazard: np.ndarray, fine: Grid, zone: float) -> float:
     """Return the area of true hazard in a landing zone, m^2."""
-    near = (np.abs(fine.x - position[0]) <= zone)[None, :] & (
-        np.abs(fine.y - position[1]) <= zone
-    )[:, None]
+    near = (np.abs(fine.x - position[0]) <= zone)[None, :] & (np.abs(fine.y - position[1]) <= zone)[
+        :, None
+    ]
     return float((hazard[near] == 1.0).sum() * fine.posting**2)
 
 

@@ -20,7 +20,7 @@ from rich.progress import track
 from rich.table import Table
 
 from lunarsim.campaign.pool import in_order
-from lunarsim.hazards.quadtree import SafetyModel, fit_safety
+from lunarsim.hazards.quadtree import fit_safety
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

@@ -314,9 +314,9 @@ class LidarInertialFilter:
             patch, window, g.posting, variance, p[:2, :2], np.full(2, -reach * g.posting),
             reach=s.feature_reach,
         )  # fmt: skip
-        if match is None or match.misfit > s.greatest_misfit:
+        if match is None:
             return False
-        if match.certainty < s.certainty:
+        if match.certainty < s.certainty or match.share < s.least_share:
             self._take_height(jacobian, match, float(p[2, 2]))
             return False
         information = np.linalg.inv(match.covariance)

@@ -212,8 +212,7 @@ def register(
         if result.used == 0:
             break
         step = (
-            covariance
-            @ np.linalg.solve(np.eye(6) + result.information @ covariance, result.vector)
+            covariance @ np.linalg.solve(np.eye(6) + result.information @ covariance, result.vector)
             - error
         )
         error = error + step
@@ -236,8 +235,8 @@ class Match:
         Of the shift (3, 3), m^2.
     certainty
         Probability that the patch lies within one and a half posts of there.
-    misfit
-        Mean square of the residuals there in units of their variance: about 1 where the map is right.
+    share
+        Of the posts that agree there.
     up, up_variance
         Mean and variance of the vertical shift over all places, by their probability, m and m^2: on
         level ground the height is known before the place.
@@ -246,7 +245,7 @@ class Match:
     shift: Array
     covariance: Array
     certainty: float
-    misfit: float
+    share: float
     up: float
     up_variance: float
 
@@ -339,6 +338,12 @@ class Patch:
         return cls(first, height.reshape(shape), level.reshape(shape), known)
 
 
+# Places by correlation that are looked at post by post.
+_CANDIDATES = 400
+# Share of a map's posts that may show another ground than there is, and the size of features, m.
+_CHANGED, _FEATURE = 0.05, 0.3
+
+
 def search(
     patch: Patch,
     elevation: Array,
@@ -352,9 +357,11 @@ def search(
 ) -> Match | None:
     """Find a patch on a map: the posterior over whole-post shifts.
 
-    For every shift the features of patch and map are compared, and judged against what the map would
-    show there if the patch lay elsewhere: a map's noise agrees with flat ground everywhere, and only
-    features tell. All shifts at once by correlation.
+    A matched filter, all shifts at once by correlation, proposes places. Each is then judged post by
+    post: how much likelier is what the map shows there if the patch lies there than if it does not?
+    A map's noise agrees with flat ground everywhere, so only features tell; and a post that shows
+    something else altogether, because the ground has changed since, counts against a place no more
+    than so many features it lacks.
 
     Parameters
     ----------
@@ -380,8 +387,8 @@ def search(
     match
         None if the patch is too small, or no shift puts all of it on the map.
     """
-    z, kept = patch.height, patch.known
-    h, covered_posts = high_pass(elevation, np.isfinite(elevation), reach)
+    kept = patch.known
+    h, posts = high_pass(elevation, np.isfinite(elevation), reach)
     total = float(kept.sum())
     if total < least:
         return None
@@ -390,48 +397,86 @@ def search(
     def slide(template: Array, image: Array) -> Array:
         return np.asarray(correlate(image, template, mode="valid", method="fft"))
 
-    covered = slide(weight, covered_posts.astype(np.float64)) > total - 0.5
+    covered = slide(weight, posts.astype(np.float64)) > total - 0.5
     if not covered.any():
         return None
-    energy = slide(weight, h * h)
-    square = energy - 2.0 * slide(z, h) + (z * z).sum()
-    # If the patch lay elsewhere, the map's window would be noise, or relief of the window's own
-    # strength: with that the window tells nothing unless it resembles the patch.
-    strength = np.maximum(energy / total, variance)
-    nothing = energy / strength + total * np.log(strength / variance)
-    square = np.where(covered, np.maximum(square, 0.0), np.inf)
     sy, sx = np.meshgrid(
-        np.arange(square.shape[0]) * posting + first[1],
-        np.arange(square.shape[1]) * posting + first[0],
+        np.arange(covered.shape[0]) * posting + first[1],
+        np.arange(covered.shape[1]) * posting + first[0],
         indexing="ij",
     )
     inverse = np.linalg.inv(prior)
     away = inverse[0, 0] * sx**2 + 2.0 * inverse[0, 1] * sx * sy + inverse[1, 1] * sy**2
-    log = -0.5 * (square / variance - nothing + away)
+    # What is higher than features get is not worth more than they.
+    proposal = slide(patch.height, np.clip(h, -_FEATURE, _FEATURE)) / variance - 0.5 * away
+    proposal[~covered] = -np.inf
+    count = min(_CANDIDATES, int(covered.sum()))
+    candidates = np.argpartition(proposal.ravel(), -count)[-count:]
+    row, col = np.unravel_index(np.sort(candidates), covered.shape)
+    rows, cols = np.nonzero(kept)
+    shown = h[row[:, None] + rows, col[:, None] + cols]
+    log = _evidence(patch.height[kept], shown, variance, float(np.mean(np.abs(h[posts]) > 0.3)))
+    log = log - 0.5 * away[row, col]
     p = np.exp(log - log.max())
     p /= p.sum()
-    best = np.unravel_index(int(np.argmax(p)), p.shape)
-    near = np.hypot(sx - sx[best], sy - sy[best]) <= 1.5 * posting + 1e-9
+    best = int(np.argmax(p))
+    x, y = sx[row, col], sy[row, col]
+    near = np.hypot(x - x[best], y - y[best]) <= 1.5 * posting + 1e-9
     certainty = float(p[near].sum())
     q = np.where(near, p, 0.0) / certainty
-    east, north = float((q * sx).sum()), float((q * sy).sum())
-    ground = slide(weight, np.where(covered_posts, elevation, 0.0)) / total
-    rise = np.where(covered, ground - patch.level[kept].mean(), 0.0)
-    up = float((p * rise).sum())
-    up_variance = float((p * (rise - up) ** 2).sum())
+    east, north = float(q @ x), float(q @ y)
+    agree = (shown[best] - patch.height[kept]) ** 2 <= 9.0 * variance
+    rise = elevation[row[best] + rows, col[best] + cols] - patch.level[kept]
     # A post's width is left open besides the spread of the posterior.
     covariance = np.diag(
         [
-            float((q * (sx - east) ** 2).sum()) + posting**2,
-            float((q * (sy - north) ** 2).sum()) + posting**2,
+            float(q @ (x - east) ** 2) + posting**2,
+            float(q @ (y - north) ** 2) + posting**2,
             variance / total + (0.4 * posting) ** 2,
         ]
     )
+    up, up_variance = _level(
+        slide(weight, np.where(posts, elevation, 0.0)) / total - patch.level[kept].mean(),
+        np.where(covered, np.exp(-0.5 * (away - away[covered].min())), 0.0),
+    )
     return Match(
-        np.array([east, north, float(rise[best])]),
+        np.array([east, north, float(np.median(rise[agree])) if agree.any() else up]),
         covariance,
         certainty,
-        float(square[best] / variance / total),
+        float(agree.mean()),
         up,
         up_variance,
     )
+
+
+def _evidence(patch: Array, shown: Array, variance: float, busy: float) -> Array:
+    """Return the log-likelihood ratio of places (c,): the patch lies there, or it does not.
+
+    Parameters
+    ----------
+    patch
+        Features scanned (m,), m.
+    shown
+        What the map shows at each place (c, m), m.
+    variance
+        Of the map's noise, m^2.
+    busy
+        Share of the map's posts that are features.
+    """
+    busy = float(np.clip(busy, 0.01, 0.5))
+    wide = variance + _FEATURE**2
+
+    def normal(x: Array, v: float) -> Array:
+        return np.asarray(np.exp(-0.5 * x * x / v) / np.sqrt(v))
+
+    elsewhere = (1.0 - busy) * normal(shown, variance) + busy * normal(shown, wide)
+    here = (1.0 - _CHANGED) * normal(shown - patch, variance) + _CHANGED * elsewhere
+    # Taking off the mean around couples the noise of neighbours: half of what independence gives.
+    return np.asarray(0.5 * np.log(here / elsewhere).sum(axis=1))
+
+
+def _level(rise: Array, weight: Array) -> tuple[float, float]:
+    """Return mean and variance of the vertical shift over all places, by their probability."""
+    weight = weight / weight.sum()
+    mean = float((weight * rise).sum())
+    return mean, float((weight * (rise - mean) ** 2).sum())

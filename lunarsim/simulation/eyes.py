@@ -294,7 +294,7 @@ class SweepEyes:
         """Return the map as it was judged last."""
         if self.mapper.selection is None:
             self.mapper.select()
-        return self.mapper.drawn
+        return self.mapper.last_map()
 
     @property
     def blank(self) -> bool:

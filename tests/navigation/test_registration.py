@@ -139,16 +139,18 @@ def test_a_fit_of_nothing_says_nothing():
 
 def patch_of(world, seed, shift, grid):
     rng = np.random.default_rng(seed)
-    scans = [scanned(world, rng, (x, y, 0.0)) for x in (-20.0, 0.0, 20.0) for y in (-15.0, 0.0, 15.0)]
+    scans = [
+        scanned(world, rng, (x, y, 0.0)) for x in (-20.0, 0.0, 20.0) for y in (-15.0, 0.0, 15.0)
+    ]
     return Patch.merged(
         [features_of(surface_of(s.points(POSITION, ATTITUDE) - shift, grid), 4) for s in scans]
     )
 
 
-def found_at(world, seed, shift, sigma=30.0, noise=0.1):
+def found_at(world, seed, shift, sigma=30.0, noise=0.1, stale=0.0):
     prior = survey(
         world.terrain, Grid.centred((0.0, 0.0), 200.0, 0.5), np.random.default_rng(seed),
-        sigma=noise,
+        sigma=noise, stale_share=stale,
     )  # fmt: skip
     patch = patch_of(world, seed, np.asarray(shift), prior.grid)
     first = -0.5 * np.array([patch.first[1], patch.first[0]])
@@ -162,13 +164,28 @@ def test_the_search_finds_what_was_moved(world, shift):
     match = found_at(world, 3, shift)
     assert match.certainty > 0.99999
     assert match.shift == pytest.approx(np.array(shift), abs=0.5)
-    assert match.misfit < 1.5
+    assert match.share > 0.95
     assert match.up == pytest.approx(shift[2], abs=0.3)
+
+
+def test_the_search_is_not_misled_by_patches_out_of_date(world):
+    for seed in range(8):
+        match = found_at(world, seed, (10.0, -20.0, 3.0), stale=0.15)
+        if match.certainty > 0.99999:
+            assert match.shift == pytest.approx(np.array([10.0, -20.0, 3.0]), abs=0.6)
+    assert (
+        sum(
+            found_at(world, seed, (10.0, -20.0, 3.0), stale=0.15).certainty > 0.99999
+            for seed in range(8)
+        )
+        >= 4
+    )
 
 
 def test_featureless_ground_is_not_found_but_its_height_is():
     level = World(
-        hazard_field(np.random.default_rng(8), boulders=0, craters=0, swell=0.1, grass_sigma=0.0), 9.81
+        hazard_field(np.random.default_rng(8), boulders=0, craters=0, swell=0.1, grass_sigma=0.0),
+        9.81,
     )
     for seed in range(5):
         match = found_at(level, seed, (5.0, 5.0, 12.0))

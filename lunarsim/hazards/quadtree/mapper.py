@@ -73,11 +73,11 @@ class QuadtreeMapper:
         )
         self.selector = SiteSelector(self.map, settings, interest, thorough=True)
         self.selection: Selection | None = None
-        self._model = model or SafetyModel.default()
+        self._model = model
         self._hold_sigma = hold_sigma
         self._held: list[_Held] = []
         self._judged = -1
-        self.drawn = HazardMap.unobserved(grid)
+        self._drawn: HazardMap | None = HazardMap.unobserved(grid)
 
     @property
     def held(self) -> int:
@@ -116,20 +116,28 @@ class QuadtreeMapper:
         if self.selection is None or self._judged != self.map.version:
             self._judged = self.map.version
             self.selection = self.selector.update()
-            self.drawn = self._draw(self.selection)
+            self._drawn = None
         return self.selection
 
     def hazard_map(self) -> HazardMap:
         """Return the map as it stands."""
         self.select()
-        return self.drawn
+        return self.last_map()
+
+    def last_map(self) -> HazardMap:
+        """Return the map as it was when sites were last judged."""
+        if self._drawn is None:
+            assert self.selection is not None
+            self._drawn = self._draw(self.selection)
+        return self._drawn
 
     def _draw(self, selection: Selection) -> HazardMap:
         """Return the sites' probabilities on the grid: each cell has that of the site under it."""
         g, s = self.grid, self.selector.settings
         known = np.isfinite(selection.roughness)
         p = np.zeros(len(known))
-        p[known] = self._model.probability(
+        model = self._model or SafetyModel.default()
+        p[known] = model.probability(
             selection.slope[known] / s.slope_limit,
             selection.roughness[known] / s.roughness_limit,
             selection.ratio[known],

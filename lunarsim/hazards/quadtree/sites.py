@@ -255,7 +255,9 @@ class SiteSelector:
             )
             for i in best_apart(score, position[:, :2], s.count, s.separation)
         )
-        return Selection(nodes, position, interest, slope, ratio, near, roughness, status, score, ranked)
+        return Selection(
+            nodes, position, interest, slope, ratio, near, roughness, status, score, ranked
+        )
 
 
 def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:

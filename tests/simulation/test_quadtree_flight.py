@@ -1,0 +1,149 @@
+"""The closed loop by LiDAR sweep: lock, sites, policy, touchdown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.conftest import ROOT
+
+
+def scenario(**changes):
+    base = Scenario.load(ROOT / "scenarios" / "morpheus.toml").model_dump(
+        mode="json", exclude_none=True
+    )
+    small = {
+        "terrain": {"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
+        "start": {"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
+        "guidance": {"time_to_go_s": 30.0},
+        "sweep": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0},
+        "prior": {"size_m": 180.0},
+        "lidar": {"half_width": 0.025},
+        "mapper": {"size_m": 64.0},
+        "navigation": {"position_bias_m": 8.0},
+        "simulation": {"cycle_s": 0.1},
+        "decisions": {"first_altitude_m": 80.0},
+    }
+    for change in (small, changes):
+        for table, values in change.items():
+            base[table] = base.get(table, {}) | values
+    return Scenario.from_dict(base)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    simulation = Simulation(scenario(), 2, "safest")
+    return simulation, simulation.run()
+
+
+def test_a_policy_lands_on_the_quadtree(flown):
+    simulation, flight = flown
+    assert flight.verdict.safe, flight.verdict
+    names = [event["name"] for event in flight.events]
+    assert names[0] == "lock"
+    assert len(flight.decisions)
+    hazard_map = flight.hazard_map
+    assert hazard_map.observed.mean() > 0.3
+    # The map lies in the frame of the ground: no offset is left.
+    assert np.array_equal(flight.map_error, np.zeros(3))
+    touchdown = flight.verdict.touchdown.position
+    assert np.linalg.norm(touchdown[:2] - simulation.site[:2]) < 0.7
+
+
+def test_the_map_tells_safe_from_unsafe(flown):
+    simulation, flight = flown
+    hazard_map = flight.hazard_map
+    safe = simulation.truth.safe_at(hazard_map.grid.centres())
+    seen = hazard_map.observed
+    assert hazard_map.p_safe[seen & safe].mean() > hazard_map.p_safe[seen & ~safe].mean() + 0.2
+    ground = simulation.world.terrain.relief
+    z = type(simulation.world.terrain)(ground).elevation(hazard_map.grid.centres())
+    gap = hazard_map.elevation - z
+    assert np.nanmedian(np.abs(gap[np.isfinite(hazard_map.elevation)])) < 0.05
+
+
+def test_the_estimate_is_as_good_as_it_says(flown):
+    simulation, _ = flown
+    error = simulation.navigation_error
+    sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
+    assert (np.abs(error) < 4.0 * sigma + 0.05).all()
+    assert np.linalg.norm(error) < 0.5
+
+
+def test_two_flights_of_a_seed_are_the_same():
+    short = scenario(simulation={"max_time_s": 2.0})
+    a, b = (Simulation(short, 5, "safest") for _ in range(2))
+    a.run()
+    b.run()
+    assert np.array_equal(a.estimate.position, b.estimate.position)
+    assert np.array_equal(a.eyes.mapper.map.points, b.eyes.mapper.map.points)
+
+
+def test_scans_wait_for_the_lock_and_are_placed_after_it():
+    simulation = Simulation(scenario(), 2)
+    held = 0
+    while not simulation.eyes.filter.locked:
+        assert simulation.eyes.mapper.map.count == 0
+        held = max(held, simulation.eyes.mapper.held)
+        simulation.step()
+        assert simulation.time < 9.0
+    assert held > 0
+    for _ in range(10):
+        simulation.step()
+    assert simulation.eyes.mapper.held == 0
+    assert simulation.eyes.mapper.map.count > 0
+    at_once = Simulation(scenario(sites={"hold_sigma_m": 1e9}), 2)
+    at_once.step()
+    assert at_once.eyes.mapper.held == 0
+    assert at_once.eyes.mapper.map.count > 0
+
+
+def test_no_site_is_an_answer_too():
+    # No ground is even enough: the policy gets a map on which nothing is worth aiming at.
+    strict = scenario(
+        sites={"slope_limit_deg": 1e-3}, simulation={"max_time_s": 9.0},
+        decisions={"first_altitude_m": 400.0},
+    )  # fmt: skip
+    simulation = Simulation(strict, 2, "safest")
+    simulation.run()
+    selection = simulation.eyes.mapper.select()
+    assert selection.ranked == ()
+    assert len(selection.nodes) > 100
+    # Without a lock there is no map at all, and the lander still flies on.
+    blind = Simulation(
+        scenario(prior={"offset_m": [0.0, 0.0, 500.0]}, simulation={"max_time_s": 4.0},
+                 decisions={"first_altitude_m": 400.0}), 2, "safest",
+    )  # fmt: skip
+    flight = blind.run()
+    assert flight.hazard_map is None
+    assert not blind.observe().hazard_map.observed.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"sweep": {"rate_hz": 30.0}}, "sweep.rate_hz"),
+        ({"sweep": {"dwell_rate_hz": 30.0}}, "sweep.dwell_rate_hz"),
+        ({"sweep": {"size_m": -1.0}}, "sweep.size_m"),
+        ({"prior": {"sigma_m": 0.0}}, "prior.sigma_m"),
+        ({"prior": {"size_m": 600.0}}, None),
+        ({"prior": {"stale_share": 1.0}}, "prior.stale_share"),
+        ({"sites": {"zone_m": 0.0}}, "sites.zone_m"),
+        ({"sites": {"mesh_band_m": [3.2, 1.6]}}, "sites.mesh_band"),
+        ({"sites": {"least_m": 1e-9}}, "quadtree.least_m"),
+        ({"sites": {"split_count": 1}}, "sites.split_count"),
+        ({"mapper": {"size_m": 5.0}}, "mapper.size_m"),
+        ({"terrain": {"field_m": 900.0}}, "terrain.size_m"),
+    ],
+)
+def test_impossible_scenarios_are_refused(changes, field):
+    if field is None:
+        # A map larger than the ground is a map with an unknown edge.
+        simulation = Simulation(scenario(**changes), 1)
+        assert np.isnan(simulation.eyes.filter.prior.elevation).any()
+        return
+    with pytest.raises(InputError, match=field):
+        Simulation(scenario(**changes), 1)
