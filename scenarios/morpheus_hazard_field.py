@@ -198,7 +198,7 @@ def map_errors(
 
 
 def slope_errors(simulation: Simulation, selection: Selection, mesh: TruthMesh) -> np.ndarray:
-    """Return the angle between estimated and true normals at the sites (n,), deg; NaN off a mesh."""
+    """Return the angle between estimated and true normals at the sites (n,), deg; NaN off one."""
     estimated = simulation.eyes.mapper.selector.mesh.normals_of(selection.nodes)
     true, _ = mesh.plane(selection.position[:, :2])
     cosine = np.einsum("ij,ij->i", estimated, true)
@@ -312,7 +312,8 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
     for one in first["looks"]:
         sites = Table(title=f"Field {first['field']}: sites at {one['time']:.0f} s")
         for heading in ("rank", "east (m)", "north (m)", "score", "interest", "slope (deg)",
-                        "roughness (m)", "time-to-go (s)", "delta-v (m/s)", "propellant (kg)"):  # fmt: skip
+                        "roughness (m)", "time-to-go (s)", "delta-v (m/s)",
+                        "propellant (kg)"):  # fmt: skip
             sites.add_column(heading, justify="right")
         for rank, site in enumerate(one["sites"], 1):
             sites.add_row(
@@ -332,7 +333,7 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--hold/--no-hold", default=True, show_default=True,
-              help="Let scans wait for the lock, or map them at once as the paper does.")  # fmt: skip
+              help="Let scans wait for the lock, or map them at once (the paper).")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write all figures to this file.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,

@@ -10,6 +10,7 @@ python scenarios/quadtree_calibration.py --fields 24 --jobs 2 --out out/calibrat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +141,7 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
     shown = Table(title=f"Reliability on {len(out_of_fit)} fields kept out")
     for heading in ("probability", "mean", "share safe", "sites"):
         shown.add_column(heading, justify="right")
-    for (low, high), row in zip(zip(EDGES[:-1], EDGES[1:], strict=True), table, strict=True):
+    for (low, high), row in zip(pairwise(EDGES), table, strict=True):
         shown.add_row(f"{low:.2f}-{high:.2f}", f"{row[0]:.3f}", f"{row[1]:.3f}", f"{row[2]:.0f}")
     console.print(shown)
     called = p > 0.5

@@ -69,8 +69,8 @@ class RegistrationSettings:
     lost_s
         Without agreement for so long the lock is lost, s.
     odometry_postings
-        Least and greatest squares in which scans are compared with each other, m: a twenty-fourth of
-        a scan's width between them.
+        Least and greatest squares in which scans are compared with each other, m: a
+        twenty-fourth of a scan's width between them.
     odometry_sigma
         Of the difference of their heights there, m.
     key_share
@@ -126,9 +126,10 @@ class LidarInertialFilter:
     """Error-state filter: inertial samples carry it, LiDAR scans tie it to a map.
 
     Where a scan does not agree with the map it is compared with an earlier one (odometry; the pose
-    at that scan is part of the state), and the scans of the last seconds are searched for on the map. Once found, every
-    scan is fitted to the map. A post's error is the same whenever it is seen, so its k-th use
-    counts 1 / (k (k + 1)) of a full one: all uses together never count more than one.
+    at that scan is part of the state), and the scans of the last seconds are searched for on
+    the map. Once found, every scan is fitted to the map. A post's error is the same whenever
+    it is seen, so its k-th use counts 1 / (k (k + 1)) of a full one: all uses together never
+    count more than one.
 
     Parameters
     ----------
@@ -341,7 +342,7 @@ class LidarInertialFilter:
     # --- odometry -------------------------------------------------------------------------
 
     def _remember(self, scan: LidarScan, width: float) -> None:
-        """Keep this scan and the pose at it to compare later ones with, if the last kept is left."""
+        """Keep this scan and the pose at it for later ones, if the last kept is left behind."""
         if self._key is not None and self._shared >= self.settings.key_share:
             return
         posting = float(np.clip(width / 24.0, *self.settings.odometry_postings))

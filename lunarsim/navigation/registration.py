@@ -30,8 +30,8 @@ class Surface:
     position
         Middles of the squares at the scan's height there (m, 3), ENU, m.
     normal
-        (-dz/dx, -dz/dy, 1) of the scan (m, 3). It comes from the scan, not from the map, whose noise
-        would look like slope and make flat ground seem to tell where it is.
+        (-dz/dx, -dz/dy, 1) of the scan (m, 3). It comes from the scan, not from the map, whose
+        noise would look like slope and make flat ground seem to tell where it is.
     """
 
     col: IntArray
@@ -357,9 +357,9 @@ def search(
 ) -> Match | None:
     """Find a patch on a map: the posterior over whole-post shifts.
 
-    A matched filter, all shifts at once by correlation, proposes places. Each is then judged post by
-    post: how much likelier is what the map shows there if the patch lies there than if it does not?
-    A map's noise agrees with flat ground everywhere, so only features tell; and a post that shows
+    A matched filter, all shifts at once by correlation, proposes places. Each is then judged post
+    by post: how much likelier is what the map shows there if the patch lies there than if not? A
+    map's noise agrees with flat ground everywhere, so only features tell; and a post that shows
     something else altogether, because the ground has changed since, counts against a place no more
     than so many features it lacks.
 

@@ -16,7 +16,7 @@ from lunarsim.errors import InputError
 from lunarsim.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.hazards.hazard_map import HazardMap
 from lunarsim.hazards.quadtree import QuadtreeMapper
-from lunarsim.hazards.shadows import ShadowMapper, Shot
+from lunarsim.hazards.shadows import RockFilter, ShadowMapper, Shot
 from lunarsim.navigation.error_model import NavigationErrorModel
 from lunarsim.navigation.estimate import Estimate, Navigation
 from lunarsim.navigation.lidar_inertial import LidarInertialFilter
@@ -142,11 +142,18 @@ class CameraEyes:
         self.filtered = navigation_of(sim.scenario, sim.world, sim.state, sim.ground, sim.streams)
         self.navigation: Navigation = self.filtered
 
+    @property
+    def rocks(self) -> RockFilter:
+        """The filter that tracks rocks."""
+        found = self.filtered.filter
+        assert isinstance(found, RockFilter)
+        return found
+
     def settle(self, sim: Simulation) -> None:
         """Start again, with the same draws, about the attitude that the lander starts with."""
         self._start(sim)
         sim.estimate = self.navigation.update(sim.state, sim.time)
-        self.mapper = shadow_mapper_of(sim.scenario, sim.lander, sim.site, self.filtered.filter)
+        self.mapper = shadow_mapper_of(sim.scenario, sim.lander, sim.site, self.rocks)
 
     def look(self, sim: Simulation) -> None:
         """Take a picture of the site when one is due, and update filter and map."""

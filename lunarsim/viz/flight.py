@@ -171,7 +171,7 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
     show(panels[3], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     points = flight.scans
     if isinstance(simulation.eyes, CameraEyes):
-        _tracked_rocks(panels[3], simulation.eyes.filtered.filter, error)
+        _tracked_rocks(panels[3], simulation.eyes.rocks, error)
     if len(points):
         dots = panels[3].scatter(
             points[:, 0] - error[0],

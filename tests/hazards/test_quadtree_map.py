@@ -151,5 +151,5 @@ def test_all_points_in_one_place_end_in_one_least_cell():
 def test_impossible_maps_are_refused(arguments, field):
     with pytest.raises(InputError, match=field):
         QuadtreeMap(**({"centre": (0.0, 0.0), "side": 10.0} | arguments))
-    with pytest.raises(InputError, match="quadtree.points"):
+    with pytest.raises(InputError, match=r"quadtree\.points"):
         QuadtreeMap((0.0, 0.0), 10.0).insert(np.zeros((3, 2)))

@@ -118,9 +118,7 @@ def test_sites_follow_the_equations(form):
     # Hazard cells, Eqs. 3 to 5.
     hazard = quadtree.band(*s.hazard_band)
     truth = {}
-    for node, centre, size in zip(
-        hazard, quadtree.centres(hazard), quadtree.sizes(hazard), strict=True
-    ):
+    for centre, size in zip(quadtree.centres(hazard), quadtree.sizes(hazard), strict=True):
         normal = reference.steepest_plane(np.rint((centre - corner) / half), corners, mesh.normals)
         low, high = centre - 0.5 * size, centre + 0.5 * size
         mine = points[(points[:, :2] >= low).all(1) & (points[:, :2] < high).all(1)]
@@ -295,5 +293,5 @@ def test_truth_mesh_of_a_plane_is_the_plane():
     hazards = truth_hazards(z, grid, 5.0, 0.3)
     assert np.nansum(hazards) == 16
     assert np.isnan(hazards[0, 0])
-    with pytest.raises(InputError, match="truth.spacing"):
+    with pytest.raises(InputError, match=r"truth\.spacing"):
         TruthMesh(z, grid, 35.0)

@@ -234,10 +234,10 @@ def test_impossible_maps_are_refused():
     grid = Grid.centred((0.0, 0.0), 10.0, 1.0)
     flat = np.zeros(grid.shape)
     for elevation in (np.zeros((3, 3)), np.full(grid.shape, np.nan), np.full(grid.shape, np.inf)):
-        with pytest.raises(InputError, match="prior.elevation"):
+        with pytest.raises(InputError, match=r"prior\.elevation"):
             PriorMap(grid, elevation, 0.1)
-    with pytest.raises(InputError, match="prior.sigma_m"):
+    with pytest.raises(InputError, match=r"prior\.sigma_m"):
         PriorMap(grid, flat, 0.0)
     terrain = Terrain(hazard_field(np.random.default_rng(0), boulders=0, craters=0).relief)
-    with pytest.raises(InputError, match="prior.stale_share"):
+    with pytest.raises(InputError, match=r"prior\.stale_share"):
         survey(terrain, grid, np.random.default_rng(0), stale_share=1.0)

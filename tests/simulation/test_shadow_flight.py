@@ -59,7 +59,7 @@ def test_a_policy_lands_on_the_shadow_map(flown):
 
 def test_the_estimate_is_as_good_as_it_says(flown):
     simulation, _ = flown
-    f = simulation.eyes.filtered.filter
+    f = simulation.eyes.rocks
     error = simulation.state.velocity - f.inertial.velocity
     sigma = np.sqrt(np.diag(f.covariance)[3:6])
     assert (np.abs(error) < 5.0 * sigma + 0.02).all()

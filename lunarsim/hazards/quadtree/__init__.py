@@ -1,7 +1,7 @@
 """Quadtree map and the selection of landing sites on it.
 
-Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Resolution SLAM-Refined
-Map".
+Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Resolution
+SLAM-Refined Map".
 """
 
 from lunarsim.hazards.quadtree.calibration import SafetyModel, fit_safety

@@ -43,7 +43,7 @@ def _evenly_seen(tree, node, per_area):
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
         return tree.count[node] >= per_area * size * size
-    for q in range(4):
+    for q in range(4):  # noqa: SIM110  (compiled)
         if tree.count[tree.child[node] + q] < per_area * 0.25 * size * size:
             return False
     return True
@@ -427,7 +427,8 @@ def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, 
     interest
         Of each site (n,).
     limits
-        Least cosine of the slope, exception tolerance, half sides of the zone and of its middle (m).
+        Least cosine of the slope, exception tolerance, half sides of the zone and of its middle,
+        m.
     printed
         Roughness by Eq. 8 as printed, else root mean square.
     thorough

@@ -49,8 +49,8 @@ class QuadtreeMapper:
         Turns slope, roughness and exceptions into a probability; left out: the calibrated one.
     hold_sigma
         Scans whose ground is uncertain by more than this in any direction (1 sigma, m) wait until
-        navigation knows better, and are then placed anew. Infinite: taken as they come, so that what
-        was seen before the first lock is smeared by the drift, as in the paper.
+        navigation knows better, and are then placed anew. Infinite: taken as they come, so that
+        what was seen before the first lock is smeared by the drift, as in the paper.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class QuadtreeMapper:
         return len(self._held)
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose, or hold it; one without returns changes nothing."""
+        """Add a scan taken at the estimated pose, or hold it; without returns nothing changes."""
         seen = np.isfinite(measurement.range)
         if not seen.any():
             return
@@ -169,7 +169,7 @@ def _paint(
         mine = np.flatnonzero(size == half)
         col0 = np.floor(xy[mine, 0] / half).astype(np.int64)
         row0 = np.floor(xy[mine, 1] / half).astype(np.int64)
-        corner = (xy[mine[0]] - half * (np.array([col0[0], row0[0]]) + 0.5)) if len(mine) else 0.0
+        corner = xy[mine[0]] - half * (np.array([col0[0], row0[0]]) + 0.5)
         cols = np.floor((grid.x - corner[0]) / half).astype(np.int64)
         rows = np.floor((grid.y - corner[1]) / half).astype(np.int64)
         west, south = min(col0.min(), cols.min()), min(row0.min(), rows.min())

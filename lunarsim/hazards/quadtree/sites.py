@@ -235,7 +235,8 @@ class SiteSelector:
     def _select(self) -> Selection:
         s = self.settings
         nodes = self.map.band(*s.site_band)
-        cosine, roughness, ratio, near, status = (a[nodes] for a in self._of_node)
+        cosine, roughness, ratio, near = (np.asarray(a[nodes], float) for a in self._of_node[:4])
+        status = self._of_node[4][nodes]
         interest = self._interest_of(nodes)
         score = (
             s.weight_interest * (1.0 - interest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,13 +130,9 @@ class QuadtreeMap:
             grown[: self._points] = t.xyz[: self._points]
             t = t._replace(xyz=grown)
         if nodes > len(t.child):
-            t = t._replace(
-                **{name: _enlarged(getattr(t, name), nodes, self._used[0]) for name in _NODE_ARRAYS}
-            )
+            t = _with_room(t, _NODE_ARRAYS, nodes, self._used[0])
         if runs > len(t.start):
-            t = t._replace(
-                **{name: _enlarged(getattr(t, name), runs, self._used[1]) for name in _RUN_ARRAYS}
-            )
+            t = _with_room(t, _RUN_ARRAYS, runs, self._used[1])
         self.tree = t
 
     # --- size -----------------------------------------------------------------------------
@@ -153,13 +150,13 @@ class QuadtreeMap:
     @property
     def nbytes(self) -> int:
         """Memory in use, bytes; the arrays keep room for up to twice as many."""
-        nodes = sum(getattr(self.tree, name)[:1].nbytes for name in _NODE_ARRAYS)
+        nodes = sum(int(getattr(self.tree, name)[:1].nbytes) for name in _NODE_ARRAYS)
         return 12 * self._points + nodes * self._used[0] + 12 * self._used[1]
 
     @property
     def points(self) -> Array:
         """All points in the order of their coming, sorted within a batch (n, 3), ENU, m."""
-        return self.tree.xyz[: self._points] + self.centre
+        return np.asarray(self.tree.xyz[: self._points] + self.centre)
 
     # --- cells ----------------------------------------------------------------------------
 
@@ -220,11 +217,16 @@ class QuadtreeMap:
         count = self.tree.count[nodes]
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = self.tree.sums[nodes, 2] / count
-            return np.maximum(self.tree.sums[nodes, 8] / count - mean**2, 0.0)
+            return np.asarray(np.maximum(self.tree.sums[nodes, 8] / count - mean**2, 0.0))
 
 
 _NODE_ARRAYS = ("child", "depth", "column", "row", "count", "sums", "stamp", "head")
 _RUN_ARRAYS = ("start", "length", "following")
+
+
+def _with_room(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
+    arrays: dict[str, Any] = {name: _enlarged(getattr(tree, name), size, used) for name in names}
+    return tree._replace(**arrays)
 
 
 def _enlarged(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:

@@ -1,0 +1,310 @@
+"""One hazard field, one LiDAR sweep, two maps and the truth.
+
+The Gaussian DEM and the quadtree are given the same scans at the same estimated poses, and say
+where the lander would be safe; the exact safety of the true ground judges both. The paper of each
+compares with a simpler map of its own kind, never with the other.
+
+python scenarios/compare_mappers.py --fields 4 --out out/mappers
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from lunarsim.grid import Grid
+from lunarsim.hazards.gaussian_dem import fuse, gaussian_dem
+from lunarsim.hazards.quadtree import QuadtreeMapper, SiteSelector
+from lunarsim.hazards.safety import exact_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.navigation.estimate import Estimate
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.lidar import LidarScan
+from lunarsim.simulation import Simulation
+from lunarsim.simulation.build_quadtree import settings_of
+from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
+
+HERE = Path(__file__).parent
+# Of the common grid, m.
+POSTING = 0.2
+Scans = list[tuple[LidarScan, Estimate]]
+NAMES = {
+    "level": "Gaussian DEM, Eqs. 15-17",
+    "planes": "Gaussian DEM, support planes",
+    "quadtree": "quadtree",
+    "eligible": "quadtree, eligible sites (Table 1)",
+}
+
+
+@dataclass
+class Answer:
+    """What one mapper made of the scans.
+
+    Attributes
+    ----------
+    p_safe, observed
+        On the common grid (rows, cols).
+    build_s, judge_s
+        Time to take in all scans, and to judge the whole map once, s.
+    megabytes
+        Of what is kept between scans.
+    error
+        Root mean square of the mapped elevation against the true one, m.
+    """
+
+    p_safe: np.ndarray
+    observed: np.ndarray
+    build_s: float
+    judge_s: float
+    megabytes: float
+    error: float
+
+
+def sweep(field: int, seed: int, boulders: int) -> tuple[Simulation, Scans]:
+    """Fly the sweep over a field; return the simulation and its scans after the lock."""
+    base = Scenario.load(HERE / "morpheus.toml")
+    terrain = base.terrain.model_copy(update={"boulders": boulders})
+    simulation = Simulation(base.model_copy(update={"terrain": terrain}), flight_seed(seed, field))
+    scans: Scans = []
+    eyes = simulation.eyes
+
+    def keep(scan: LidarScan, estimate: Estimate) -> None:
+        if eyes.filter.locked:
+            scans.append((scan, estimate))
+
+    eyes.on_scan = keep
+    while simulation.time < base.sweep.duration_s and not simulation.done:
+        simulation.step()
+    return simulation, scans
+
+
+def by_gaussian_dem(simulation: Simulation, scans: Scans, grid: Grid) -> dict[str, Answer]:
+    """Return what the Gaussian DEM says, by the conservative test and by support planes."""
+    began = time.perf_counter()
+    dem = None
+    for scan, estimate in scans:
+        points = scan.points(estimate.position, estimate.attitude)
+        sigma = max(float(np.nanmedian(scan.sigma)), 1e-4)
+        new = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=scan.shape)
+        dem = new if dem is None else fuse(dem, new)
+    build = time.perf_counter() - began
+    seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
+    error = root_mean_square(seen - simulation.world.terrain.raster(grid))
+    megabytes = (dem.mean.nbytes + dem.variance.nbytes + dem.observed.nbytes) / 1e6
+    answers = {}
+    for name, judge in (("level", stochastic_safety), ("planes", plane_stochastic_safety)):
+        judge(seen, dem.variance, grid, simulation.lander)
+        began = time.perf_counter()
+        safety = judge(seen, dem.variance, grid, simulation.lander)
+        judged = time.perf_counter() - began
+        answers[name] = Answer(safety.p_safe, safety.observed, build, judged, megabytes, error)
+    return answers
+
+
+def by_quadtree(simulation: Simulation, scans: Scans, grid: Grid) -> dict[str, Answer]:
+    """Return what the quadtree says, as a probability and by the limits of the paper."""
+    scenario = simulation.scenario
+    mapper = QuadtreeMapper(
+        grid, settings_of(scenario), elevation=float(simulation.site[2]), hold_sigma=np.inf
+    )
+    began = time.perf_counter()
+    for scan, estimate in scans:
+        mapper.map.insert(scan.points(estimate.position, estimate.attitude))
+    build = time.perf_counter() - began
+    SiteSelector(mapper.map, mapper.selector.settings, thorough=True).update()  # loads kernels
+    began = time.perf_counter()
+    hazard_map = mapper.hazard_map()
+    judged = time.perf_counter() - began
+    selection = mapper.select()
+    good = np.zeros(grid.shape, np.float32)
+    row, col = grid.cell(selection.position[:, :2])
+    # A site is a cell of 0.8 m: its verdict holds for the cells of the grid that it covers.
+    half = round(0.5 * float(mapper.map.sizes(selection.nodes).min()) / grid.posting)
+    for dr in range(-half, half):
+        for dc in range(-half, half):
+            r, c = row + dr, col + dc
+            inside = (r >= 0) & (c >= 0) & (r < grid.rows) & (c < grid.cols)
+            good[r[inside], c[inside]] = selection.status[inside] == 0
+    truth = simulation.world.terrain.raster(grid)
+    fine = mapper.map.band(grid.posting, 2.0 * grid.posting)
+    r, c = grid.cell(mapper.map.centres(fine))
+    inside = (r >= 0) & (c >= 0) & (r < grid.rows) & (c < grid.cols)
+    gap = mapper.map.elevation(fine)[inside] - truth[r[inside], c[inside]]
+    megabytes, error = mapper.map.nbytes / 1e6, root_mean_square(gap)
+    return {
+        "quadtree": Answer(hazard_map.p_safe, hazard_map.observed, build, judged, megabytes, error),
+        "eligible": Answer(good, hazard_map.observed, build, judged, megabytes, error),
+    }
+
+
+def root_mean_square(x: np.ndarray) -> float:
+    """Return the root mean square of the finite numbers."""
+    return float(np.sqrt(np.nanmean(np.square(x))))
+
+
+def compare(field: int, seed: int, boulders: int) -> dict[str, Any]:
+    """Return figures by mapper, and the maps."""
+    simulation, scans = sweep(field, seed, boulders)
+    own = simulation.eyes.mapper.grid
+    middle = (0.5 * (own.x[0] + own.x[-1]), 0.5 * (own.y[0] + own.y[-1]))
+    grid = Grid.centred(middle, own.cols * own.posting, POSTING)
+    if not scans:
+        return {"field": field, "scans": 0, "rows": {}}
+    answers = by_gaussian_dem(simulation, scans, grid) | by_quadtree(simulation, scans, grid)
+    elevation = simulation.world.terrain.raster(grid)
+    began = time.perf_counter()
+    truth = exact_safety(elevation, grid, simulation.lander)
+    took = time.perf_counter() - began
+    # Where all have something to say.
+    common = truth.observed.copy()
+    for answer in answers.values():
+        common &= answer.observed
+    rows = {}
+    for name, a in answers.items():
+        called, safe = a.p_safe[common] > 0.5, truth.safe[common]
+        rows[name] = {
+            "precision": float(safe[called].mean()) if called.any() else float("nan"),
+            "recall": float(called[safe].mean()),
+            "false_safe_m2": float((called & ~safe).sum() * grid.posting**2),
+            "observed_m2": float(a.observed.sum() * grid.posting**2),
+            "build_ms_a_scan": 1e3 * a.build_s / len(scans),
+            "judge_ms": 1e3 * a.judge_s,
+            "megabytes": a.megabytes,
+            "elevation_rms": a.error,
+        }
+    return {
+        "field": field, "scans": len(scans),
+        "points": int(sum(np.isfinite(s.range).sum() for s, _ in scans)),
+        "common_m2": float(common.sum() * grid.posting**2),
+        "safe_share": float(truth.safe[common].mean()), "truth_ms": 1e3 * took, "rows": rows,
+        "maps": (grid, elevation, truth, answers, common),
+    }  # fmt: skip
+
+
+def show_table(results: list[dict[str, Any]], console: Console) -> None:
+    """Print means over fields."""
+    good = [r for r in results if r["rows"]]
+    table = Table(
+        title=f"{len(good)} fields, {np.mean([r['scans'] for r in good]):.0f} scans and "
+        f"{np.mean([r['points'] for r in good]) / 1e6:.1f} million points each; judged on "
+        f"{np.mean([r['common_m2'] for r in good]):.0f} m2 that all observe, "
+        f"{100 * np.mean([r['safe_share'] for r in good]):.1f} % of it exactly safe"
+    )
+    headings = ("", "precision", "recall", "false safe (m2)", "observed (m2)", "a scan (ms)",
+                "whole map (ms)", "memory (MB)", "elevation rms (m)")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, label in NAMES.items():
+        mean = {k: np.nanmean([r["rows"][name][k] for r in good]) for k in good[0]["rows"][name]}
+        table.add_row(
+            label, f"{mean['precision']:.4f}", f"{mean['recall']:.4f}",
+            f"{mean['false_safe_m2']:.1f}", f"{mean['observed_m2']:.0f}",
+            f"{mean['build_ms_a_scan']:.1f}", f"{mean['judge_ms']:.1f}",
+            f"{mean['megabytes']:.1f}", f"{mean['elevation_rms']:.3f}",
+        )  # fmt: skip
+    truth = f"{np.mean([r['truth_ms'] for r in good]):.1f}"
+    table.add_row("exact, on the true ground", "1", "1", "0", "", "", truth, "", "0")
+    console.print(table)
+    console.print(
+        "A cell is called safe when its probability exceeds 0.5. The quadtree keeps every point, "
+        "the Gaussian DEM two rasters."
+    )
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """Draw the truth and what each mapper gets right."""
+    grid, elevation, truth, answers, common = result["maps"]
+    figure = new_figure(13.0, 8.2)
+    axes = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
+    shade = hillshade(elevation, grid.posting)
+    show(axes[0], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
+    low, high = np.nanpercentile(elevation, [0.5, 99.5])
+    image = show(axes[0], elevation, grid, cmap="cividis", alpha=0.5, vmin=low, vmax=high)
+    figure.colorbar(image, ax=axes[0], label="elevation (m)", shrink=0.8)
+    map_axes(axes[0], "true ground")
+    palette = ListedColormap(["#a6cee3", "#fdbf6f", "#e31a1c", "#8c8c8c"])
+    for panel, (name, label) in zip(axes[1:5], NAMES.items(), strict=True):
+        a = answers[name]
+        called = a.p_safe > 0.5
+        classes = np.full(grid.shape, np.nan)
+        seen = truth.observed & a.observed
+        classes[seen & truth.safe & called] = 0
+        classes[seen & truth.safe & ~called] = 1
+        classes[seen & ~truth.safe & called] = 2
+        classes[seen & ~truth.safe & ~called] = 3
+        panel.set_facecolor("white")
+        show(panel, classes, grid, cmap=palette, vmin=-0.5, vmax=3.5)
+        row = result["rows"][name]
+        map_axes(panel, f"{label}\nprecision {row['precision']:.3f}, recall {row['recall']:.3f}")
+    axes[5].remove()
+    panel = figure.add_subplot(2, 3, 6)
+    bins = np.linspace(0.0, 1.0, 21)
+    for name, colour in (("level", "#0072B2"), ("planes", "#009E73"), ("quadtree", "#D55E00")):
+        p, safe = answers[name].p_safe[common], truth.safe[common]
+        which = np.clip(np.digitize(p, bins) - 1, 0, 19)
+        n = np.bincount(which, minlength=20)
+        use = n >= 30
+        mean = np.bincount(which, p, 20)[use] / n[use]
+        share = np.bincount(which, safe, 20)[use] / n[use]
+        panel.plot(mean, share, "o-", color=colour, ms=4, label=NAMES[name])
+    panel.plot([0, 1], [0, 1], color="#999999", lw=1)
+    panel.set_box_aspect(1)
+    panel.set_xlabel("probability of safety")
+    panel.set_ylabel("share exactly safe")
+    panel.set_title("reliability")
+    panel.legend()
+    figure.legend(
+        handles=[
+            Patch(color="#a6cee3", label="safe, called safe"),
+            Patch(color="#fdbf6f", label="safe, called unsafe"),
+            Patch(color="#e31a1c", label="unsafe, called safe"),
+            Patch(color="#8c8c8c", label="unsafe, called unsafe"),
+            Patch(fc="white", ec="black", label="not observed"),
+        ],
+        loc="outside lower center",
+        ncols=5,
+    )
+    save(figure, path)
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=1), default=2, show_default=True,
+              help="Hazard fields.")  # fmt: skip
+@click.option("--boulders", type=click.IntRange(min=0), default=300, show_default=True,
+              help="On each field.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write all figures to this file.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the picture of the first field.")  # fmt: skip
+def main(fields: int, boulders: int, seed: int, json_file: Path | None, out: Path | None) -> None:
+    """Give both mappers the same scans and judge them by the exact safety."""
+    console = Console(width=150)
+    results = [
+        compare(field, seed, boulders)
+        for field in track(range(fields), console=console, description="fields")
+    ]
+    if not any(r["rows"] for r in results):
+        raise click.ClickException("no flight found its place on the map: try other seeds")
+    show_table(results, console)
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        plain = [{k: v for k, v in r.items() if k != "maps"} for r in results]
+        json_file.write_text(json.dumps(plain, indent=1), encoding="utf-8")
+    if out is not None:
+        draw(next(r for r in results if r["rows"]), out / "mappers.png")
+
+
+if __name__ == "__main__":
+    main()
