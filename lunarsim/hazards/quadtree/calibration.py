@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 # Fewer exceptions than one in so many points cannot be told from none.
 _LEAST_RATIO = 1e-4
 # Ridge on the coefficients, so that a feature that separates the data does not run away.
-_RIDGE = 1e-3
+_RIDGE = 1e-5
 
 
 def features(slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike, near: ArrayLike) -> Array:

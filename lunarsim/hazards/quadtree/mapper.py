@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
@@ -144,43 +144,45 @@ class QuadtreeMapper:
             selection.near[known],
         )
         size = self.map.sizes(selection.nodes)
-        p_safe = np.zeros(g.shape, np.float32)
-        observed = np.zeros(g.shape, np.bool_)
-        elevation = np.full(g.shape, np.nan, np.float32)
-        _paint(
-            g, selection.position[:, :2], size, p, known, selection.position[:, 2],
-            (p_safe, observed, elevation),
-        )  # fmt: skip
-        return HazardMap(g, p_safe, observed, elevation)
+        xy = selection.position[:, :2]
+        return HazardMap(
+            g,
+            rasterised(g, xy, size, p, 0.0).astype(np.float32),
+            rasterised(g, xy, size, known, 0.0) > 0.0,
+            rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
+        )
 
 
-def _paint(
-    grid: Grid,
-    xy: Array,
-    size: Array,
-    p: Array,
-    known: NDArray[np.bool_],
-    z: Array,
-    out: tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]],
-) -> None:
-    """Write what cells (n,) know into the raster cells whose centres they hold."""
-    for half in np.unique(size):
+def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float) -> Array:
+    """Return the value of the cell under each centre of a grid (rows, cols).
+
+    Parameters
+    ----------
+    grid
+        The raster.
+    xy, size
+        Centres (n, 2) and sides (n,) of square cells that do not overlap, m.
+    value
+        Of each cell (n,).
+    fill
+        Where there is none.
+    """
+    out = np.full(grid.shape, fill)
+    value = np.asarray(value, dtype=np.float64)
+    for side in np.unique(size):
         # Cells of one size make a raster of their own: look up instead of filling.
-        mine = np.flatnonzero(size == half)
-        col0 = np.floor(xy[mine, 0] / half).astype(np.int64)
-        row0 = np.floor(xy[mine, 1] / half).astype(np.int64)
-        corner = xy[mine[0]] - half * (np.array([col0[0], row0[0]]) + 0.5)
-        cols = np.floor((grid.x - corner[0]) / half).astype(np.int64)
-        rows = np.floor((grid.y - corner[1]) / half).astype(np.int64)
+        mine = np.flatnonzero(size == side)
+        corner = xy[mine[0]] - 0.5 * side
+        col0, row0 = np.rint((xy[mine] - 0.5 * side - corner) / side).astype(np.int64).T
+        cols = np.floor((grid.x - corner[0]) / side + 1e-9).astype(np.int64)
+        rows = np.floor((grid.y - corner[1]) / side + 1e-9).astype(np.int64)
         west, south = min(col0.min(), cols.min()), min(row0.min(), rows.min())
         shape = (max(row0.max(), rows.max()) - south + 1, max(col0.max(), cols.max()) - west + 1)
         index = np.full(shape, -1, np.int64)
         index[row0 - south, col0 - west] = mine
         under = index[np.ix_(rows - south, cols - west)]
-        here = under >= 0
-        out[0][here] = p[under[here]]
-        out[1][here] = known[under[here]]
-        out[2][here] = z[under[here]]
+        out[under >= 0] = value[under[under >= 0]]
+    return out
 
 
 def ground_sigma(scan: LidarScan, estimate: Estimate) -> float:

@@ -1,0 +1,111 @@
+"""The scripts of the quadtree pipeline, on one small field."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.errors import InputError
+from lunarsim.hazards.quadtree import SafetyModel, fit_safety
+from tests.conftest import ROOT
+from tests.simulation.test_quadtree_flight import scenario
+
+sys.path.insert(0, str(ROOT / "scenarios"))
+
+
+@pytest.fixture
+def small(monkeypatch, tmp_path):
+    """A short sweep in the place of the paper's, read by the script named."""
+
+    def use(module):
+        scenario().save(tmp_path / "morpheus.toml")
+        monkeypatch.setattr(module, "HERE", tmp_path)
+        return module
+
+    return use
+
+
+def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path):
+    import morpheus_hazard_field
+
+    experiment = small(morpheus_hazard_field)
+    monkeypatch.setattr(experiment, "TIMES", (4.0, 8.0))
+    out, file = tmp_path / "out", tmp_path / "all.json"
+    arguments = ["--seed", "2", "--out", str(out), "--json", str(file)]
+    done = CliRunner().invoke(experiment.main, arguments)
+    assert done.exit_code == 0, done.output
+    assert "landing zones with a true hazard" in done.output
+    data = json.loads(file.read_text())
+    last = data["summary"]["looks"][-1]
+    assert data["summary"]["locked"] == 1
+    assert max(data["summary"]["position_rms_m"]) < 0.5
+    assert last["map_error_rms"] < 0.1
+    assert last["sites"] == 5
+    assert last["zones_with_hazard"] == 0
+    assert 0.0 < last["missed_m2"] + last["false_m2"] < 0.2 * last["judged_m2"]
+    for name in ("mapping", "slopes", "hazards", "quadtree", "sites", "choice", "navigation"):
+        assert (out / f"{name}.png").stat().st_size > 20_000
+    again = CliRunner().invoke(experiment.main, ["--seed", "2", "--json", str(tmp_path / "b.json")])
+    assert again.exit_code == 0
+    assert json.loads((tmp_path / "b.json").read_text()) == data
+    assert CliRunner().invoke(experiment.main, ["--fields", "0"]).exit_code == 2
+
+
+def test_mappers_are_compared_on_the_same_scans(small, tmp_path):
+    import compare_mappers
+
+    experiment = small(compare_mappers)
+    arguments = ["--fields", "1", "--boulders", "120", "--seed", "2"]
+    files = ["--json", str(tmp_path / "c.json"), "--out", str(tmp_path)]
+    done = CliRunner().invoke(experiment.main, arguments + files)
+    assert done.exit_code == 0, done.output
+    (result,) = json.loads((tmp_path / "c.json").read_text())
+    assert set(result["rows"]) == set(experiment.NAMES)
+    for row in result["rows"].values():
+        assert row["precision"] > 0.8
+        assert row["elevation_rms"] < 0.1
+    assert result["rows"]["eligible"]["recall"] < result["rows"]["quadtree"]["recall"]
+    assert (tmp_path / "mappers.png").stat().st_size > 20_000
+
+
+def test_calibration_recovers_a_known_law():
+    rng = np.random.default_rng(0)
+    n = 20_000
+    law = SafetyModel((2.0, -1.0, -0.5, -1.0, 0.0, 0.0, 0.0, 0.0))
+    sites = {
+        "slope": rng.random(n),
+        "roughness": rng.uniform(0.05, 1.0, n),
+        "ratio": 10.0 ** rng.uniform(-4.5, -0.5, n),
+        "near": 10.0 ** rng.uniform(-4.5, -0.5, n),
+    }
+    safe = rng.random(n) < law.probability(**sites)
+    found = fit_safety(**sites, safe=safe)
+    assert np.abs(found.probability(**sites) - law.probability(**sites)).mean() < 0.01
+    with pytest.raises(InputError, match=r"calibration\.safe"):
+        fit_safety(**sites, safe=np.ones(n))
+
+
+def test_calibration_files_are_checked(tmp_path):
+    model = SafetyModel.default()
+    model.save(tmp_path / "m.json")
+    assert SafetyModel.load(tmp_path / "m.json") == model
+    for text in ("", "{}", '{"weights": [1, 2]}', '{"weights": "x"}'):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(InputError, match=r"sites\.calibration"):
+            SafetyModel.load(tmp_path / "bad.json")
+
+
+def test_calibration_script_fits_and_judges(small, tmp_path):
+    import quadtree_calibration
+
+    experiment = small(quadtree_calibration)
+    arguments = ["--fields", "4", "--save", str(tmp_path / "m.json"), "--out", str(tmp_path)]
+    done = CliRunner().invoke(experiment.main, arguments)
+    assert done.exit_code == 0, done.output
+    assert "expected calibration error" in done.output
+    assert "4 --seed 7" in SafetyModel.load(tmp_path / "m.json").note
+    assert (tmp_path / "reliability.png").stat().st_size > 10_000
