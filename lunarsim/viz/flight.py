@@ -13,10 +13,13 @@ from matplotlib.patches import Circle, Patch
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.hazards.shadows import RockFilter
-from lunarsim.simulation.eyes import CameraEyes
+from lunarsim.simulation.eyes import CameraEyes, FlashEyes, SweepEyes
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.simulation import Simulation
 from lunarsim.viz.style import COLOURS, hillshade, map_axes, new_figure, save, show
+
+# What the squares on a descent stand for.
+_MARKED = {FlashEyes: "LiDAR scan", CameraEyes: "first picture", SweepEyes: "lock onto the map"}
 
 
 def draw_flight(simulation: Simulation, flight: Flight, folder: Path) -> None:
@@ -49,7 +52,7 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
     profile.plot(away, altitude, color=COLOURS[0], lw=1.8)
     last = np.argmax(t["phase"] > 0) if (t["phase"] > 0).any() else None
     for event in flight.events:
-        if event["name"] in {"scan", "first-picture"}:
+        if event["name"] in {"scan", "first-picture", "lock", "relock"}:
             i = int(np.argmin(np.abs(time - event["time"])))
             profile.plot(away[i], altitude[i], "s", color=COLOURS[2], ms=7)
     for decision in flight.decisions:
@@ -64,7 +67,7 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
             ls="",
             marker="s",
             color=COLOURS[2],
-            label="LiDAR scan" if not isinstance(simulation.eyes, CameraEyes) else "first picture",
+            label=_MARKED[type(simulation.eyes)],
         ),
         Line2D([], [], ls="", marker="D", color=COLOURS[1], label="divert"),
         Line2D([], [], ls="", marker="v", color="black", label="touchdown"),
@@ -189,6 +192,12 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
         else "rocks tracked by their shadows",
     )
 
+    if flight.hazard_map is not None:
+        x0, x1, y0, y1 = flight.hazard_map.grid.extent
+        if max(x1 - x0, y1 - y0) < 0.5 * max(east - west, north - south):
+            # The ground reaches far beyond what is mapped: show the map and some of the way to it.
+            aside = 0.25 * (x1 - x0)
+            west, east, south, north = x0 - aside, x1 + aside, y0 - aside, y1 + aside
     for panel in panels:
         _path_and_sites(panel, simulation, flight, error)
         panel.set_xlim(west, east)
