@@ -276,6 +276,9 @@ class SitesSection(Section):
     weight_slope: NonNegative = 1000.0
     weight_roughness: NonNegative = 100.0
     roughness: Literal["rms", "printed"] = "rms"
+    interest_path: Path | None = Field(
+        None, description="NumPy archive of value, x0, y0, posting, relative to the scenario file"
+    )
     count: int = Field(5, ge=1, description="sites on the scoreboard")
     separation_m: NonNegative = 5.0
     mesh_band_m: tuple[Positive, Positive] = Field((6.4, 12.8), description="cells of the mesh")
@@ -386,10 +389,12 @@ class Scenario(Section):
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError("scenario", str(path), f"a TOML file ({error})") from None
         scenario = cls.from_dict(data)
-        if scenario.terrain.path is not None:
-            absolute = (path.parent / scenario.terrain.path).resolve()
-            terrain = scenario.terrain.model_copy(update={"path": absolute})
-            scenario = scenario.model_copy(update={"terrain": terrain})
+        for table, key in (("terrain", "path"), ("sites", "interest_path")):
+            section = getattr(scenario, table)
+            relative = getattr(section, key)
+            if relative is not None:
+                section = section.model_copy(update={key: (path.parent / relative).resolve()})
+                scenario = scenario.model_copy(update={table: section})
         return scenario
 
     def to_toml(self) -> str:

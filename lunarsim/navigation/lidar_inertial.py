@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.navigation.estimate import Estimate
@@ -449,21 +448,3 @@ def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64
         assume_unique=True, return_indices=True,
     )  # fmt: skip
     return i, j
-
-
-def checked_prior(prior: PriorMap, centre: ArrayLike, half_side: float) -> PriorMap:
-    """Return the map, or raise InputError if it does not cover a square about `centre` (2,)."""
-    west, east, south, north = prior.grid.extent
-    x, y = np.asarray(centre, dtype=np.float64)[:2]
-    if (
-        x - half_side < west
-        or x + half_side > east
-        or y - half_side < south
-        or y + half_side > north
-    ):
-        raise InputError(
-            "prior.size_m",
-            (west, east, south, north),
-            f"a map that covers {2 * half_side:g} m about ({x:g}, {y:g})",
-        )
-    return prior

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.hazards.quadtree import QuadtreeMapper, SiteSettings
+from lunarsim.hazards.quadtree import InterestMap, QuadtreeMapper, SiteSettings
 from lunarsim.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.navigation.prior_map import PriorMap, survey
 from lunarsim.rng import Streams
@@ -81,11 +81,13 @@ def quadtree_mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray) -
     InputError
         If the map is smaller than the lander's footprint or its posting is too coarse.
     """
+    s = scenario.sites
     return QuadtreeMapper(
         build.map_grid(scenario, lander, centre),
         settings_of(scenario),
         elevation=float(centre[2]),
-        least=scenario.sites.least_m,
-        split_count=scenario.sites.split_count,
-        hold_sigma=scenario.sites.hold_sigma_m,
+        least=s.least_m,
+        split_count=s.split_count,
+        interest=None if s.interest_path is None else InterestMap.load(s.interest_path),
+        hold_sigma=s.hold_sigma_m,
     )

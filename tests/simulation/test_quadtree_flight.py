@@ -101,6 +101,27 @@ def test_scans_wait_for_the_lock_and_are_placed_after_it():
     assert at_once.eyes.mapper.map.count > 0
 
 
+def test_interest_comes_from_a_file(tmp_path):
+    grid = {"x0": -30.0, "y0": -30.0, "posting": 10.0}
+    np.savez(tmp_path / "west.npz", value=np.tile([1.0, 1, 1, 0, 0, 0, 0], (7, 1)), **grid)
+    given = scenario(sites={"interest_path": "west.npz"})
+    given.save(tmp_path / "s.toml")
+    simulation = Simulation(Scenario.load(tmp_path / "s.toml"), 2)
+    while simulation.time < 8.0:
+        simulation.step()
+    ranked = simulation.eyes.mapper.select().ranked
+    assert len(ranked) > 0
+    assert max(site.position[0] for site in ranked) < -5.0
+    (tmp_path / "none.npz").write_text("no archive")
+    for path in ("none.npz", "missing.npz"):
+        wrong = scenario(sites={"interest_path": str(tmp_path / path)})
+        with pytest.raises(InputError, match=r"sites\.interest_path"):
+            Simulation(wrong, 2)
+    np.savez(tmp_path / "high.npz", value=np.full((7, 7), 1.5), **grid)
+    with pytest.raises(InputError, match="interest"):
+        Simulation(scenario(sites={"interest_path": str(tmp_path / "high.npz")}), 2)
+
+
 def test_no_site_is_an_answer_too():
     # No ground is even enough: the policy gets a map on which nothing is worth aiming at.
     strict = scenario(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -110,6 +111,29 @@ class InterestMap:
         wrong = ~((value >= 0.0) & (value <= 1.0))
         if wrong.any():
             raise InputError("interest", float(value[wrong][0]), "numbers from 0 to 1")
+
+    @classmethod
+    def load(cls, path: Path) -> InterestMap:
+        """Read a NumPy archive that holds `value` (rows, cols), `x0`, `y0` and `posting`.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or holds something else.
+        """
+        try:
+            with np.load(path) as file:
+                value = np.asarray(file["value"], dtype=np.float64)
+                x0, y0, posting = (float(file[name]) for name in ("x0", "y0", "posting"))
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise InputError(
+                "sites.interest_path",
+                str(path),
+                f"a NumPy archive with value, x0, y0 and posting ({error})",
+            ) from None
+        if value.ndim != 2:
+            raise InputError("interest", value.shape, "an array of rows and columns")
+        return cls(Grid(x0, y0, posting, *value.shape), value)
 
     def at(self, xy: Array) -> Array:
         """Return the interest (n,) of points (n, 2)."""
