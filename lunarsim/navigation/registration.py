@@ -339,9 +339,11 @@ class Patch:
 
 
 # Places by correlation that are looked at post by post.
-_CANDIDATES = 400
-# Share of a map's posts that may show another ground than there is, and the size of features, m.
-_CHANGED, _FEATURE = 0.05, 0.3
+_CANDIDATES = 150
+# Share of a map that may show another ground than there is, by squares of so many posts.
+_CHANGED, _TILE = 0.1, 24
+# Size of features, m.
+_FEATURE = 0.3
 
 
 def search(
@@ -359,9 +361,8 @@ def search(
 
     A matched filter, all shifts at once by correlation, proposes places. Each is then judged post
     by post: how much likelier is what the map shows there if the patch lies there than if not? A
-    map's noise agrees with flat ground everywhere, so only features tell; and a post that shows
-    something else altogether, because the ground has changed since, counts against a place no more
-    than so many features it lacks.
+    map's noise agrees with flat ground everywhere, so only features tell; and where a part of the
+    map shows another ground altogether, because it is out of date, that part tells nothing.
 
     Parameters
     ----------
@@ -410,20 +411,22 @@ def search(
     # What is higher than features get is not worth more than they.
     proposal = slide(patch.height, np.clip(h, -_FEATURE, _FEATURE)) / variance - 0.5 * away
     proposal[~covered] = -np.inf
-    count = min(_CANDIDATES, int(covered.sum()))
-    candidates = np.argpartition(proposal.ravel(), -count)[-count:]
-    row, col = np.unravel_index(np.sort(candidates), covered.shape)
+    peaks = np.flatnonzero(covered & (proposal == ndimage.maximum_filter(proposal, 3)))
+    best_first = np.argsort(-proposal.ravel()[peaks], kind="stable")
+    row, col = np.unravel_index(peaks[best_first[:_CANDIDATES]], covered.shape)
     rows, cols = np.nonzero(kept)
     shown = h[row[:, None] + rows, col[:, None] + cols]
-    log = _evidence(patch.height[kept], shown, variance, float(np.mean(np.abs(h[posts]) > 0.3)))
-    log = log - 0.5 * away[row, col]
+    tile = (rows // _TILE) * (1 + kept.shape[1] // _TILE) + cols // _TILE
+    busy = float(np.mean(np.abs(h[posts]) > _FEATURE))
+    log = _evidence(patch.height[kept], shown, variance, busy, tile) - 0.5 * away[row, col]
+    # Places not looked at are as likely as they were before.
+    elsewhere = float(np.exp(-0.5 * away[covered] - log.max()).sum())
     p = np.exp(log - log.max())
-    p /= p.sum()
     best = int(np.argmax(p))
     x, y = sx[row, col], sy[row, col]
     near = np.hypot(x - x[best], y - y[best]) <= 1.5 * posting + 1e-9
-    certainty = float(p[near].sum())
-    q = np.where(near, p, 0.0) / certainty
+    certainty = float(p[near].sum() / (p.sum() + elsewhere))
+    q = np.where(near, p, 0.0) / p[near].sum()
     east, north = float(q @ x), float(q @ y)
     agree = (shown[best] - patch.height[kept]) ** 2 <= 9.0 * variance
     rise = elevation[row[best] + rows, col[best] + cols] - patch.level[kept]
@@ -449,7 +452,7 @@ def search(
     )
 
 
-def _evidence(patch: Array, shown: Array, variance: float, busy: float) -> Array:
+def _evidence(patch: Array, shown: Array, variance: float, busy: float, tile: IntArray) -> Array:
     """Return the log-likelihood ratio of places (c,): the patch lies there, or it does not.
 
     Parameters
@@ -462,6 +465,9 @@ def _evidence(patch: Array, shown: Array, variance: float, busy: float) -> Array
         Of the map's noise, m^2.
     busy
         Share of the map's posts that are features.
+    tile
+        Part of the patch that a post belongs to (m,): ground changes by parts, and one that has
+        tells nothing, however many posts it has.
     """
     busy = float(np.clip(busy, 0.01, 0.5))
     wide = variance + _FEATURE**2
@@ -470,10 +476,12 @@ def _evidence(patch: Array, shown: Array, variance: float, busy: float) -> Array
         return np.asarray(np.exp(-0.5 * x * x / v) / np.sqrt(v))
 
     elsewhere = (1.0 - busy) * normal(shown, variance) + busy * normal(shown, wide)
-    here = (1.0 - _CHANGED) * normal(shown - patch, variance) + _CHANGED * elsewhere
-    # Neighbouring posts on one feature agree or fail together: they count half. With all of it,
-    # maps a fifth of which was out of date gave wrong places.
-    return np.asarray(0.5 * np.log(here / elsewhere).sum(axis=1))
+    here = (1.0 - busy) * normal(shown - patch, variance) + busy * normal(shown - patch, wide)
+    order = np.argsort(tile, kind="stable")
+    starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
+    # Neighbouring posts on one feature agree or fail together: they count half.
+    parts = 0.5 * np.add.reduceat(np.log(here / elsewhere)[:, order], starts, axis=1)
+    return np.asarray(np.logaddexp(parts + np.log1p(-_CHANGED), np.log(_CHANGED)).sum(axis=1))
 
 
 def _level(rise: Array, weight: Array) -> tuple[float, float]:
