@@ -12,19 +12,15 @@ from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
+from lunarsim.navigation.place_search import Features, Match, Patch, features_of, search
 from lunarsim.navigation.prior_map import PriorMap
 from lunarsim.navigation.registration import (
-    Features,
     Fit,
-    Match,
-    Patch,
     Surface,
-    features_of,
     fit,
     point_jacobian,
     pose_jacobian,
     register,
-    search,
     surface_of,
 )
 from lunarsim.sensors.lidar import LidarScan
@@ -407,9 +403,14 @@ class LidarInertialFilter:
         return True
 
     def _correct_key(self, error: Array) -> None:
-        """Move the scan kept with its pose."""
+        """Move the scan kept with its pose; drop it where its squares would no longer hold."""
         assert self._key is not None
         key = self._key
+        middle = key.surface.position.mean(axis=0) if len(key.surface) else key.position
+        moved = point_jacobian(middle, key.position, key.attitude) @ error
+        if np.abs(moved).max() > 0.5 * key.grid.posting:
+            self._key, self._shared = None, 0.0
+            return
         jacobian = pose_jacobian(
             key.surface.position, key.surface.normal, key.position, key.attitude
         )

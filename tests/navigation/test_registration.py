@@ -10,16 +10,13 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.navigation import _registration_kernels as k
+from lunarsim.navigation.place_search import Patch, features_of, high_pass, search
 from lunarsim.navigation.prior_map import PriorMap, survey
 from lunarsim.navigation.registration import (
-    Patch,
-    features_of,
     fit,
-    high_pass,
     point_jacobian,
     pose_jacobian,
     register,
-    search,
     surface_of,
 )
 from lunarsim.sensors import FlashLidar
