@@ -21,7 +21,8 @@ from rich.progress import track
 from rich.table import Table
 
 from lunarsim.campaign.pool import in_order
-from lunarsim.hazards.quadtree import fit_safety
+from lunarsim.hazards.logistic import BINS, Logistic, calibration_error, reliability
+from lunarsim.hazards.quadtree.calibration import features
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -30,7 +31,6 @@ from lunarsim.viz.style import COLOURS, new_figure, save
 HERE = Path(__file__).parent
 # Fields differ in what lies on them, so that neither kind of site is rare.
 BOULDERS = (60, 150, 300, 500)
-EDGES = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 
 
 @dataclass(frozen=True)
@@ -64,22 +64,9 @@ def sweep(task: Task) -> dict[str, Any]:
     }
 
 
-def reliability(p: np.ndarray, safe: np.ndarray) -> np.ndarray:
-    """Return mean probability, share of safe sites and number by bin of probability (bins, 3)."""
-    which = np.clip(np.digitize(p, EDGES) - 1, 0, len(EDGES) - 2)
-    rows = []
-    for b in range(len(EDGES) - 1):
-        mine = which == b
-        n = int(mine.sum())
-        rows.append((p[mine].mean() if n else np.nan, safe[mine].mean() if n else np.nan, n))
-    return np.array(rows)
-
-
-def calibration_error(table: np.ndarray) -> float:
-    """Return the mean distance between probability and share, weighted by number (ECE)."""
-    full = table[:, 2] > 0
-    gap = np.abs(table[full, 0] - table[full, 1])
-    return float((gap * table[full, 2]).sum() / table[full, 2].sum())
+def features_of(sites: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the features of sites (n, k)."""
+    return features(*(sites[key] for key in ("slope", "roughness", "ratio", "near")))
 
 
 def draw(table: np.ndarray, fields: int, path: Path) -> None:
@@ -98,7 +85,7 @@ def draw(table: np.ndarray, fields: int, path: Path) -> None:
     )
     top.legend()
     top.grid(alpha=0.3)
-    bottom.bar(EDGES[:-1], table[:, 2], np.diff(EDGES), align="edge", color=COLOURS[0])
+    bottom.bar(BINS[:-1], table[:, 2], np.diff(BINS), align="edge", color=COLOURS[0])
     bottom.set_yscale("log")
     bottom.set_xlabel("probability of landing safely")
     bottom.set_ylabel("sites")
@@ -135,13 +122,13 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
         f"scenarios/quadtree_calibration.py --fields {fields} --seed {seed}: "
         f"{train['safe'].size} sites of {len(fitted)} fields"
     )
-    model = fit_safety(**train, note=note)
-    p = model.probability(*(test[key] for key in ("slope", "roughness", "ratio", "near")))
+    model = Logistic.fit(features_of(train), train["safe"], note)
+    p = model.probability(features_of(test))
     table = reliability(p, test["safe"])
     shown = Table(title=f"Reliability on {len(out_of_fit)} fields kept out")
     for heading in ("probability", "mean", "share safe", "sites"):
         shown.add_column(heading, justify="right")
-    for (low, high), row in zip(pairwise(EDGES), table, strict=True):
+    for (low, high), row in zip(pairwise(BINS), table, strict=True):
         shown.add_row(f"{low:.2f}-{high:.2f}", f"{row[0]:.3f}", f"{row[1]:.3f}", f"{row[2]:.0f}")
     console.print(shown)
     called = p > 0.5

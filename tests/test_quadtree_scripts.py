@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import sys
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lunarsim.errors import InputError
-from lunarsim.hazards.quadtree import SafetyModel, fit_safety
+from lunarsim.hazards.logistic import Logistic
+from lunarsim.hazards.quadtree.calibration import COUNT
 from tests.conftest import ROOT
 from tests.simulation.test_quadtree_flight import scenario
 
@@ -72,33 +71,6 @@ def test_mappers_are_compared_on_the_same_scans(small, tmp_path):
     assert (tmp_path / "mappers.png").stat().st_size > 20_000
 
 
-def test_calibration_recovers_a_known_law():
-    rng = np.random.default_rng(0)
-    n = 20_000
-    law = SafetyModel((2.0, -1.0, -0.5, -1.0, 0.0, 0.0, 0.0, 0.0))
-    sites = {
-        "slope": rng.random(n),
-        "roughness": rng.uniform(0.05, 1.0, n),
-        "ratio": 10.0 ** rng.uniform(-4.5, -0.5, n),
-        "near": 10.0 ** rng.uniform(-4.5, -0.5, n),
-    }
-    safe = rng.random(n) < law.probability(**sites)
-    found = fit_safety(**sites, safe=safe)
-    assert np.abs(found.probability(**sites) - law.probability(**sites)).mean() < 0.01
-    with pytest.raises(InputError, match=r"calibration\.safe"):
-        fit_safety(**sites, safe=np.ones(n))
-
-
-def test_calibration_files_are_checked(tmp_path):
-    model = SafetyModel.default()
-    model.save(tmp_path / "m.json")
-    assert SafetyModel.load(tmp_path / "m.json") == model
-    for text in ("", "{}", '{"weights": [1, 2]}', '{"weights": "x"}'):
-        (tmp_path / "bad.json").write_text(text)
-        with pytest.raises(InputError, match=r"sites\.calibration"):
-            SafetyModel.load(tmp_path / "bad.json")
-
-
 def test_calibration_script_fits_and_judges(small, tmp_path):
     import quadtree_calibration
 
@@ -107,5 +79,5 @@ def test_calibration_script_fits_and_judges(small, tmp_path):
     done = CliRunner().invoke(experiment.main, arguments)
     assert done.exit_code == 0, done.output
     assert "expected calibration error" in done.output
-    assert "4 --seed 7" in SafetyModel.load(tmp_path / "m.json").note
+    assert "4 --seed 7" in Logistic.load(tmp_path / "m.json", COUNT).note
     assert (tmp_path / "reliability.png").stat().st_size > 10_000

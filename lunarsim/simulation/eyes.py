@@ -40,9 +40,6 @@ class Eyes(Protocol):
     ----------
     navigation
         Where the estimate comes from.
-    frame_error
-        Offset of the estimated frame, in which sites and maps lie, from the true one (3,), m: that
-        of the estimate, or nothing for navigation that is tied to a map.
     """
 
     navigation: Navigation
@@ -219,7 +216,6 @@ class SweepEyes:
         self._flashes = 0
         self._judged = -np.inf
         self._events = 0
-        self._found_path = False
         self.on_scan: Callable[[LidarScan, Estimate], None] | None = None
 
     def _start(self, sim: Simulation) -> None:
@@ -281,10 +277,8 @@ class SweepEyes:
         for event in self.filter.events[self._events :]:
             moved = float(np.linalg.norm(event.moved))
             sim.recorder.event(event.time, event.name, moved=moved)
-        if len(self.filter.events) > self._events and not self._found_path:
-            # A path planned from tens of metres off is planned afresh.
-            self._found_path = self.filter.locked
-            if sim.scenario.guidance.time_to_go_s is None:
+            if event.name == "lock" and sim.scenario.guidance.time_to_go_s is None:
+                # A path planned from tens of metres off is planned afresh.
                 sim.retime()
         self._events = len(self.filter.events)
         sim.saw(scan if self._flashes % 10 == 1 else None)

@@ -88,6 +88,7 @@ class Simulation:
         site = self._draw_target()
         self.state = self._draw_start(site)
         self.time = 0.0
+        # Elevation of the ground at the target, true frame.
         self.ground = float(site[2])
         self.eyes = eyes_of(self)
         self.estimate = self.eyes.navigation.update(self.state, self.time)

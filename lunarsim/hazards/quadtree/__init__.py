@@ -4,7 +4,6 @@ Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Re
 SLAM-Refined Map".
 """
 
-from lunarsim.hazards.quadtree.calibration import SafetyModel, fit_safety
 from lunarsim.hazards.quadtree.mapper import QuadtreeMapper
 from lunarsim.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.hazards.quadtree.sites import STATUS, Selection, Site, SiteSelector
@@ -16,10 +15,8 @@ __all__ = [
     "InterestMap",
     "QuadtreeMap",
     "QuadtreeMapper",
-    "SafetyModel",
     "Selection",
     "Site",
     "SiteSelector",
     "SiteSettings",
-    "fit_safety",
 ]

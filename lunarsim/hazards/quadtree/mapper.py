@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.hazards.hazard_map import HazardMap
-from lunarsim.hazards.quadtree.calibration import SafetyModel
+from lunarsim.hazards.logistic import Logistic
+from lunarsim.hazards.quadtree.calibration import features, measured
 from lunarsim.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.hazards.quadtree.sites import Selection, SiteSelector
 from lunarsim.hazards.quadtree.tree import QuadtreeMap
@@ -62,7 +63,7 @@ class QuadtreeMapper:
         least: float = 0.1,
         split_count: int = 8,
         interest: InterestMap | None = None,
-        model: SafetyModel | None = None,
+        model: Logistic | None = None,
         hold_sigma: float = 0.5,
     ) -> None:
         self.grid = grid
@@ -136,12 +137,14 @@ class QuadtreeMapper:
         g, s = self.grid, self.selector.settings
         known = np.isfinite(selection.roughness)
         p = np.zeros(len(known))
-        model = self._model or SafetyModel.default()
+        model = self._model or measured()
         p[known] = model.probability(
-            selection.slope[known] / s.slope_limit,
-            selection.roughness[known] / s.roughness_limit,
-            selection.ratio[known],
-            selection.near[known],
+            features(
+                selection.slope[known] / s.slope_limit,
+                selection.roughness[known] / s.roughness_limit,
+                selection.ratio[known],
+                selection.near[known],
+            )
         )
         size = self.map.sizes(selection.nodes)
         xy = selection.position[:, :2]

@@ -1,0 +1,160 @@
+"""Whether p_safe of Eqs. 15 to 17 comes true, and what makes it do so.
+
+Scans testbeds (500 hemispheres of 1 m on 200 x 200 m) in the paper's nine configurations, fits the
+calibrated probability to the even ones and judges both on the odd ones.
+
+python scenarios/gaussian_dem_calibration.py --fields 20 --jobs 2 --out out/gaussian_dem
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from gaussian_dem_tables import (
+    CONFIGURATIONS,
+    LANDER,
+    MARGIN,
+    crop,
+    sample_distance,
+    scan,
+    testbed,
+    view_grid,
+)
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from lunarsim.campaign.pool import in_order
+from lunarsim.hazards.gaussian_dem import gaussian_dem
+from lunarsim.hazards.logistic import Logistic, calibration_error, reliability
+from lunarsim.hazards.safety import stochastic_safety
+from lunarsim.hazards.safety.calibration import features
+from lunarsim.viz.style import COLOURS, new_figure, save
+
+# Cells this far apart are judged: neighbours say the same.
+STRIDE = 4
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Sites of one field and configuration (n,)."""
+
+    p_slope: np.ndarray
+    p_roughness: np.ndarray
+    p_safe: np.ndarray
+    safe: np.ndarray
+
+
+def judge(seed: int) -> list[Judged]:
+    """Scan one testbed in all configurations."""
+    field = testbed(seed)
+    out = []
+    for n, (distance, angle) in enumerate(CONFIGURATIONS):
+        rng = np.random.default_rng([seed, n])
+        points, sigma, shape = scan(field, distance, angle, rng)
+        grid = view_grid(distance)
+        window = crop(field, grid)
+        dem = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=shape, **MARGIN)
+        own = stochastic_safety(dem.mean, dem.variance, grid, LANDER)
+        use = own.observed & field.safety.observed[window]
+        use &= (np.arange(grid.rows) % STRIDE == 0)[:, None] & (np.arange(grid.cols) % STRIDE == 0)
+        safe = field.safety.safe[window][use]
+        out.append(Judged(own.p_slope[use], own.p_roughness[use], own.p_safe[use], safe))
+    return out
+
+
+def merged(fields: list[list[Judged]], n: int) -> Judged:
+    """Return all sites of a configuration."""
+    names = ("p_slope", "p_roughness", "p_safe", "safe")
+    return Judged(*(np.concatenate([getattr(f[n], name) for f in fields]) for name in names))
+
+
+def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
+    """Draw reliability before and after, by configuration."""
+    figure = new_figure(9.6, 9.6)
+    panels = figure.subplots(3, 3, sharex=True, sharey=True)
+    for panel, (distance, angle), (raw, fitted) in zip(
+        panels.ravel(), CONFIGURATIONS, rows, strict=True
+    ):
+        panel.plot([0, 1], [0, 1], color="#999999", lw=1)
+        for table, colour, label in (
+            (raw, COLOURS[1], "Eqs. 15-17"),
+            (fitted, COLOURS[0], "calibrated"),
+        ):
+            use = table[:, 2] >= 50
+            panel.plot(
+                table[use, 0], table[use, 1], "o-", color=colour, ms=4,
+                label=f"{label}, ECE {calibration_error(table):.3f}",
+            )  # fmt: skip
+        panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
+        panel.legend(loc="upper left" if angle else "lower right")
+        panel.grid(alpha=0.3)
+    for panel in panels[-1]:
+        panel.set_xlabel("probability of safety")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("share exactly safe")
+    figure.suptitle("Sites of fields kept out of the fit")
+    save(figure, path)
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=2), default=20, show_default=True,
+              help="Testbeds; the even ones are fitted, the odd ones judged.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write the model to this file; the package's own is "
+                   "lunarsim/hazards/safety/calibration.json.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the diagram.")  # fmt: skip
+def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
+    """Judge p_safe on testbeds, fit the calibrated one, and judge that."""
+    console = Console(width=130)
+    judged = list(
+        track(
+            in_order(judge, range(fields), jobs),
+            total=fields, console=console, description="testbeds",
+        )
+    )  # fmt: skip
+    fitted, kept = judged[::2], judged[1::2]
+    x, y = [], []
+    for n, configuration in enumerate(CONFIGURATIONS):
+        sites = merged(fitted, n)
+        x.append(features(sites.p_slope, sites.p_roughness, sample_distance(*configuration)))
+        y.append(sites.safe)
+    note = f"scenarios/gaussian_dem_calibration.py --fields {fields}"
+    model = Logistic.fit(np.concatenate(x), np.concatenate(y), note)
+    table = Table(title=f"{len(kept)} testbeds kept out of the fit, a cell in {STRIDE**2}")
+    for heading in ("range m", "angle deg", "sites", "safe", "ECE, Eqs. 15-17",
+                    "mean p - share safe",
+                    "ECE calibrated", "mean p - share safe", "precision p > 0.5", "calibrated",
+                    "recall p > 0.5", "calibrated"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    rows = []
+    for n, (distance, angle) in enumerate(CONFIGURATIONS):
+        sites = merged(kept, n)
+        spacing = sample_distance(distance, angle)
+        own = model.probability(features(sites.p_slope, sites.p_roughness, spacing))
+        tables = reliability(sites.p_safe, sites.safe), reliability(own, sites.safe)
+        rows.append(tables)
+        share = sites.safe.mean()
+        precision = [sites.safe[p > 0.5].mean() for p in (sites.p_safe, own)]
+        recall = [(p > 0.5)[sites.safe].mean() for p in (sites.p_safe, own)]
+        table.add_row(
+            f"{distance:.0f}", f"{angle:.0f}", f"{sites.safe.size}", f"{share:.3f}",
+            f"{calibration_error(tables[0]):.4f}", f"{sites.p_safe.mean() - share:+.3f}",
+            f"{calibration_error(tables[1]):.4f}", f"{own.mean() - share:+.3f}",
+            *(f"{v:.4f}" for v in precision), *(f"{v:.4f}" for v in recall),
+        )  # fmt: skip
+    console.print(table)
+    if target is not None:
+        model.save(target)
+    if out is not None:
+        draw(rows, out / "calibration.png")
+
+
+if __name__ == "__main__":
+    main()

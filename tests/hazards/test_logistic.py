@@ -1,0 +1,71 @@
+"""Logistic calibration and how it is judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.hazards.logistic import Logistic, calibration_error, reliability
+from lunarsim.hazards.quadtree import calibration as quadtree
+from lunarsim.hazards.safety import calibration as dem
+from lunarsim.hazards.safety.conservative import StochasticSafety
+
+
+def test_a_known_law_is_recovered():
+    rng = np.random.default_rng(0)
+    x = np.column_stack((np.ones(20_000), rng.normal(0.0, 1.0, (20_000, 3))))
+    law = Logistic((1.0, -2.0, 0.5, 0.0))
+    found = Logistic.fit(x, rng.random(20_000) < law.probability(x))
+    assert np.array(found.weights) == pytest.approx(law.weights, abs=0.1)
+    table = reliability(found.probability(x), rng.random(20_000) < law.probability(x))
+    assert calibration_error(table) < 0.015
+    with pytest.raises(InputError, match=r"calibration\.safe"):
+        Logistic.fit(x, np.ones(20_000))
+
+
+def test_reliability_counts_by_bin():
+    p = np.array([0.0, 0.01, 0.55, 0.55, 0.99, 1.0])
+    table = reliability(p, [0, 1, 1, 0, 1, 1])
+    assert table[:, 2].sum() == 6
+    assert table[0] == pytest.approx([0.005, 0.5, 2])
+    assert table[-1] == pytest.approx([0.995, 1.0, 2])
+    assert np.isnan(table[3, 0])
+    expected = (2 * abs(0.005 - 0.5) + 2 * abs(0.55 - 0.5) + 2 * abs(0.995 - 1.0)) / 6
+    assert calibration_error(table) == pytest.approx(expected)
+
+
+def test_files_are_checked(tmp_path):
+    model = quadtree.measured()
+    model.save(tmp_path / "m.json")
+    assert Logistic.load(tmp_path / "m.json", quadtree.COUNT) == model
+    for text in ("", "{}", '{"weights": [1, 2]}', '{"weights": "x"}'):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(InputError, match="calibration"):
+            Logistic.load(tmp_path / "bad.json", quadtree.COUNT)
+
+
+def test_better_bounds_never_look_worse_on_the_testbed_scans():
+    z = np.linspace(-5.0, 5.0, 41)
+    for spacing in (0.156, 0.39, 0.8):
+        # Of both bounds together: each alone may say little where the other decides.
+        p = dem.measured().probability(dem.features(ndtr(z), ndtr(z), spacing))
+        assert p[-1] > 0.9
+        assert p[0] < 0.6
+        assert (np.diff(p) > -0.05).all()
+
+
+def test_unobserved_ground_is_not_safe_and_spacing_is_checked():
+    grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+    p = np.full(grid.shape, 0.9, np.float32)
+    seen = np.zeros(grid.shape, bool)
+    seen[1:3] = True
+    safety = StochasticSafety(grid, p, p, p * p, seen)
+    out = dem.calibrated_safety(safety, 0.4)
+    assert (out[~seen] == 0.0).all()
+    assert ((out[seen] > 0.0) & (out[seen] < 1.0)).all()
+    for spacing in (0.0, 5.0, np.nan):
+        with pytest.raises(InputError, match=r"calibration\.spacing"):
+            dem.calibrated_safety(safety, spacing)
