@@ -18,8 +18,8 @@ from gaussian_dem_tables import (
     LANDER,
     MARGIN,
     crop,
-    sample_distance,
     scan,
+    table_4_row,
     testbed,
     view_grid,
 )
@@ -35,7 +35,7 @@ from lunarsim.hazards.safety.calibration import features
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 # Cells this far apart are judged: neighbours say the same.
-STRIDE = 4
+STRIDE = 10
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
               help="Folder for the diagram.")  # fmt: skip
 def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
     """Judge p_safe on testbeds, fit the calibrated one, and judge that."""
-    console = Console(width=130)
+    console = Console(width=150)
     judged = list(
         track(
             in_order(judge, range(fields), jobs),
@@ -123,7 +123,7 @@ def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
     x, y = [], []
     for n, configuration in enumerate(CONFIGURATIONS):
         sites = merged(fitted, n)
-        x.append(features(sites.p_slope, sites.p_roughness, sample_distance(*configuration)))
+        x.append(features(sites.p_slope, sites.p_roughness, table_4_row(*configuration)[2:4]))
         y.append(sites.safe)
     note = f"scenarios/gaussian_dem_calibration.py --fields {fields}"
     model = Logistic.fit(np.concatenate(x), np.concatenate(y), note)
@@ -131,23 +131,27 @@ def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
     for heading in ("range m", "angle deg", "sites", "safe", "ECE, Eqs. 15-17",
                     "mean p - share safe",
                     "ECE calibrated", "mean p - share safe", "precision p > 0.5", "calibrated",
-                    "recall p > 0.5", "calibrated"):  # fmt: skip
+                    "recall p > 0.5", "calibrated", "the same at\nrecall of 15-17"):  # fmt: skip
         table.add_column(heading, justify="right")
     rows = []
     for n, (distance, angle) in enumerate(CONFIGURATIONS):
         sites = merged(kept, n)
-        spacing = sample_distance(distance, angle)
+        spacing = table_4_row(distance, angle)[2:4]
         own = model.probability(features(sites.p_slope, sites.p_roughness, spacing))
         tables = reliability(sites.p_safe, sites.safe), reliability(own, sites.safe)
         rows.append(tables)
         share = sites.safe.mean()
         precision = [sites.safe[p > 0.5].mean() for p in (sites.p_safe, own)]
         recall = [(p > 0.5)[sites.safe].mean() for p in (sites.p_safe, own)]
+        # The threshold at which the calibrated one finds as many.
+        level = float(np.quantile(own[sites.safe], 1.0 - recall[0]))
+        precision.append(sites.safe[own >= level].mean())
         table.add_row(
             f"{distance:.0f}", f"{angle:.0f}", f"{sites.safe.size}", f"{share:.3f}",
             f"{calibration_error(tables[0]):.4f}", f"{sites.p_safe.mean() - share:+.3f}",
             f"{calibration_error(tables[1]):.4f}", f"{own.mean() - share:+.3f}",
-            *(f"{v:.4f}" for v in precision), *(f"{v:.4f}" for v in recall),
+            *(f"{v:.4f}" for v in precision[:2]), *(f"{v:.4f}" for v in recall),
+            f"{precision[2]:.4f}",
         )  # fmt: skip
     console.print(table)
     if target is not None:

@@ -49,7 +49,7 @@ def test_files_are_checked(tmp_path):
 
 def test_better_bounds_never_look_worse_on_the_testbed_scans():
     z = np.linspace(-5.0, 5.0, 41)
-    for spacing in (0.156, 0.39, 0.8):
+    for spacing in ((0.156, 0.156), (0.39, 0.39), (0.8, 0.39)):
         # Of both bounds together: each alone may say little where the other decides.
         p = dem.measured().probability(dem.features(ndtr(z), ndtr(z), spacing))
         assert p[-1] > 0.9
@@ -63,9 +63,9 @@ def test_unobserved_ground_is_not_safe_and_spacing_is_checked():
     seen = np.zeros(grid.shape, bool)
     seen[1:3] = True
     safety = StochasticSafety(grid, p, p, p * p, seen)
-    out = dem.calibrated_safety(safety, 0.4)
+    out = dem.calibrated_safety(safety, (0.4, 0.4))
     assert (out[~seen] == 0.0).all()
     assert ((out[seen] > 0.0) & (out[seen] < 1.0)).all()
-    for spacing in (0.0, 5.0, np.nan):
+    for spacing in ((0.0, 0.4), (0.4, 5.0), (np.nan, 0.4)):
         with pytest.raises(InputError, match=r"calibration\.spacing"):
             dem.calibrated_safety(safety, spacing)

@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 # Probits beyond these are alike.
 _LIMIT = 6.0
 _KNOTS = (-3.0, -1.0, 1.0, 3.0)
-COUNT = 36
+COUNT = 60
 
 
-def features(p_slope: ArrayLike, p_roughness: ArrayLike, spacing: float) -> Array:
+def features(p_slope: ArrayLike, p_roughness: ArrayLike, spacing: tuple[float, float]) -> Array:
     """Return what the calibrated probability is computed from (n, `COUNT`).
 
     Parameters
@@ -34,7 +34,7 @@ def features(p_slope: ArrayLike, p_roughness: ArrayLike, spacing: float) -> Arra
     p_slope, p_roughness
         Of Eqs. 15 and 17 (n,).
     spacing
-        Ground sample distance of the scan, m.
+        Ground sample distances of the scan along the line of sight and across it, m.
     """
     tiny = 1e-30
     columns = [np.ones(np.size(p_slope))]
@@ -46,8 +46,9 @@ def features(p_slope: ArrayLike, p_roughness: ArrayLike, spacing: float) -> Arra
         columns += [z, *(np.maximum(z - knot, 0.0) for knot in _KNOTS)]
     columns.append(lines[0] * lines[1])
     base = np.column_stack(columns)
-    g = np.log(spacing / 0.3)
-    return np.hstack((base, g * base, g * g * base))
+    g = 0.5 * np.log(spacing[0] * spacing[1] / 0.09)
+    slant = np.log(spacing[0] / spacing[1])
+    return np.hstack([factor * base for factor in (1.0, g, g * g, slant, slant * g)])
 
 
 @lru_cache(maxsize=1)
@@ -57,7 +58,7 @@ def measured() -> Logistic:
 
 
 def calibrated_safety(
-    safety: StochasticSafety, spacing: float, model: Logistic | None = None
+    safety: StochasticSafety, spacing: tuple[float, float], model: Logistic | None = None
 ) -> NDArray[np.float32]:
     """Return the probability that a site is safe, as a frequency (rows, cols); 0 if not observed.
 
@@ -66,17 +67,18 @@ def calibrated_safety(
     safety
         Of `stochastic_safety`.
     spacing
-        Ground sample distance of the scan, m: within 0.15 to 1.3 m, where it was measured.
+        Ground sample distances of the scan along the line of sight and across it, m; measured from
+        0.156 to 1.61 m.
     model
         Left out: the packaged one, for the lander of the testbeds (2.35 m legs, 10 deg, 0.25 m).
 
     Raises
     ------
     InputError
-        If the spacing is out of that range.
+        If a spacing is far out of that range.
     """
-    if not 0.1 <= spacing <= 2.0:
-        raise InputError("calibration.spacing", spacing, "a ground sample distance of 0.1 to 2 m")
+    if not all(0.1 <= s <= 2.0 for s in spacing):
+        raise InputError("calibration.spacing", spacing, "ground sample distances of 0.1 to 2 m")
     model = model or measured()
     p = np.zeros(safety.p_safe.shape, np.float32)
     seen = safety.observed
