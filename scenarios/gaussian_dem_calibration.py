@@ -19,7 +19,6 @@ from gaussian_dem_tables import (
     MARGIN,
     crop,
     scan,
-    table_4_row,
     testbed,
     view_grid,
 )
@@ -31,7 +30,7 @@ from lunarsim.campaign.pool import in_order
 from lunarsim.hazards.gaussian_dem import gaussian_dem
 from lunarsim.hazards.logistic import Logistic, calibration_error, reliability
 from lunarsim.hazards.safety import stochastic_safety
-from lunarsim.hazards.safety.calibration import features
+from lunarsim.hazards.safety.calibration import COUNT, features
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 # Cells this far apart are judged: neighbours say the same.
@@ -90,7 +89,7 @@ def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
                 label=f"{label}, ECE {calibration_error(table):.3f}",
             )  # fmt: skip
         panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
-        panel.legend(loc="upper left" if angle else "lower right")
+        panel.legend(loc="lower right")
         panel.grid(alpha=0.3)
     for panel in panels[-1]:
         panel.set_xlabel("probability of safety")
@@ -120,13 +119,13 @@ def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
         )
     )  # fmt: skip
     fitted, kept = judged[::2], judged[1::2]
-    x, y = [], []
-    for n, configuration in enumerate(CONFIGURATIONS):
-        sites = merged(fitted, n)
-        x.append(features(sites.p_slope, sites.p_roughness, table_4_row(*configuration)[2:4]))
-        y.append(sites.safe)
     note = f"scenarios/gaussian_dem_calibration.py --fields {fields}"
-    model = Logistic.fit(np.concatenate(x), np.concatenate(y), note)
+    models = []
+    for n in range(len(CONFIGURATIONS)):
+        sites = merged(fitted, n)
+        own = features(sites.p_slope, sites.p_roughness)
+        models.append(Logistic.fit(own, sites.safe, note, rising=COUNT - 1))
+    model = Logistic(tuple(w for m in models for w in m.weights), note)
     table = Table(title=f"{len(kept)} testbeds kept out of the fit, a cell in {STRIDE**2}")
     for heading in ("range m", "angle deg", "sites", "safe", "ECE, Eqs. 15-17",
                     "mean p - share safe",
@@ -136,8 +135,7 @@ def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
     rows = []
     for n, (distance, angle) in enumerate(CONFIGURATIONS):
         sites = merged(kept, n)
-        spacing = table_4_row(distance, angle)[2:4]
-        own = model.probability(features(sites.p_slope, sites.p_roughness, spacing))
+        own = models[n].probability(features(sites.p_slope, sites.p_roughness))
         tables = reliability(sites.p_safe, sites.safe), reliability(own, sites.safe)
         rows.append(tables)
         share = sites.safe.mean()

@@ -40,8 +40,12 @@ class Logistic:
         return np.asarray(expit(np.asarray(features) @ np.array(self.weights)))
 
     @classmethod
-    def fit(cls, features: ArrayLike, outcome: ArrayLike, note: str = "") -> Logistic:
+    def fit(
+        cls, features: ArrayLike, outcome: ArrayLike, note: str = "", *, rising: int = 0
+    ) -> Logistic:
         """Fit features (n, k) to outcomes (n,) by maximum likelihood.
+
+        The weights of the last `rising` features are kept from falling below 0.
 
         Raises
         ------
@@ -57,7 +61,12 @@ class Logistic:
             value = np.mean(np.logaddexp(0.0, z) - y * z) + 0.5 * _RIDGE * w @ w
             return float(value), x.T @ (expit(z) - y) / len(y) + _RIDGE * w
 
-        found = minimize(loss, np.zeros(x.shape[1]), jac=True, method="BFGS")
+        start = np.zeros(x.shape[1])
+        if rising == 0:
+            found = minimize(loss, start, jac=True, method="BFGS")
+        else:
+            bounds = [(None, None)] * (len(start) - rising) + [(0.0, None)] * rising
+            found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
         return cls(tuple(float(w) for w in found.x), note)
 
     def save(self, path: Path) -> None:

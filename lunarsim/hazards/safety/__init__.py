@@ -5,6 +5,7 @@ Every test answers for a lander centred on a cell, at every heading.
 
 from lunarsim.hazards.safety.alhat import alhat_safety
 from lunarsim.hazards.safety.bounded import bounded_safety
+from lunarsim.hazards.safety.calibration import calibrated_safety
 from lunarsim.hazards.safety.conservative import (
     StochasticSafety,
     conservative_safety,
@@ -20,6 +21,7 @@ __all__ = [
     "StochasticSafety",
     "alhat_safety",
     "bounded_safety",
+    "calibrated_safety",
     "conservative_safety",
     "exact_safety",
     "footprint_of",

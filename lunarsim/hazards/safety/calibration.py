@@ -9,10 +9,12 @@ probability that comes true as often as it says.
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
+from scipy.interpolate import RegularGridInterpolator
+from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.hazards.logistic import Logistic
@@ -20,41 +22,42 @@ from lunarsim.hazards.safety.conservative import StochasticSafety
 
 Array = NDArray[np.float64]
 
-# Probits beyond these are alike.
-_LIMIT = 6.0
-_KNOTS = (-3.0, -1.0, 1.0, 3.0)
-COUNT = 60
+# Probits between which the regression may bend.
+_KNOTS = np.array([-6.0, -3.0, -1.0, 1.0, 3.0, 6.0])
+COUNT = 1 + 2 * (len(_KNOTS) - 1)
+# Scans by which it was measured: ground sample distance across the line of sight, m, and how many
+# times longer it is along it. (200, 500 and 1000 m; 0, 30 and 60 deg.)
+ACROSS = (0.15625, 0.390625, 0.78125)
+ALONG = (1.0, 1.1585, 2.0619)
 
 
-def features(p_slope: ArrayLike, p_roughness: ArrayLike, spacing: tuple[float, float]) -> Array:
+def features(p_slope: ArrayLike, p_roughness: ArrayLike) -> Array:
     """Return what the calibrated probability is computed from (n, `COUNT`).
+
+    A one, and how much of each interval between probits the two bounds have passed: with weights
+    that are not negative a better bound never lowers the probability.
 
     Parameters
     ----------
     p_slope, p_roughness
         Of Eqs. 15 and 17 (n,).
-    spacing
-        Ground sample distances of the scan along the line of sight and across it, m.
     """
-    tiny = 1e-30
     columns = [np.ones(np.size(p_slope))]
-    lines = []
     for bound in (p_slope, p_roughness):
         p = np.asarray(bound, dtype=np.float64).ravel()
-        z = np.clip(ndtri(np.clip(p, tiny, 1.0 - 1e-12)), -_LIMIT, _LIMIT)
-        lines.append(z)
-        columns += [z, *(np.maximum(z - knot, 0.0) for knot in _KNOTS)]
-    columns.append(lines[0] * lines[1])
-    base = np.column_stack(columns)
-    g = 0.5 * np.log(spacing[0] * spacing[1] / 0.09)
-    slant = np.log(spacing[0] / spacing[1])
-    return np.hstack([factor * base for factor in (1.0, g, g * g, slant, slant * g)])
+        z = ndtri(np.clip(p, 1e-30, 1.0 - 1e-12))
+        columns += [np.clip((z - low) / (high - low), 0.0, 1.0) for low, high in pairwise(_KNOTS)]
+    return np.column_stack(columns)
 
 
 @lru_cache(maxsize=1)
 def measured() -> Logistic:
-    """Return the regression measured by `scenarios/gaussian_dem_calibration.py`."""
-    return Logistic.packaged("lunarsim.hazards.safety", "calibration.json", COUNT)
+    """Return the weights measured by `scenarios/gaussian_dem_calibration.py`.
+
+    One set a scan: (across, along, feature), flat.
+    """
+    count = len(ACROSS) * len(ALONG) * COUNT
+    return Logistic.packaged("lunarsim.hazards.safety", "calibration.json", count)
 
 
 def calibrated_safety(
@@ -67,20 +70,26 @@ def calibrated_safety(
     safety
         Of `stochastic_safety`.
     spacing
-        Ground sample distances of the scan along the line of sight and across it, m; measured from
-        0.156 to 1.61 m.
+        Ground sample distances of the scan along the line of sight and across it, m. Between the
+        scans that were measured weights are interpolated, beyond them the nearest counts.
     model
         Left out: the packaged one, for the lander of the testbeds (2.35 m legs, 10 deg, 0.25 m).
 
     Raises
     ------
     InputError
-        If a spacing is far out of that range.
+        If a spacing is no distance from 0.1 to 2 m.
     """
     if not all(0.1 <= s <= 2.0 for s in spacing):
         raise InputError("calibration.spacing", spacing, "ground sample distances of 0.1 to 2 m")
-    model = model or measured()
+    along, across = spacing
+    weights = np.array((model or measured()).weights).reshape(len(ACROSS), len(ALONG), COUNT)
+    place = (
+        np.log(np.clip(across, ACROSS[0], ACROSS[-1])),
+        np.log(np.clip(along / across, ALONG[0], ALONG[-1])),
+    )
+    own = RegularGridInterpolator((np.log(ACROSS), np.log(ALONG)), weights)(place).reshape(COUNT)
     p = np.zeros(safety.p_safe.shape, np.float32)
     seen = safety.observed
-    p[seen] = model.probability(features(safety.p_slope[seen], safety.p_roughness[seen], spacing))
+    p[seen] = expit(features(safety.p_slope[seen], safety.p_roughness[seen]) @ own)
     return p
