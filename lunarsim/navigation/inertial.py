@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import normalised, quat_multiply
+from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
 from lunarsim.navigation import _inertial_kernels as kernels
+from lunarsim.navigation.estimate import Estimate
 from lunarsim.sensors.imu import ACCELEROMETERS, GYROSCOPES, InertialErrors
 
 Array = NDArray[np.float64]
@@ -130,6 +131,25 @@ class InertialState:
     def rate(self) -> Array:
         """Body rate of the last sample (3,), rad/s."""
         return np.asarray(self._held[:3] - self._x[13:16])
+
+    def estimate(self, covariance: Array, time: float, mass: float) -> Estimate:
+        """Return the state as the rest of the loop takes it.
+
+        Parameters
+        ----------
+        covariance
+            Of an error state that begins with this one's (15 or more, square).
+        time, mass
+            s, kg.
+        """
+        keep = np.r_[0:6, 9:12]
+        # Attitude errors are kept in body axes here, in ENU there.
+        turn = np.eye(9)
+        turn[6:, 6:] = quat_to_matrix(self.attitude)
+        return Estimate(
+            time, self.position.copy(), self.velocity.copy(), self.attitude.copy(), self.rate, mass,
+            turn @ covariance[np.ix_(keep, keep)] @ turn.T,
+        )  # fmt: skip
 
     def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """Carry the state over samples (n, 3); NaN stands for a missing one.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
+from lunarsim.frames import normalised, quat_multiply
 from lunarsim.grid import Grid
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
@@ -175,15 +175,7 @@ class LidarInertialFilter:
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it."""
-        s = self.inertial
-        keep = np.r_[0:6, 9:12]
-        # Attitude errors are kept in body axes here, in ENU there.
-        turn = np.eye(9)
-        turn[6:, 6:] = quat_to_matrix(s.attitude)
-        covariance = turn @ self.covariance[np.ix_(keep, keep)] @ turn.T
-        return Estimate(
-            time, s.position.copy(), s.velocity.copy(), s.attitude.copy(), s.rate, mass, covariance
-        )
+        return self.inertial.estimate(self.covariance, time, mass)
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""

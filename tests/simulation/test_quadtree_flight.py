@@ -133,6 +133,9 @@ def test_no_site_is_an_answer_too():
     selection = simulation.eyes.mapper.select()
     assert selection.ranked == ()
     assert len(selection.nodes) > 100
+    observation = simulation.observe()
+    assert observation.hazard_map.observed.any()
+    assert len(observation.candidates) == 0
     # Without a lock there is no map at all, and the lander still flies on.
     blind = Simulation(
         scenario(prior={"offset_m": [0.0, 0.0, 500.0]}, simulation={"max_time_s": 4.0},

@@ -133,10 +133,15 @@ class QuadtreeMapper:
         return self._drawn
 
     def _draw(self, selection: Selection) -> HazardMap:
-        """Return the sites' probabilities on the grid: each cell has that of the site under it."""
-        g, s = self.grid, self.selector.settings
+        """Return the sites' probabilities on the grid: each cell has that of the site under it.
+
+        Where no site passes the limits of the mission all are 0: there is nothing to aim at.
+        """
+        s = self.selector.settings
         known = np.isfinite(selection.roughness)
         p = np.zeros(len(known))
+        if not selection.ranked:
+            return self._on_grid(selection, p, known)
         model = self._model or measured()
         p[known] = model.probability(
             features(
@@ -146,8 +151,14 @@ class QuadtreeMapper:
                 selection.near[known],
             )
         )
+        return self._on_grid(selection, p, known)
+
+    def _on_grid(self, selection: Selection, p: Array, known: NDArray[np.bool_]) -> HazardMap:
+        """Return probability, whether it is known, and elevation of the sites (n,) as rasters."""
+        g, xy = self.grid, selection.position[:, :2]
         size = self.map.sizes(selection.nodes)
-        xy = selection.position[:, :2]
+        if len(size) == 0:
+            return HazardMap.unobserved(g)
         return HazardMap(
             g,
             rasterised(g, xy, size, p, 0.0).astype(np.float32),

@@ -132,15 +132,7 @@ class RockFilter:
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it."""
-        s = self.inertial
-        keep = np.r_[0:6, 9:12]
-        # Attitude errors are kept in body axes here, in ENU there.
-        turn = np.eye(9)
-        turn[6:, 6:] = quat_to_matrix(s.attitude)
-        covariance = turn @ self._p[np.ix_(keep, keep)] @ turn.T
-        return Estimate(
-            time, s.position.copy(), s.velocity.copy(), s.attitude.copy(), s.rate, mass, covariance
-        )
+        return self.inertial.estimate(self._p, time, mass)
 
     # --- time -----------------------------------------------------------------------------
 
