@@ -27,6 +27,7 @@ from lunarsim.grid import Grid
 from lunarsim.hazards.gaussian_dem import fuse, gaussian_dem
 from lunarsim.hazards.quadtree import QuadtreeMapper, SiteSelector
 from lunarsim.hazards.quadtree.mapper import rasterised
+from lunarsim.hazards.reliability import frequencies, reliability
 from lunarsim.hazards.safety import exact_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.rng import flight_seed
@@ -251,16 +252,13 @@ def draw(result: dict[str, Any], path: Path) -> None:
         map_axes(panel, f"{label}\nprecision {row['precision']:.3f}, recall {row['recall']:.3f}")
     axes[5].remove()
     panel = figure.add_subplot(2, 3, 6)
-    bins = np.linspace(0.0, 1.0, 21)
     for name, colour in (("level", "#0072B2"), ("planes", "#009E73"), ("quadtree", "#D55E00")):
         seen = common & answers[name].observed
         p, safe = answers[name].p_safe[seen], truth.safe[seen]
-        which = np.clip(np.digitize(p, bins) - 1, 0, 19)
-        n = np.bincount(which, minlength=20)
-        use = n >= 30
-        mean = np.bincount(which, p, 20)[use] / n[use]
-        share = np.bincount(which, safe, 20)[use] / n[use]
-        panel.plot(mean, share, "o-", color=colour, ms=4, label=NAMES[name])
+        table = reliability(p, safe, np.linspace(0.0, 1.0, 21))
+        panel.plot(
+            *frequencies(table[table[:, 0] >= 30]), "o-", color=colour, ms=4, label=NAMES[name]
+        )
     panel.plot([0, 1], [0, 1], color="#999999", lw=1)
     panel.set_box_aspect(1)
     panel.set_xlabel("probability of safety")

@@ -23,12 +23,12 @@ from gaussian_dem_tables import (
     view_grid,
 )
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from lunarsim.campaign.pool import in_order
+from lunarsim.campaign.pool import gathered
 from lunarsim.hazards.gaussian_dem import gaussian_dem
-from lunarsim.hazards.logistic import Logistic, calibration_error, reliability
+from lunarsim.hazards.logistic import Logistic
+from lunarsim.hazards.reliability import calibration_error, frequencies, reliability
 from lunarsim.hazards.safety import stochastic_safety
 from lunarsim.hazards.safety.calibration import COUNT, features
 from lunarsim.viz.style import COLOURS, new_figure, save
@@ -83,9 +83,8 @@ def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
             (raw, COLOURS[1], "Eqs. 15-17"),
             (fitted, COLOURS[0], "calibrated"),
         ):
-            use = table[:, 2] >= 50
             panel.plot(
-                table[use, 0], table[use, 1], "o-", color=colour, ms=4,
+                *frequencies(table[table[:, 0] >= 50]), "o-", color=colour, ms=4,
                 label=f"{label}, ECE {calibration_error(table):.3f}",
             )  # fmt: skip
         panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
@@ -112,12 +111,8 @@ def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
 def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
     """Judge p_safe on testbeds, fit the calibrated one, and judge that."""
     console = Console(width=150)
-    judged = list(
-        track(
-            in_order(judge, range(fields), jobs),
-            total=fields, console=console, description="testbeds",
-        )
-    )  # fmt: skip
+    judged = gathered(judge, range(fields), jobs, console, "testbeds")
+    fields = len(judged)
     fitted, kept = judged[::2], judged[1::2]
     note = f"scenarios/gaussian_dem_calibration.py --fields {fields}"
     models = []

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import ListedColormap
 
+from lunarsim.hazards.reliability import calibration_error, frequencies
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 
 _VIEW = 10.0  # side of the segment that the paper shows, m
@@ -79,16 +80,12 @@ def draw_reliability(
     figure = new_figure(9.0, 8.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     for ax, counts, (distance, angle) in zip(axes.ravel(), bins, configurations, strict=True):
-        filled = counts[:, 0] > 50
-        p = counts[filled, 1] / counts[filled, 0]
-        safe = counts[filled, 2] / counts[filled, 0]
         ax.plot([0, 1], [0, 1], color="0.6", lw=1, label="true probability")
-        ax.plot(p, safe, "o-", color="#0072B2", ms=4, label="map")
+        ax.plot(*frequencies(counts[counts[:, 0] > 50]), "o-", color="#0072B2", ms=4, label="map")
         share = counts[:, 0] / counts[:, 0].sum()
         ax.bar((np.arange(20) + 0.5) / 20, share, width=0.045, color="#E69F00", alpha=0.6,
                label="share of cells")  # fmt: skip
-        error = np.abs(counts[:, 1] - counts[:, 2]).sum() / counts[:, 0].sum()
-        ax.set_title(f"{distance:.0f} m, {angle:.0f} deg: error {error:.3f}")
+        ax.set_title(f"{distance:.0f} m, {angle:.0f} deg: error {calibration_error(counts):.3f}")
         ax.set_aspect("equal")
     for ax in axes[2]:
         ax.set_xlabel("probability of safety")

@@ -25,6 +25,7 @@ from rich.table import Table
 from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.hazards.gaussian_dem import conventional_dem, gaussian_dem
+from lunarsim.hazards.reliability import calibration_error, reliability
 from lunarsim.hazards.safety import (
     alhat_safety,
     bounded_safety,
@@ -331,17 +332,8 @@ def table_6(seeds: int) -> dict[str, Any]:
                     rows[n][column].append(result[which])
                     column += 1
             safe = (slope & rough)[judged]
-            index = np.minimum((own.p_safe[judged] * 20).astype(int), 19)
-            bins[n, :, 0] += np.bincount(index, minlength=20)
-            bins[n, :, 1] += np.bincount(index, weights=own.p_safe[judged], minlength=20)
-            bins[n, :, 2] += np.bincount(index, weights=safe.astype(float), minlength=20)
+            bins[n] += reliability(own.p_safe[judged], safe, np.linspace(0.0, 1.0, 21))
     return {"rows": rows, "pictures": pictures, "reliability": bins.tolist()}
-
-
-def calibration_error(bins: np.ndarray) -> float:
-    """Expected calibration error of bins (n, 3): count, sum of p, safe cells."""
-    count = bins[:, 0].sum()
-    return float(np.abs(bins[:, 1] - bins[:, 2]).sum() / count) if count else float("nan")
 
 
 def print_6(result: dict[str, Any], console: Console) -> None:

@@ -16,10 +16,9 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
-from lunarsim.campaign.pool import in_order
+from lunarsim.campaign.pool import gathered
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.grid import Grid
 from lunarsim.guidance.jerk_limited import site_cost
@@ -344,17 +343,7 @@ def main(
     """Sweep hazard fields and judge maps and sites against the truth."""
     console = Console(width=140)
     tasks = [Task(i, seed, hold, out is not None and i == 0) for i in range(fields)]
-    results: list[dict[str, Any]] = []
-    with Progress(console=console) as progress:
-        bar = progress.add_task("sweeps", total=fields)
-        try:
-            for result in in_order(fly, tasks, jobs):
-                results.append(result)
-                progress.advance(bar)
-        except KeyboardInterrupt:
-            if not results:
-                raise
-            console.print(f"interrupted: what follows is of the first {len(results)} fields")
+    results = gathered(fly, tasks, jobs, console, "sweeps")
     summary = summarise(results)
     show(summary, results[0], console)
     if json_file is not None:

@@ -17,13 +17,13 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from scipy.stats import t as student
 
-from lunarsim.campaign.pool import in_order
+from lunarsim.campaign.pool import gathered
 from lunarsim.grid import Grid
-from lunarsim.hazards.shadows.classification import classify, reliability
+from lunarsim.hazards.reliability import reliability
+from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES, classify
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -103,33 +103,12 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     return {
         "rates": result.rates,
         "counts": result.counts(),
-        "reliability": reliability(probability, occupied),
+        "reliability": reliability(probability, occupied, RELIABILITY_EDGES),
         "rocks": mapper.tracker.filter.count,
         "map": probability,
         "occupied": occupied,
         "extent": g.extent,
     }
-
-
-def fly_all(tasks: list[Task], jobs: int, console: Console) -> list[dict[str, Any]]:
-    """Fly all tasks, in as many processes as asked for; the order is that of the tasks.
-
-    An interrupt ends the flying; the fields that both paths have flown are kept.
-    """
-    results: list[dict[str, Any]] = []
-    with Progress(console=console) as progress:
-        bar = progress.add_task("flights", total=len(tasks))
-        try:
-            for result in in_order(fly, tasks, jobs):
-                results.append(result)
-                progress.advance(bar)
-        except KeyboardInterrupt:
-            whole = len(results) // len(PATHS)
-            results = results[: whole * len(PATHS)]
-            if not results:
-                raise
-            console.print(f"interrupted: what follows is of the first {whole} fields")
-    return results
 
 
 def mean_interval(values: list[float]) -> tuple[float, float]:
@@ -219,7 +198,11 @@ def main(
     """Fly both paths over random fields and compare their maps."""
     console = Console(width=140)
     tasks = [Task(path, field, seed, shapes) for field in range(fields) for path in PATHS]
-    results = fly_all(tasks, jobs, console)
+    results = gathered(fly, tasks, jobs, console, "flights")
+    # A field counts once both paths have flown it.
+    results = results[: len(results) // len(PATHS) * len(PATHS)]
+    if not results:
+        raise click.Abort
     summary = summarise(results)
     show(summary, console)
     if json_file is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
+from lunarsim.hazards.reliability import frequencies
 from lunarsim.hazards.shadows import cover_probability
 from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES
 from lunarsim.viz.style import COLOURS, map_axes, new_figure, save
@@ -151,8 +152,7 @@ def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
     for name, colour in zip(PATHS, COLOURS, strict=False):
         table = sum(r["levels"][50.0]["reliability"] for r in results if r["path"] == name)
         many = table[:, 0] >= 100
-        stated = table[many, 1] / table[many, 0]
-        found = table[many, 2] / table[many, 0]
+        stated, found = frequencies(table[many])
         ax.plot(np.maximum(stated, 3e-5), np.maximum(found, 3e-5), "o-", color=colour, label=name,
                 markersize=4)  # fmt: skip
     ax.plot([3e-5, 1.0], [3e-5, 1.0], "k--", linewidth=0.8, label="ideal")

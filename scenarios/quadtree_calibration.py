@@ -17,12 +17,12 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from lunarsim.campaign.pool import in_order
-from lunarsim.hazards.logistic import BINS, Logistic, calibration_error, reliability
+from lunarsim.campaign.pool import gathered
+from lunarsim.hazards.logistic import Logistic
 from lunarsim.hazards.quadtree.calibration import features
+from lunarsim.hazards.reliability import EDGES, calibration_error, frequencies, reliability
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -73,8 +73,8 @@ def draw(table: np.ndarray, fields: int, path: Path) -> None:
     """Draw the reliability diagram with 95 % intervals."""
     figure = new_figure(5.4, 5.6)
     top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1)})
-    full = table[:, 2] > 0
-    p, share, n = table[full].T
+    full = table[:, 0] > 0
+    (p, share), n = frequencies(table[full]), table[full, 0]
     half = 1.96 * np.sqrt(np.maximum(share * (1.0 - share), 0.25 / n) / n)
     top.plot([0, 1], [0, 1], color="#999999", lw=1, label="perfect")
     top.errorbar(p, share, half, fmt="o", color=COLOURS[0], capsize=2, label="fields not fitted")
@@ -85,7 +85,7 @@ def draw(table: np.ndarray, fields: int, path: Path) -> None:
     )
     top.legend()
     top.grid(alpha=0.3)
-    bottom.bar(BINS[:-1], table[:, 2], np.diff(BINS), align="edge", color=COLOURS[0])
+    bottom.bar(EDGES[:-1], table[:, 0], np.diff(EDGES), align="edge", color=COLOURS[0])
     bottom.set_yscale("log")
     bottom.set_xlabel("probability of landing safely")
     bottom.set_ylabel("sites")
@@ -107,9 +107,8 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
     """Fit the quadtree's probability of safety and judge it on fields kept out."""
     console = Console(width=110)
     tasks = [Task(field, seed) for field in range(fields)]
-    swept = list(
-        track(in_order(sweep, tasks, jobs), total=fields, console=console, description="sweeps")
-    )
+    swept = gathered(sweep, tasks, jobs, console, "sweeps")
+    fields = len(swept)
     # Every fourth in turn of the kinds: 0, 5, 10, 15, ...
     out_of_fit = [i for i in range(fields) if i % 4 == (i // 4) % 4]
     fitted = [i for i in range(fields) if i not in out_of_fit]
@@ -128,8 +127,10 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
     shown = Table(title=f"Reliability on {len(out_of_fit)} fields kept out")
     for heading in ("probability", "mean", "share safe", "sites"):
         shown.add_column(heading, justify="right")
-    for (low, high), row in zip(pairwise(BINS), table, strict=True):
-        shown.add_row(f"{low:.2f}-{high:.2f}", f"{row[0]:.3f}", f"{row[1]:.3f}", f"{row[2]:.0f}")
+    for (low, high), mean, share, n in zip(
+        pairwise(EDGES), *frequencies(table), table[:, 0], strict=True
+    ):
+        shown.add_row(f"{low:.2f}-{high:.2f}", f"{mean:.3f}", f"{share:.3f}", f"{n:.0f}")
     console.print(shown)
     called = p > 0.5
     console.print(

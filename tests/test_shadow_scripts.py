@@ -56,7 +56,7 @@ def small(tmp_path, monkeypatch):
 
 def test_experiment_compares_two_paths(small, tmp_path):
     tasks = [small.Task(path, 0, 1, None) for path in small.PATHS]
-    results = small.fly_all(tasks, 1, Console(quiet=True))
+    results = [small.fly(task) for task in tasks]
     assert [r["path"] for r in results] == list(small.PATHS)
     assert all(r["landed"] for r in results)
     summary = small.summarise(results)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from itertools import takewhile
 from typing import TypeVar
 
 import numba
+from rich.console import Console
+from rich.progress import Progress
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -60,12 +63,32 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
         raise
 
 
-def in_order(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[R]:
-    """Yield what `function` makes of the tasks, in their order; arguments as for `outcomes`."""
-    early: dict[int, R] = {}
-    due = 0
-    for index, result in outcomes(function, tasks, jobs):
-        early[index] = result
-        while due in early:
-            yield early.pop(due)
-            due += 1
+def gathered(
+    function: Callable[[T], R], tasks: Sequence[T], jobs: int, console: Console, what: str
+) -> list[R]:
+    """Return what `function` makes of the tasks, in their order, behind a progress bar.
+
+    An interrupt ends the work: what is done by then, from the first task on without a gap, is
+    returned; with nothing done the interrupt goes on.
+
+    Parameters
+    ----------
+    function, tasks, jobs
+        As for `outcomes`.
+    console
+        Where the bar is drawn.
+    what
+        Name of the tasks, in the plural.
+    """
+    done: dict[int, R] = {}
+    with Progress(console=console) as progress:
+        bar = progress.add_task(what, total=len(tasks))
+        try:
+            for index, result in outcomes(function, tasks, jobs):
+                done[index] = result
+                progress.advance(bar)
+        except KeyboardInterrupt:
+            if 0 not in done:
+                raise
+            console.print(f"interrupted after {len(done)} of {len(tasks)} {what}")
+    return [done[i] for i in takewhile(done.__contains__, range(len(tasks)))]

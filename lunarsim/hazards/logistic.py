@@ -94,28 +94,3 @@ class Logistic:
         if len(model.weights) != features:
             raise InputError("calibration", name, f"{features} weights, one a feature")
         return model
-
-
-# Bins of probability: finer at either end, where policies decide.
-BINS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
-
-
-def reliability(p: ArrayLike, safe: ArrayLike) -> Array:
-    """Return mean probability, share of safe sites and number by bin of `BINS` (bins, 3).
-
-    NaN in the first two where a bin is empty.
-    """
-    p, safe = np.asarray(p, dtype=np.float64), np.asarray(safe, dtype=np.float64)
-    which = np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
-    n = np.bincount(which, minlength=len(BINS) - 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(which, p, len(BINS) - 1) / n
-        share = np.bincount(which, safe, len(BINS) - 1) / n
-    return np.column_stack((mean, share, n))
-
-
-def calibration_error(table: Array) -> float:
-    """Return the mean distance between probability and share, weighted by number (ECE)."""
-    full = table[:, 2] > 0
-    gap = np.abs(table[full, 0] - table[full, 1])
-    return float((gap * table[full, 2]).sum() / table[full, 2].sum())

@@ -43,11 +43,11 @@ def prior_map_of(scenario: Scenario, world: World, streams: Streams) -> PriorMap
 
 
 def lidar_inertial_of(
-    scenario: Scenario, world: World, state: State, streams: Streams
+    scenario: Scenario, world: World, state: State, prior: PriorMap, streams: Streams
 ) -> FilteredNavigation:
-    """Return navigation started with errors of the scenario's budget."""
+    """Return navigation on a map, started with errors of the scenario's budget."""
     inertial, errors, _ = started(scenario, state, streams)
-    found = LidarInertialFilter(inertial, errors, prior_map_of(scenario, world, streams))
+    found = LidarInertialFilter(inertial, errors, prior)
     imu = Imu(streams.get("imu"), 1.0 / scenario.simulation.step_s)
     return FilteredNavigation(found, world, imu)
 

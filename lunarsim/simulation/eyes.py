@@ -23,7 +23,11 @@ from lunarsim.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.sensors.gimbal import gimbal_mount
 from lunarsim.sensors.lidar import LidarScan
 from lunarsim.simulation import build
-from lunarsim.simulation.build_quadtree import lidar_inertial_of, quadtree_mapper_of
+from lunarsim.simulation.build_quadtree import (
+    lidar_inertial_of,
+    prior_map_of,
+    quadtree_mapper_of,
+)
 from lunarsim.simulation.build_shadows import navigation_of, shadow_mapper_of
 from lunarsim.vehicle import State
 
@@ -209,6 +213,7 @@ class SweepEyes:
                 raise InputError(
                     f"sweep.{name}", rate, f"at most {1.0 / cycle:g}, one flash a control cycle"
                 )
+        self._prior = prior_map_of(sim.scenario, sim.world, sim.streams)
         self._start(sim)
         self.mapper: QuadtreeMapper
         self._rng = sim.streams.get("lidar")
@@ -219,7 +224,9 @@ class SweepEyes:
         self.on_scan: Callable[[LidarScan, Estimate], None] | None = None
 
     def _start(self, sim: Simulation) -> None:
-        self.filtered = lidar_inertial_of(sim.scenario, sim.world, sim.state, sim.streams)
+        self.filtered = lidar_inertial_of(
+            sim.scenario, sim.world, sim.state, self._prior, sim.streams
+        )
         self.navigation: Navigation = self.filtered
 
     @property
@@ -311,13 +318,13 @@ def flash(sim: Simulation, boresight: Array, rng: np.random.Generator) -> LidarS
     return sim.lidar.measure(sim.world, sim.state, sim.time, rng, mount)
 
 
-KINDS: dict[str, type[FlashEyes] | type[CameraEyes] | type[SweepEyes]] = {
+KINDS: dict[str, Callable[[Simulation], Eyes]] = {
     "gaussian-dem": FlashEyes,
     "shadow": CameraEyes,
     "quadtree": SweepEyes,
 }
 
 
-def eyes_of(sim: Simulation) -> FlashEyes | CameraEyes | SweepEyes:
+def eyes_of(sim: Simulation) -> Eyes:
     """Return the kind that the scenario's mapper asks for."""
     return KINDS[sim.scenario.mapper.kind](sim)

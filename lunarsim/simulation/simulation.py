@@ -193,7 +193,7 @@ class Simulation:
         return TruthOracle(
             truth.safety,
             truth.elevation,
-            lambda: self.frame_error,
+            lambda: self.navigation_error,
             self.lander,
             self.scenario.gravity_m_s2,
             self._approach_height,
@@ -213,11 +213,6 @@ class Simulation:
     def navigation_error(self) -> Array:
         """Estimated minus true position (3,), m."""
         return self.estimate.position - self.state.position
-
-    @property
-    def frame_error(self) -> Array:
-        """Offset of the frame of sites and maps from the true one (3,), m."""
-        return np.zeros(3) if self.eyes.tied_to_map else self.navigation_error
 
     @property
     def altitude(self) -> float:
@@ -317,7 +312,7 @@ class Simulation:
 
     def saw(self, scan: LidarScan | None) -> None:
         """Note that the map has been updated, and by which scan, for the record."""
-        self.map_error = self.frame_error
+        self.map_error = self.navigation_error
         if scan is not None:
             self.recorder.scan(scan, self.estimate)
             if not self.eyes.tied_to_map:

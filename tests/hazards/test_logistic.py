@@ -8,8 +8,9 @@ from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.hazards.logistic import Logistic, calibration_error, reliability
+from lunarsim.hazards.logistic import Logistic
 from lunarsim.hazards.quadtree import calibration as quadtree
+from lunarsim.hazards.reliability import calibration_error, frequencies, reliability
 from lunarsim.hazards.safety import calibration as dem
 from lunarsim.hazards.safety.conservative import StochasticSafety
 
@@ -29,10 +30,13 @@ def test_a_known_law_is_recovered():
 def test_reliability_counts_by_bin():
     p = np.array([0.0, 0.01, 0.55, 0.55, 0.99, 1.0])
     table = reliability(p, [0, 1, 1, 0, 1, 1])
-    assert table[:, 2].sum() == 6
-    assert table[0] == pytest.approx([0.005, 0.5, 2])
-    assert table[-1] == pytest.approx([0.995, 1.0, 2])
-    assert np.isnan(table[3, 0])
+    assert table[:, 0].sum() == 6
+    assert table[0] == pytest.approx([2, 0.01, 1])
+    assert table[-1] == pytest.approx([2, 1.99, 2])
+    mean, share = frequencies(table)
+    assert (mean[0], share[0]) == pytest.approx((0.005, 0.5))
+    assert np.isnan(mean[3])
+    assert np.isnan(share[3])
     expected = (2 * abs(0.005 - 0.5) + 2 * abs(0.55 - 0.5) + 2 * abs(0.995 - 1.0)) / 6
     assert calibration_error(table) == pytest.approx(expected)
 
@@ -56,7 +60,9 @@ def test_a_better_bound_never_lowers_the_probability():
         p = dem.calibrated_safety(safety, spacing)
         assert (np.diff(p, axis=0) >= -1e-6).all()
         assert (np.diff(p, axis=1) >= -1e-6).all()
-        assert p[0, 0] < 0.4
+        # The bounds answer for the worst: in dense scans a third of the sites for which both are
+        # nil is exactly safe (of 332 sites of testbeds 1 and 3 at 200 m, 124).
+        assert p[0, 0] < (0.4 if spacing[0] < 0.2 else 0.1)
         assert p[-1, -1] > 0.9
 
 

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.hazards.reliability import reliability
 from lunarsim.hazards.shadows import (
     DetectionRates,
     HazardPrior,
@@ -24,7 +25,7 @@ from lunarsim.hazards.shadows import (
 )
 from lunarsim.hazards.shadows import _probability_kernels as kernels
 from lunarsim.hazards.shadows.association import GATE, associate
-from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES, classify, reliability
+from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES, classify
 from lunarsim.navigation.inertial import InertialState, InitialErrors
 from lunarsim.terrain import RockField, Terrain
 from lunarsim.terrain.rocks import golombek_cover, golombek_number
@@ -258,7 +259,7 @@ def test_map_is_a_probability_and_knows_the_rocks():
     result = classify(p, rock >= 0)
     assert result.rates["clear_recall"] > 0.5
     assert result.rates["clear_false"] < 0.0025
-    table = reliability(p, rock >= 0)
+    table = reliability(p, rock >= 0, RELIABILITY_EDGES)
     assert table[:, 0].sum() == p.size
     assert len(table) == len(RELIABILITY_EDGES) - 1
 

@@ -47,8 +47,8 @@ def test_a_policy_lands_on_the_quadtree(flown):
     assert len(flight.decisions)
     hazard_map = flight.hazard_map
     assert hazard_map.observed.mean() > 0.3
-    # The map lies in the frame of the ground: no offset is left.
-    assert np.array_equal(flight.map_error, np.zeros(3))
+    # After the lock estimated frame and ground agree.
+    assert 0.0 < np.linalg.norm(flight.map_error) < 0.5
     touchdown = flight.verdict.touchdown.position
     assert np.linalg.norm(touchdown[:2] - simulation.site[:2]) < 0.7
 
@@ -71,6 +71,21 @@ def test_the_estimate_is_as_good_as_it_says(flown):
     sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
     assert (np.abs(error) < 4.0 * sigma + 0.05).all()
     assert np.linalg.norm(error) < 0.5
+
+
+def test_a_map_that_lies_aside_takes_estimate_sites_and_record_with_it():
+    offset = np.array([4.0, -3.0, 2.0])
+    aside = scenario(prior={"offset_m": offset.tolist()}, simulation={"max_time_s": 12.0})
+    simulation = Simulation(aside, 2, "truth-oracle")
+    flight = simulation.run()
+    assert simulation.eyes.filter.found
+    assert simulation.navigation_error == pytest.approx(offset, abs=0.5)
+    assert flight.map_error == pytest.approx(offset, abs=0.5)
+    # The map's heights are those of the ground that lies aside.
+    hazard_map = flight.hazard_map
+    z = simulation.world.terrain.elevation(hazard_map.grid.centres() - flight.map_error[:2])
+    gap = hazard_map.elevation - z
+    assert np.nanmedian(gap) == pytest.approx(offset[2], abs=0.2)
 
 
 def test_two_flights_of_a_seed_are_the_same():

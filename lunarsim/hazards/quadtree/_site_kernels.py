@@ -15,6 +15,8 @@ from lunarsim.hazards.quadtree._tree_kernels import (
     add_shifted,
     cell_centre,
     node_at,
+    points_in,
+    with_room,
 )
 
 # Why a site is not to be landed on; 0: it may be.
@@ -206,10 +208,7 @@ def paint(tree, nodes, ratios, raster, steps):
                 if old == new or (np.isnan(old) and np.isnan(new)):
                     continue
                 raster[row, col] = new
-                if n == changed.size:
-                    grown = np.empty(2 * n + 4, np.int64)
-                    grown[:n] = changed
-                    changed = grown
+                changed = with_room(changed, n)
                 changed[n] = row * wide + col
                 n += 1
     return changed[:n].copy()
@@ -245,10 +244,7 @@ def clear_unseen(tree, marked, raster, smallest, largest):
             if node_at(tree, x, y, smallest, largest) >= 0:
                 continue
             raster[row, col] = np.nan
-            if n == changed.size:
-                grown = np.empty(2 * n, np.int64)
-                grown[:n] = changed
-                changed = grown
+            changed = with_room(changed, n)
             changed[n] = row * wide + col
             n += 1
     return changed[:n].copy()
@@ -275,10 +271,7 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
             if node < 0 or seen[node] == version:
                 continue
             seen[node] = version
-            if n == out.size:
-                grown = np.empty(2 * n, np.int32)
-                grown[:n] = out
-                out = grown
+            out = with_room(out, n)
             out[n] = node
             n += 1
     return out[:n].copy()
@@ -358,40 +351,17 @@ def _mean_square(s, n, z0, normal):
 
 
 @kernel()
-def _root_sum(tree, west, east, south, north, x, y, z, normal, stack):
+def _root_sum(tree, west, east, south, north, x, y, z, normal):
     """Return sum |d| and the number of the points in a closed rectangle: for Eq. 8 as printed."""
+    index = points_in(tree, west, east, south, north)
     total = 0.0
-    n = 0
-    stack[0] = 0
-    top = 1
-    while top > 0:
-        top -= 1
-        m = stack[top]
-        cx, cy = cell_centre(tree, m)
-        reach = tree.half / (1 << tree.depth[m])
-        if tree.count[m] == 0 or (
-            cx - reach > east or cx + reach < west or cy - reach > north or cy + reach < south
-        ):
-            continue
-        if tree.child[m] >= 0:
-            for q in range(4):
-                stack[top] = tree.child[m] + q
-                top += 1
-            continue
-        run = tree.head[m]
-        while run >= 0:
-            begin = tree.start[run]
-            for i in range(begin, begin + tree.length[run]):
-                px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
-                if west <= px <= east and south <= py <= north:
-                    total += abs(
-                        (px - x) * normal[0]
-                        + (py - y) * normal[1]
-                        + (tree.xyz[i, 2] - z) * normal[2]
-                    )
-                    n += 1
-            run = tree.following[run]
-    return total, n
+    for i in index:
+        total += abs(
+            (tree.xyz[i, 0] - x) * normal[0]
+            + (tree.xyz[i, 1] - y) * normal[1]
+            + (tree.xyz[i, 2] - z) * normal[2]
+        )
+    return total, index.size
 
 
 @kernel()
@@ -478,7 +448,7 @@ def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, 
             continue
         z = tree.sums[node, 2] / tree.count[node]
         if printed:
-            total, n = _root_sum(tree, west, east, south, north, x, y, z, normal, stack)
+            total, n = _root_sum(tree, west, east, south, north, x, y, z, normal)
             roughness[node] = total / np.sqrt(n)
         else:
             n = _zone_sums(tree, west, east, south, north, x, y, stack, s)

@@ -58,6 +58,16 @@ def _column_of(v, half, per_metre):
 
 
 @kernel()
+def with_room(array, n):
+    """Return a list of which n entries are taken, enlarged if there is no room for another."""
+    if n < array.size:
+        return array
+    grown = np.empty(2 * n + 64, array.dtype)
+    grown[:n] = array
+    return grown
+
+
+@kernel()
 def place(points, centre, half, depths):
     """Sort points (n, 3) along the Z-order curve of the least cells.
 
@@ -385,10 +395,7 @@ def points_in(tree, west, east, south, north):
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
                 if west <= tree.xyz[i, 0] <= east and south <= tree.xyz[i, 1] <= north:
-                    if n == found.size:
-                        grown = np.empty(2 * n, np.int64)
-                        grown[:n] = found
-                        found = grown
+                    found = with_room(found, n)
                     found[n] = i
                     n += 1
             run = tree.following[run]

@@ -77,17 +77,3 @@ def classify(
         clear_wrong=int((called_clear & occupied).sum()),
         occupied_right=int((called_occupied & occupied).sum()),
     )
-
-
-def reliability(
-    probability: NDArray[np.float32], occupied: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return number of cells, sum of p and number under a hazard for each bin (bins, 3)."""
-    bins = np.clip(np.digitize(probability, RELIABILITY_EDGES) - 1, 0, len(RELIABILITY_EDGES) - 2)
-    size = len(RELIABILITY_EDGES) - 1
-    return np.column_stack(
-        [
-            np.bincount(bins.ravel(), weights=w, minlength=size)
-            for w in (None, probability.ravel().astype(np.float64), occupied.ravel())
-        ]
-    )

@@ -1,0 +1,39 @@
+"""Work spread over processes."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from rich.console import Console
+
+from lunarsim.campaign.pool import gathered
+
+QUIET = Console(quiet=True)
+
+
+def square_late(x: int) -> int:
+    # The first takes longest: results come out of order.
+    time.sleep(0.2 if x == 0 else 0.0)
+    return x * x
+
+
+def third_interrupts(x: int) -> int:
+    if x == 2:
+        raise KeyboardInterrupt
+    return -x
+
+
+def first_interrupts(x: int) -> int:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_are_in_the_order_of_the_tasks(jobs):
+    assert gathered(square_late, range(7), jobs, QUIET, "squares") == [x * x for x in range(7)]
+
+
+def test_what_is_done_before_an_interrupt_is_kept():
+    assert gathered(third_interrupts, range(5), 1, QUIET, "numbers") == [0, -1]
+    with pytest.raises(KeyboardInterrupt):
+        gathered(first_interrupts, range(5), 1, QUIET, "numbers")
