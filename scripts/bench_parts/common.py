@@ -1,0 +1,62 @@
+"""What the parts share: timing and ground."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
+    """Return the median time of `call`, ms, after one call to warm up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return 1e3 * statistics.median(times)
+
+
+class Timed:
+    """A function that counts its calls and their time."""
+
+    def __init__(self, function):
+        self.function = function
+        self.seconds = 0.0
+        self.calls = 0
+
+    def __call__(self, *args, **more):
+        """Call it."""
+        began = time.perf_counter()
+        result = self.function(*args, **more)
+        self.seconds += time.perf_counter() - began
+        self.calls += 1
+        return result
+
+
+def square(slope_deg: float, count: int, posting: float, side: float, seed: int = 0):
+    """Return a square of fractal relief with `count` rocks by the Golombek law."""
+    import numpy as np
+
+    from lunarsim.grid import Grid
+    from lunarsim.terrain import (
+        RockModel,
+        Terrain,
+        fractal_relief,
+        golombek_number,
+        place_rocks,
+        sample_diameters,
+    )
+
+    rng = np.random.default_rng(seed)
+    grid = Grid.centred((0.0, 0.0), side, posting)
+    relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(slope_deg))
+    # The least diameter at which a cover of 5 % gives this many rocks.
+    sizes = np.geomspace(0.05, 2.0, 400)
+    least = float(np.interp(-count / side**2, -golombek_number(sizes, 0.05), sizes))
+    diameters = sample_diameters(side**2, 0.05, least, 3.0, rng)
+    return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("mixed")))

@@ -1,0 +1,132 @@
+"""The quadtree map, its sites, and finding oneself on a prior map."""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+from bench_parts.common import ROOT, Timed, median_ms
+
+
+def quadtree() -> None:
+    """Points into the quadtree against SciPy's KD-tree and binned means; sites as the map grows."""
+    import numpy as np
+    from scipy.spatial import cKDTree
+    from scipy.stats import binned_statistic_2d
+
+    from lunarsim.hazards.quadtree import QuadtreeMap, SiteSelector
+
+    rng = np.random.default_rng(0)
+
+    def cloud(count: int, width: float, centre=(0.0, 0.0)):
+        xy = rng.uniform(-0.5 * width, 0.5 * width, (count, 2)) + centre
+        bump = np.hypot(xy[:, 0] % 9.0 - 4.0, xy[:, 1] % 11.0 - 5.0) < 0.5
+        z = 0.1 * np.sin(xy[:, 0] / 7.0) + 0.005 * xy[:, 1] + 0.45 * bump
+        return np.column_stack((xy, z + rng.normal(0.0, 0.02, count)))
+
+    QuadtreeMap((0.0, 0.0), 100.0).insert(cloud(10_000, 99.0))
+    print("  points at once, 100 x 100 m, least cells of 0.1 m")
+    for count in (100_000, 1_000_000, 10_000_000):
+        points = cloud(count, 99.0)
+        quadtree = QuadtreeMap((0.0, 0.0), 100.0)
+        began = time.perf_counter()
+        quadtree.insert(points)
+        ours = time.perf_counter() - began
+        began = time.perf_counter()
+        binned_statistic_2d(points[:, 0], points[:, 1], points[:, 2], "mean", bins=1000)
+        binned = time.perf_counter() - began
+        line = (
+            f"    {count:10,d}: {ours:6.2f} s ({1e9 * ours / count:4.0f} ns a point, "
+            f"{quadtree.nbytes / count:.0f} bytes a point), {ours / binned:.2f} of SciPy's binned "
+            "mean at the least size alone"
+        )
+        if count <= 1_000_000:
+            began = time.perf_counter()
+            cKDTree(points[:, :2])
+            line += f", {ours / (time.perf_counter() - began):.2f} of a KD-tree"
+        print(line)
+    points = cloud(10_000_000, 999.0)
+    quadtree = QuadtreeMap((0.0, 0.0), 1000.0)
+    began = time.perf_counter()
+    quadtree.insert(points)
+    took = time.perf_counter() - began
+    print(
+        f"    10,000,000 at random on a square kilometre: {took:.2f} s, {quadtree.cells:,d} cells"
+    )
+    del points, quadtree
+    print("  flashes of 128 x 128 points on 8 x 8 m, one after the other; then one update of sites")
+    quadtree = QuadtreeMap((0.0, 0.0), 100.0)
+    selector = SiteSelector(quadtree)
+    shown = [10_000, 100_000, 1_000_000, 3_000_000, 10_000_000]
+    inserted = 0.0
+    while shown:
+        flash = cloud(16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
+        began = time.perf_counter()
+        quadtree.insert(flash)
+        inserted += time.perf_counter() - began
+        if quadtree.count < shown[0]:
+            if rng.random() < 0.05:
+                selector.update()
+            continue
+        selector.update()
+        steps = []
+        for _ in range(9):
+            flash = cloud(16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
+            began = time.perf_counter()
+            quadtree.insert(flash)
+            middle = time.perf_counter()
+            selector.update()
+            steps.append((middle - began, time.perf_counter() - middle))
+        insert, update = (1e3 * statistics.median(column) for column in zip(*steps, strict=True))
+        fresh = median_ms(lambda q=quadtree: SiteSelector(q).update(), 3)
+        box = median_ms(lambda q=quadtree: q.points_in(0.0, 2.0, 0.0, 2.0))
+        band = median_ms(lambda q=quadtree: q.band(0.8, 1.6))
+        places = rng.uniform(-45.0, 45.0, (1000, 2))
+        cell = median_ms(lambda q=quadtree, p=places: [q.cell_at(xy) for xy in p])
+        print(
+            f"    {quadtree.count:10,d} points: insert {insert:.1f} + update {update:.1f} ms; from "
+            f"scratch {fresh:.1f} ms, {fresh / update:.0f} times as long; 4 m2 of points {box:.2f} "
+            f"ms, band of {len(quadtree.band(0.8, 1.6))} cells {band:.2f} ms, cell at a place "
+            f"{cell:.1f} us"
+        )
+        shown.pop(0)
+    print(f"    all flashes together {inserted:.2f} s")
+    print("  the same number of points to a square metre on larger maps, one flash more")
+    for side in (100.0, 200.0, 400.0):
+        quadtree = QuadtreeMap((0.0, 0.0), side)
+        quadtree.insert(cloud(round(100 * side**2), side - 1.0))
+        selector = SiteSelector(quadtree)
+        selector.update()
+        steps = []
+        for _ in range(5):
+            flash = cloud(16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
+            began = time.perf_counter()
+            quadtree.insert(flash)
+            selector.update()
+            steps.append(time.perf_counter() - began)
+        print(
+            f"    {side:4.0f} m, {quadtree.count:10,d} points, {len(selector.mesh.nodes):5d} mesh "
+            f"nodes: {1e3 * statistics.median(steps):.1f} ms"
+        )
+
+
+def lidar_inertial() -> None:
+    """Scans fitted to a prior map, and the search for the place before the first fit."""
+    from lunarsim.navigation import lidar_inertial as navigation
+    from lunarsim.rng import flight_seed
+    from lunarsim.scenario import Scenario
+    from lunarsim.simulation import Simulation
+
+    kept = navigation.register, navigation.search
+    scenario = Scenario.load(ROOT / "scenarios" / "morpheus.toml")
+    for index in range(3):
+        fit, search = (Timed(function) for function in kept)
+        navigation.register, navigation.search = fit, search
+        simulation = Simulation(scenario, flight_seed(1, index))
+        while not simulation.done and simulation.time < 20.0:
+            simulation.step()
+        navigation.register, navigation.search = kept
+        print(
+            f"  flight {index}: {fit.calls} registrations of {1e3 * fit.seconds / fit.calls:.1f} "
+            f"ms, {search.calls} searches of {1e3 * search.seconds / max(search.calls, 1):.0f} ms"
+        )

@@ -1,0 +1,152 @@
+"""Terrain, pictures and rays."""
+
+from __future__ import annotations
+
+import time
+
+import numba
+
+from bench_parts.common import median_ms, square
+
+
+def terrain() -> None:
+    """Building: a square kilometre at 0.5 m with 50,000 rocks, and how placement grows."""
+    import numpy as np
+
+    from lunarsim.grid import Grid
+    from lunarsim.terrain import Heightfield, RockModel, place_rocks, sample_diameters
+
+    square(4.0, 1000, 1.0, 64.0)
+    began = time.perf_counter()
+    built = square(4.0, 50_000, 0.5, 1000.0)
+    print(
+        f"  1 km^2 at 0.5 m with {len(built.rocks)} rocks: {time.perf_counter() - began:.2f} s, "
+        f"{built.nbytes / 1e6:.0f} MB kept"
+    )
+    flat = Heightfield(Grid.centred((0.0, 0.0), 500.0, 2.0), np.zeros((250, 250), np.float32))
+    for cover in (0.01, 0.05, 0.2):
+        rng = np.random.default_rng(1)
+        diameters = sample_diameters(250_000.0, cover, 0.3, 3.0, rng)
+        ms = median_ms(
+            lambda d=diameters, r=rng: place_rocks(flat, d, r, model=RockModel("mixed")), 3
+        )
+        print(
+            f"  {diameters.size:7d} rocks placed at {100 * cover:.0f} % cover: {ms:6.1f} ms, "
+            f"{1e6 * ms / diameters.size:.0f} ns a rock"
+        )
+
+
+def render() -> None:
+    """640 x 480 pictures, shadow pass and read-back included, Sun at 20 degrees."""
+    import numpy as np
+
+    from lunarsim.frames import sensor_axes
+    from lunarsim.light import Light
+    from lunarsim.sensors.rendering import View, renderer_of
+    from lunarsim.sensors.rendering.context import gl_context
+
+    print(f"  {gl_context().info['GL_RENDERER']}")
+    light = Light(1.5708, np.radians(20.0))
+    took = {}
+    for count in (10_000, 50_000):
+        terrain = square(4.0, count, 1.0, 512.0)
+        began = time.perf_counter()
+        renderer = renderer_of(terrain)
+        made = time.perf_counter() - began
+        for altitude in (100.0, 600.0):
+            position = np.array([0.0, 0.0, float(terrain.elevation([0.0, 0.0])) + altitude])
+            axes = sensor_axes([0.0, 0.0, -1.0])
+            view = View(position, axes, 554.3, 554.3, 319.5, 239.5, 640, 480)
+            ms = median_ms(lambda r=renderer, v=view: r.render(v, light), 15)
+            took[count, altitude] = ms
+            truth = median_ms(lambda r=renderer, v=view: r.render(v, light, truth=True), 5)
+            rays = view.rays().reshape(-1, 3)
+            cast = median_ms(lambda t=terrain, p=position, d=rays: t.cast(p, d, normals=False), 5)
+            print(
+                f"  {len(terrain.rocks):6d} rocks, {altitude:3.0f} m: {1e3 / ms:5.1f} frames/s "
+                f"({ms:.1f} ms); with range, normal and identity {truth:.1f} ms; "
+                f"casting a ray a pixel, without shadows: {cast / ms:.2f} of a frame"
+            )
+        print(f"    buffers made in {1e3 * made:.0f} ms")
+    for altitude in (100.0, 600.0):
+        ratio = took[50_000, altitude] / took[10_000, altitude]
+        print(f"  five times the rocks at {altitude:.0f} m: {ratio:.2f} times as long")
+
+
+def lidar() -> None:
+    """65,536 rays from 500 m against Embree on the same triangles, one thread each."""
+    import numpy as np
+
+    from lunarsim.frames import sensor_axes
+    from lunarsim.grid import Grid
+    from lunarsim.sensors import FlashLidar
+    from lunarsim.terrain import Heightfield, Terrain, fractal_relief, place_rocks
+
+    try:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+    except ImportError:
+        raise SystemExit(
+            'error: this part compares with Embree: pip install "lunarsim[bench]"'
+        ) from None
+    rng = np.random.default_rng(0)
+    side, posting = 2001, 0.1
+    grid = Grid(-100.0, -100.0, posting, side, side)
+    flat = Heightfield(grid, np.zeros(grid.shape, np.float32))
+    rough = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(8.0))
+    rough = rough.scaled(22.0 / float(np.ptp(rough.z)))
+    threads = numba.get_num_threads()
+    for name, relief, tilt in (
+        ("flat, 500 rocks, nadir", flat, 0.0),
+        ("22 m relief, 60 deg", rough, 60.0),
+    ):
+        diameters = rng.uniform(0.3, 1.5, 500)
+        began = time.perf_counter()
+        terrain = Terrain(relief, place_rocks(relief, diameters, rng))
+        ours_built = time.perf_counter() - began
+        boresight = np.array([np.sin(np.radians(tilt)), 0.0, -np.cos(np.radians(tilt))])
+        rays = np.ascontiguousarray(FlashLidar().directions() @ sensor_axes(boresight).T)
+        origin = -500.0 * boresight
+        began = time.perf_counter()
+        surface = terrain.raster(grid)
+        xx, yy = np.meshgrid(grid.x, grid.y)
+        vertices = np.stack((xx, yy, surface), axis=-1).reshape(-1, 3).astype(np.float32)
+        first = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+        around = (first, first + 1, first + side + 1, first, first + side + 1, first + side)
+        scene = rtcore_scene.EmbreeScene()
+        mesh = TriangleMesh(scene, vertices, np.stack(around, 1).reshape(-1, 3).astype(np.int32))
+        starts = np.broadcast_to(origin, rays.shape).astype(np.float32).copy()
+        directions = rays.astype(np.float32)
+        theirs = np.asarray(scene.run(starts, directions, query="DISTANCE"))
+        embree_built = time.perf_counter() - began
+        numba.set_num_threads(1)
+        one = median_ms(lambda t=terrain, o=origin, d=rays: t.cast(o, d, normals=False))
+        numba.set_num_threads(min(2, threads))
+        two = median_ms(lambda t=terrain, o=origin, d=rays: t.cast(o, d, normals=False))
+        embree = median_ms(
+            lambda s=scene, o=starts, d=directions: s.run(o, d, query="DISTANCE"), repeats=5
+        )
+        # The very triangles that Embree has.
+        same = Terrain(Heightfield(grid, surface)).cast(origin, rays, normals=False).range
+        seen = np.isfinite(same) & (theirs < 1e6)
+        gap = np.abs(same[seen] - theirs[seen])
+        print(
+            f"  {name}: {one:.1f} ms against Embree's {embree:.1f} ms: {embree / one:.2f} times "
+            f"its rays a second; on two threads {two:.1f} ms"
+        )
+        print(
+            f"    built in {ours_built:.2f} s against {embree_built:.2f} s; memory "
+            f"{terrain.nbytes / 1e6:.0f} MB against {_mesh_megabytes(vertices, first):.0f} MB of "
+            "triangles alone"
+        )
+        alone = np.mean(np.isfinite(same) != (theirs < 1e6))
+        print(
+            f"    same triangles: median difference {1e3 * np.median(gap):.3f} mm, greatest "
+            f"{1e3 * gap.max():.2f} mm, seen by one only {alone:.1e}"
+        )
+        del mesh, scene
+    numba.set_num_threads(threads)
+
+
+def _mesh_megabytes(vertices, cells) -> float:
+    return (vertices.nbytes + cells.size * 2 * 3 * 4) / 1e6

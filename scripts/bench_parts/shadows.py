@@ -1,0 +1,144 @@
+"""The shadow pipeline."""
+
+from __future__ import annotations
+
+import time
+
+from bench_parts.common import ROOT, Timed, median_ms, square
+
+
+def _rock_filter(count, seed=0):
+    """Return a filter of `count` rocks seen from 80 m, its camera and the true places."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from lunarsim.hazards.shadows import RockFilter
+    from lunarsim.navigation.inertial import InertialState
+    from lunarsim.sensors import Camera
+    from lunarsim.sensors.gimbal import gimbal_mount
+
+    rng = np.random.default_rng(seed)
+    position = np.array([-20.0, 10.0, 80.0])
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    rocks = RockFilter(InertialState(position, np.zeros(3), level, 1.622), capacity=count)
+    camera = replace(Camera(), mount=gimbal_mount(level, -position))
+    xy = rng.uniform(-30.0, 30.0, (count, 2))
+    noise = np.tile(0.25 * np.eye(2), (count, 1, 1))
+    rocks.add(camera, xy, noise, np.full(count, 0.5), np.full(count, 0.01))
+    return rocks, camera, xy
+
+
+def shadows() -> None:
+    """Detection, filter, map and a whole flight of the shadow pipeline."""
+    import numpy as np
+    from filterpy.kalman import ExtendedKalmanFilter
+    from threadpoolctl import threadpool_limits
+
+    from lunarsim.frames import direction_from_angles
+    from lunarsim.grid import Grid
+    from lunarsim.hazards.shadows import ProbabilityMap, RockTracker, ShadowModel, detect_rocks
+    from lunarsim.hazards.shadows.association import associate
+    from lunarsim.light import Light
+    from lunarsim.rng import flight_seed
+    from lunarsim.scenario import Scenario
+    from lunarsim.sensors import Camera
+    from lunarsim.simulation import Simulation
+    from lunarsim.vehicle import State
+    from lunarsim.world import World
+
+    elevation = np.radians(20.0)
+    model = ShadowModel(elevation)
+    rng = np.random.default_rng(0)
+
+    for count in (300, 1200):
+        terrain = square(0.0, count, 2.0, 120.0)
+        rocks, camera, _ = _rock_filter(1)
+        state = State(
+            np.array([-20.0, 10.0, 80.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]),
+            np.zeros(3), 1.0,
+        )  # fmt: skip
+        world = World(terrain, 1.622, Light(0.0, elevation))
+        counts = camera.expose(world, state, 0.0, rng).counts
+        sun = direction_from_angles(0.0, elevation)
+        seen = detect_rocks(counts, camera, state, sun, model=model)
+        ms = median_ms(
+            lambda c=counts, e=camera, p=state, s=sun: detect_rocks(c, e, p, s, model=model), 15
+        )
+        print(f"  detection: {seen.labels.max()} shadows in view, {len(seen)} rocks: {ms:.1f} ms")
+
+    def one_update(rocks, camera, xy, seen):
+        """Associate and update as for one image in which the first `seen` rocks are found."""
+        sight = rocks.sight(camera)
+        noise = np.tile(0.25 * np.eye(2), (seen, 1, 1))
+        pixel = sight.pixel[:seen] + 0.5 * rng.standard_normal((seen, 2))
+        radius, variance = np.full(seen, 0.5), np.full(seen, 0.01)
+        _, index, _, _ = associate(
+            pixel, noise, radius, variance, sight.pixel, rocks.innovation_covariance(sight),
+            rocks.radius, rocks.radius_variance,
+        )  # fmt: skip
+        index = np.unique(index)[:seen]
+        n = len(index)
+        rocks.update_rocks(index, sight, sight.pixel[index], noise[:n], radius[:n], variance[:n])
+
+    for count in (100, 200, 500, 1000, 2000):
+        rocks, camera, xy = _rock_filter(count)
+        seen = min(150, count)
+        ms = median_ms(lambda r=rocks, c=camera, x=xy, s=seen: one_update(r, c, x, s), 9)
+        print(f"  filter: {count:4d} rocks tracked, {seen} seen: {ms:6.1f} ms an image")
+    rocks, camera, xy = _rock_filter(500)
+    seen = 150
+    sight, noise = rocks.sight(camera), np.tile(0.25 * np.eye(2), (seen, 1, 1))
+    index, flat = np.arange(seen), np.full(seen, 0.01)
+    size = 15 + 2 * 500
+    dense = ExtendedKalmanFilter(size, 2 * seen)
+    dense.P = rocks.covariance.copy()
+    h = np.zeros((2 * seen, size))
+    for j in range(seen):
+        h[2 * j : 2 * j + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
+        h[2 * j : 2 * j + 2, 15 + 2 * j : 17 + 2 * j] = sight.by_rock[j]
+    z, r = np.zeros(2 * seen), 0.25 * np.eye(2 * seen)
+    with threadpool_limits(1, "blas"):
+        ours = median_ms(
+            lambda: rocks.update_rocks(index, sight, sight.pixel[:seen], noise, flat + 0.49, flat),
+            9,
+        )
+        peer = median_ms(lambda: dense.update(z, lambda x: h, lambda x: h @ x, R=r), 3)
+    print(
+        f"    500 rocks, 150 seen, the update alone, one thread: {ours:.1f} ms; filterpy's dense "
+        f"update of the same states {peer:.1f} ms, {peer / ours:.1f} times"
+    )
+
+    for count in (100, 500, 2000):
+        rocks, _, _ = _rock_filter(count)
+        tracker = RockTracker(rocks, model)
+        tracker.existence = np.full(count, 0.99)
+        mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 160.0, 0.25), model)
+        ms = median_ms(lambda m=mapping, t=tracker: m.probability(t), 5)
+        print(f"  map: 640 x 640 cells, {count:4d} rocks: {ms:6.1f} ms")
+
+    for name in ("nominal", "modified"):
+        scenario = Scenario.load(ROOT / "scenarios" / f"shadow_{name}.toml")
+        simulation = Simulation(scenario, flight_seed(1, 0))
+        began = time.perf_counter()
+        mapped = 0.0
+        expose = Camera.expose
+        shutter = Timed(expose)
+        Camera.expose = lambda self, *a, s=shutter, **k: s(self, *a, **k)
+        refreshed = 0.0
+        while not simulation.done:
+            simulation.step()
+            if simulation.time >= refreshed + 1.0:
+                refreshed = simulation.time
+                start = time.perf_counter()
+                simulation.eyes.mapper.hazard_map()
+                mapped += time.perf_counter() - start
+        took = time.perf_counter() - began
+        Camera.expose = expose
+        drawn, pictures = shutter.seconds, shutter.calls
+        print(
+            f"  flight, {name}: {simulation.time:.0f} s flown in {took:.1f} s, "
+            f"{simulation.time / took:.2f} times real time ({pictures} pictures: {drawn:.1f} s to "
+            f"draw and expose; maps {mapped:.1f} s; the rest detects, tracks and flies); without "
+            f"drawing {simulation.time / (took - drawn):.2f} times"
+        )
