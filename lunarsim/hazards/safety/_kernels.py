@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from lunarsim._jit import kernel, prange
+from lunarsim._lanes import LANES, larger, load, spread, store
 
 FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any terrain
 _TILE_ROWS = 64
@@ -58,44 +59,43 @@ def _double(levels):
                 out[j] = levels[k - 1, i, j]
 
 
-@kernel(fast=True)
+@kernel()
 def _over_runs(levels, runs, reach, out):
     """Write the maximum over a set of runs around each cell of the tile.
 
     A row of `runs` is (row offset, level, first window, second window); their number is a
-    multiple of four, which keeps the running maximum in registers for longer.
+    multiple of four. A row of the tile has LANES columns to spare behind its surroundings.
     """
+    _, tall, wide = levels.shape
     rows, cols = out.shape
+    flat = levels.reshape(levels.size)
+    first = np.empty(len(runs), np.int64)
+    second = np.empty(len(runs), np.int64)
+    for n in range(len(runs)):
+        start = (runs[n, 1] * tall + reach + runs[n, 0]) * wide + reach
+        first[n] = start + runs[n, 2]
+        second[n] = start + runs[n, 3]
+    best = np.empty(LANES, np.float32)
     for i in range(rows):
-        line = out[i]
-        for n in range(0, runs.shape[0], 4):
-            r0 = levels[runs[n, 1], i + reach + runs[n, 0]]
-            r1 = levels[runs[n + 1, 1], i + reach + runs[n + 1, 0]]
-            r2 = levels[runs[n + 2, 1], i + reach + runs[n + 2, 0]]
-            r3 = levels[runs[n + 3, 1], i + reach + runs[n + 3, 0]]
-            a0 = r0[reach + runs[n, 2] : reach + runs[n, 2] + cols]
-            b0 = r0[reach + runs[n, 3] : reach + runs[n, 3] + cols]
-            a1 = r1[reach + runs[n + 1, 2] : reach + runs[n + 1, 2] + cols]
-            b1 = r1[reach + runs[n + 1, 3] : reach + runs[n + 1, 3] + cols]
-            a2 = r2[reach + runs[n + 2, 2] : reach + runs[n + 2, 2] + cols]
-            b2 = r2[reach + runs[n + 2, 3] : reach + runs[n + 2, 3] + cols]
-            a3 = r3[reach + runs[n + 3, 2] : reach + runs[n + 3, 2] + cols]
-            b3 = r3[reach + runs[n + 3, 3] : reach + runs[n + 3, 3] + cols]
-            if n == 0:
-                for j in range(cols):
-                    line[j] = max(
-                        max(max(a0[j], b0[j]), max(a1[j], b1[j])),
-                        max(max(a2[j], b2[j]), max(a3[j], b3[j])),
-                    )
-            else:
-                for j in range(cols):
-                    line[j] = max(
-                        line[j],
-                        max(
-                            max(max(a0[j], b0[j]), max(a1[j], b1[j])),
-                            max(max(a2[j], b2[j]), max(a3[j], b3[j])),
-                        ),
-                    )
+        for j in range(0, cols, LANES):
+            store(best, 0, _best(flat, first, second, i * wide + j))
+            for k in range(min(LANES, cols - j)):
+                out[i, j + k] = best[k]
+
+
+@kernel(inline=True)
+def _best(flat, first, second, at):
+    """Return the maximum over the windows of all runs."""
+    a = spread(-FAR)
+    b = a
+    c = a
+    d = a
+    for n in range(0, len(first), 4):
+        a = larger(a, larger(load(flat, at + first[n]), load(flat, at + second[n])))
+        b = larger(b, larger(load(flat, at + first[n + 1]), load(flat, at + second[n + 1])))
+        c = larger(c, larger(load(flat, at + first[n + 2]), load(flat, at + second[n + 2])))
+        d = larger(d, larger(load(flat, at + first[n + 3]), load(flat, at + second[n + 3])))
+    return larger(larger(a, b), larger(c, d))
 
 
 @kernel()
@@ -114,7 +114,7 @@ def maximum(z, sign, runs, depth, reach, out):
         c0 = (tile % across) * _TILE_COLS
         h = min(_TILE_ROWS, rows - r0)
         w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach), np.float32)
+        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
         _load(z, z, _MEAN, np.float32(sign), r0 - reach, c0 - reach, levels)
         _double(levels)
         _over_runs(levels, runs, reach, out[r0 : r0 + h, c0 : c0 + w])
@@ -133,7 +133,7 @@ def extremes(z, leg_runs, body_runs, depth, reach, leg_max, leg_min, body_max):
         c0 = (tile % across) * _TILE_COLS
         h = min(_TILE_ROWS, rows - r0)
         w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach), np.float32)
+        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
         _load(z, z, _MEAN, np.float32(1.0), r0 - reach, c0 - reach, levels)
         _double(levels)
         _over_runs(levels, leg_runs, reach, leg_max[r0 : r0 + h, c0 : c0 + w])
@@ -172,7 +172,7 @@ def stochastic(
         c0 = (tile % across) * _TILE_COLS
         h = min(_TILE_ROWS, rows - r0)
         w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach), np.float32)
+        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)
         body = np.empty((2, h, w), np.float32)

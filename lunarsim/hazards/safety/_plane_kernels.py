@@ -1,356 +1,279 @@
 """Compiled kernels that go through the support planes of every heading: exact and bounded.
 
-Rasters are float32 (rows, cols) without NaN.
+Rasters are flat (rows * cols + LANES,), float32, without NaN; sixteen neighbouring sites of a row
+are taken at a time. Lanes beyond the last site read what follows and are dropped.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from lunarsim._jit import kernel, prange
+from lunarsim._lanes import (
+    LANES,
+    any_above,
+    item,
+    larger,
+    load,
+    magnitude,
+    root,
+    spread,
+    store,
+    where_above,
+)
 from lunarsim.hazards.safety._kernels import FAR
+from lunarsim.hazards.safety.footprint import BLOCK
 
-_STRETCH = 128  # sites of a row that a thread takes at once
 
+@kernel(inline=True)
+def _plane(feet, here, legs, inverse, place, h, s):
+    """Return gradient (a cell) and height at the centre of plane `s` of heading `h`.
 
-@kernel(finite=True)
-def _site_planes(feet, offsets, inverse, place, legs, gx, gy, base):
-    """Write gradient (a cell) and height at the centre of all support planes of one site.
-
-    `feet` starts at the lowest leg cell of the site; lane s * headings + h is plane s of heading
-    h. `legs` is scratch for the heights of the legs (4, headings).
+    `feet` holds the ground under a pad; `here` is the index of the first site.
     """
-    headings = offsets.shape[1]
-    for n in range(offsets.shape[0]):
-        own = offsets[n]
-        heights = legs[n]
-        for h in range(headings):
-            heights[h] = feet[own[h]]
-    za = legs[0]
-    zb = legs[1]
-    zc = legs[2]
-    if offsets.shape[0] == 3:
-        for h in range(headings):
-            u = zb[h] - za[h]
-            v = zc[h] - za[h]
-            x = inverse[0, 0, 0, h] * u + inverse[0, 0, 1, h] * v
-            y = inverse[0, 0, 2, h] * u + inverse[0, 0, 3, h] * v
-            gx[h] = x
-            gy[h] = y
-            base[h] = za[h] - y * place[0, 0, 0, h] - x * place[0, 0, 1, h]
-        return
-    zd = legs[3]
-    for s in range(2):
-        m = inverse[s]
-        q = place[s]
-        for h in range(headings):
-            first = za[h] + zc[h] >= zb[h] + zd[h]
-            # Plane 0 stands on legs a b c or a b d, plane 1 on a c d or b c d.
-            if s == 0:
-                z0 = za[h]
-                u = zb[h] - z0
-                v = zc[h] - z0 if first else zd[h] - z0
-            else:
-                z0 = za[h] if first else zb[h]
-                u = zc[h] - z0
-                v = zd[h] - z0
-            xu = m[0, 0, h] if first else m[1, 0, h]
-            xv = m[0, 1, h] if first else m[1, 1, h]
-            yu = m[0, 2, h] if first else m[1, 2, h]
-            yv = m[0, 3, h] if first else m[1, 3, h]
-            row = q[0, 0, h] if first else q[1, 0, h]
-            col = q[0, 1, h] if first else q[1, 1, h]
-            x = xu * u + xv * v
-            y = yu * u + yv * v
-            gx[s * headings + h] = x
-            gy[s * headings + h] = y
-            base[s * headings + h] = z0 - y * row - x * col
+    za = load(feet, here + legs[h, 0])
+    zb = load(feet, here + legs[h, 1])
+    zc = load(feet, here + legs[h, 2])
+    if legs.shape[1] == 3:
+        m = inverse[h, 0, 0]
+        q = place[h, 0, 0]
+        u = zb - za
+        v = zc - za
+        gx = m[0] * u + m[1] * v
+        gy = m[2] * u + m[3] * v
+        return gx, gy, za - q[0] * gy - q[1] * gx
+    zd = load(feet, here + legs[h, 3])
+    # The higher diagonal carries: plane 0 stands on legs a b c or a b d, plane 1 on a c d or b c d.
+    one = za + zc
+    two = zb + zd
+    if s == 0:
+        z0 = za
+        u = zb - z0
+        v = where_above(one, two, zc, zd) - z0
+    else:
+        z0 = where_above(one, two, za, zb)
+        u = zc - z0
+        v = zd - z0
+    m = inverse[h, s, 0]
+    n = inverse[h, s, 1]
+    p = place[h, s, 0]
+    q = place[h, s, 1]
+    gx = where_above(one, two, m[0] * u + m[1] * v, n[0] * u + n[1] * v)
+    gy = where_above(one, two, m[2] * u + m[3] * v, n[2] * u + n[3] * v)
+    level = where_above(one, two, p[0] * gy + p[1] * gx, q[0] * gy + q[1] * gx)
+    return gx, gy, z0 - level
 
 
-@kernel(finite=True)
-def _prepare(gx, gy, base, posting, span, stretch, slack, top):
-    """Write each lane's 1 / cos(slope) and slack of a block; return the largest tan(slope)^2."""
-    steepest = np.float32(0.0)
-    for lane in range(gx.size):
-        tx = gx[lane] / posting
-        ty = gy[lane] / posting
-        square = tx * tx + ty * ty
-        stretch[lane] = square
-        slack[lane] = span * (abs(gx[lane]) + abs(gy[lane]))
-        top[lane] = base[lane]
-    for lane in range(gx.size):
-        steepest = max(steepest, stretch[lane])
-        stretch[lane] = np.sqrt(np.float32(1.0) + stretch[lane])
+@kernel(inline=True)
+def _squared_tangent(gx, gy, posting):
+    tx = gx / posting
+    ty = gy / posting
+    return tx * tx + ty * ty
+
+
+@kernel(inline=True)
+def _risen(tops, here, blocks, centres, n, gx, gy):
+    """Return the top of block `n` above a plane through the site."""
+    top = load(tops, here + item(blocks, n))
+    return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
+
+
+@kernel(inline=True)
+def _highest_of_four(tops, here, blocks, centres, n, gx, gy):
+    """Return the highest of the tops of blocks `n` to n + 3 above a plane through the site."""
+    a = _risen(tops, here, blocks, centres, n, gx, gy)
+    b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
+    c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
+    d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+    return larger(larger(a, b), larger(c, d))
+
+
+@kernel(inline=True)
+def _open(z, here, cols, corners, allowed, n, gx, gy):
+    """Return the highest of the cells that a polygon holds of block `n`, above a plane.
+
+    `allowed` is 0 for these cells and -FAR for the others; a test for each would cost more.
+    """
+    south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
+    top = spread(-FAR)
+    for r in range(BLOCK):
+        at = here + (south + r) * cols + west
+        line = spread(-FAR)
+        for c in range(BLOCK):
+            level = load(z, at + c) + item(allowed, (n * BLOCK + r) * BLOCK + c)
+            line = larger(line, level - np.float32(c) * gx)
+        top = larger(top, line - np.float32(r) * gy)
+    return top - np.float32(west) * gx - np.float32(south) * gy
+
+
+@kernel(inline=True)
+def _steepest(feet, here, legs, inverse, place, planes, posting):
+    """Return the largest tan(slope)^2 over headings and planes."""
+    steepest = spread(0.0)
+    for h in range(legs.shape[0]):
+        for s in range(planes):
+            gx, gy, _ = _plane(feet, here, legs, inverse, place, h, s)
+            steepest = larger(steepest, _squared_tangent(gx, gy, posting))
     return steepest
 
 
-@kernel(finite=True)
-def _worst(top, base, stretch, worst):
-    """Return the largest distance of a top above its plane, or `worst` if larger."""
-    for lane in range(top.size):
-        worst = max(worst, (top[lane] - base[lane]) / stretch[lane])
-    return worst
+@kernel(inline=True)
+def _mark(todo, i, first, cols, reach, lanes):
+    """Set `lanes` to 0 at the sites to do, else FAR; return whether there are any."""
+    found = False
+    for k in range(LANES):
+        j = first + k
+        wanted = j < cols - reach and todo[i, j]
+        lanes[k] = np.float32(0.0) if wanted else FAR
+        found |= wanted
+    return found
 
 
-@kernel(parallel=True, finite=True)
+@kernel(inline=True)
+def _drop_steep(steepest, limit, lanes):
+    """Set `lanes` to FAR where the slope is at its limit; return whether any is left."""
+    left = False
+    for k in range(LANES):
+        if np.sqrt(steepest[k]) >= limit:
+            lanes[k] = FAR
+        left |= lanes[k] < FAR
+    return left
+
+
+@kernel(parallel=True)
 def exact(
-    z, feet, blocks, todo, offsets, lowest, inverse, place, windows, window_allowed, cells,
-    cell_allowed, block, posting, reach, limit_slope, limit_rough, decide, slope_out, rough_out,
+    z, feet, tops, todo, legs, inverse, place, blocks, centres, corners, allowed, first,
+    posting, reach, margin, limit_slope, limit_rough, decide, slope_out, rough_out,
 ):  # fmt: skip
     """Write tan(slope) and roughness, the worst over headings and admissible planes.
 
-    The planes of one site are SIMD lanes. `blocks` holds the highest ground in block x block
-    cells north-east of each cell; a block (a row of `windows`) is opened only if its top, put at
-    the corner where a plane is lowest, rises above some plane by more than the worst roughness
-    found so far. Allowed is 0 where the polygon of a lane's heading holds the cell or touches
-    the block, else far below any ground. With `decide` a site is left as soon as a limit is
-    passed: only the comparison with the limits is then meant.
+    `tops` holds the highest ground in each block of cells. The blocks first[h] to first[h + 1]
+    cover the polygon of heading h; one is opened only if its top, put at the corner where the
+    plane is lowest, rises above the plane of some site by more than that site's worst roughness so
+    far, less a `margin` for rounding. With `decide` a site is left as soon as a limit is passed:
+    only the comparison with the limits is then meant.
     """
-    rows, cols = z.shape
-    lanes = window_allowed.shape[1]
-    flat = feet.reshape(rows * cols)
+    rows, cols = todo.shape
+    headings = legs.shape[0]
+    planes = inverse.shape[1]
+    # Headings far apart first: they soon show about how rough a site is, which spares the others.
+    stride = max(1, round(0.382 * headings))
+    while math.gcd(stride, headings) > 1:
+        stride += 1
+    span = np.float32(0.5 * (BLOCK - 1))
+    for i in prange(reach, rows - reach):
+        lanes = np.empty((3, LANES), np.float32)
+        start = 0
+        for j in range(reach, cols - reach, LANES):
+            if not _mark(todo, i, j, cols, reach, lanes[0]):
+                continue
+            here = i * cols + j
+            steepest = spread(0.0)
+            # Less is rounding, and no roughness.
+            least = np.float32(2.0) * margin
+            if decide:
+                steepest = _steepest(feet, here, legs, inverse, place, planes, posting)
+                store(lanes[1], 0, steepest)
+                least = limit_rough
+            going = not decide or _drop_steep(lanes[1], limit_slope, lanes[0])
+            out = load(lanes[0], 0)
+            worst = spread(least)
+            last_raised = start
+            for turn in range(headings if going else 0):
+                h = (start + turn * stride) % headings
+                for s in range(planes):
+                    gx, gy, base = _plane(feet, here, legs, inverse, place, h, s)
+                    square = _squared_tangent(gx, gy, posting)
+                    steepest = larger(steepest, square)
+                    stretch = root(square + np.float32(1.0))
+                    lowest = base + out - span * (magnitude(gx) + magnitude(gy)) - margin
+                    need = lowest + worst * stretch
+                    for n in range(item(first, h), item(first, h + 1), 4):
+                        q0 = _risen(tops, here, blocks, centres, n, gx, gy)
+                        q1 = _risen(tops, here, blocks, centres, n + 1, gx, gy)
+                        q2 = _risen(tops, here, blocks, centres, n + 2, gx, gy)
+                        q3 = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+                        if not any_above(larger(larger(q0, q1), larger(q2, q3)), need):
+                            continue
+                        top = spread(-FAR)
+                        if any_above(q0, need):
+                            top = _open(z, here, cols, corners, allowed, n, gx, gy)
+                        if any_above(q1, need):
+                            top = larger(top, _open(z, here, cols, corners, allowed, n + 1, gx, gy))
+                        if any_above(q2, need):
+                            top = larger(top, _open(z, here, cols, corners, allowed, n + 2, gx, gy))
+                        if any_above(q3, need):
+                            top = larger(top, _open(z, here, cols, corners, allowed, n + 3, gx, gy))
+                        worst = larger(worst, (top - base) / stretch)
+                        need = lowest + worst * stretch
+                        last_raised = h
+                if decide:
+                    out = where_above(spread(limit_rough), worst, out, spread(FAR))
+                    if not any_above(spread(np.float32(0.5) * FAR), out):
+                        break
+            # The heading that was worst here is likely to be so next door, and spares the others.
+            start = last_raised
+            store(lanes[1], 0, root(steepest))
+            store(lanes[2], 0, worst)
+            for k in range(min(LANES, cols - reach - j)):
+                if todo[i, j + k]:
+                    slope_out[i, j + k] = lanes[1, k]
+                    rough_out[i, j + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
+
+
+@kernel(parallel=True)
+def bounded(tops, shape, feet, legs, inverse, place, blocks, centres, first, block, reach, posting,
+            slope_out, rough_out):  # fmt: skip
+    """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
+
+    The number of blocks of each heading is a multiple of four.
+    """
+    rows, cols = shape
+    planes = inverse.shape[1]
     span = np.float32(0.5 * (block - 1))
     for i in prange(reach, rows - reach):
-        work = np.empty((7, lanes), np.float32)
-        most = np.empty(windows.shape[0], np.float32)
-        legs = np.empty((offsets.shape[0], offsets.shape[1]), np.float32)
-        gx = work[0]
-        gy = work[1]
-        base = work[2]
-        stretch = work[3]
-        threshold = work[4]
-        top = work[5]
-        slack = work[6]
-        for j in range(reach, cols - reach):
-            if not todo[i, j]:
-                continue
-            near = flat[i * cols + j + lowest :]
-            _site_planes(near, offsets, inverse, place, legs, gx, gy, base)
-            steepest = _prepare(gx, gy, base, posting, span, stretch, slack, top)
-            slope_out[i, j] = np.sqrt(steepest)
-            worst = np.float32(0.0)
-            if decide:
-                if slope_out[i, j] >= limit_slope:
-                    continue
-                worst = limit_rough
-            for lane in range(lanes):
-                threshold[lane] = base[lane] + worst * stretch[lane]
-            # One plane that is nowhere above any lane's, less what they can differ: most blocks
-            # fall to this one comparison.
-            low = base[0]
-            x0 = gx[0]
-            x1 = gx[0]
-            y0 = gy[0]
-            y1 = gy[0]
-            for lane in range(lanes):
-                low = min(low, base[lane])
-                x0 = min(x0, gx[lane])
-                x1 = max(x1, gx[lane])
-                y0 = min(y0, gy[lane])
-                y1 = max(y1, gy[lane])
-            mx = np.float32(0.5) * (x0 + x1)
-            my = np.float32(0.5) * (y0 + y1)
-            ex = x1 - mx
-            ey = y1 - my
-            widest = span * (abs(mx) + ex + abs(my) + ey)
-            first = 0
-            for n in range(windows.shape[0]):
-                height = blocks[i + windows[n, 0], j + windows[n, 1]]
-                cx = np.float32(windows[n, 1]) + span
-                cy = np.float32(windows[n, 0]) + span
-                most[n] = height - cx * mx - cy * my + abs(cx) * ex + abs(cy) * ey
-                if most[n] > most[first]:
-                    first = n
-            # The block that stands out most goes first: it spares the others.
-            for turn in range(-1, windows.shape[0]):
-                n = first if turn < 0 else turn
-                if most[n] + widest <= low + worst or turn == first:
-                    continue
-                height = blocks[i + windows[n, 0], j + windows[n, 1]]
-                cx = np.float32(windows[n, 1]) + span
-                cy = np.float32(windows[n, 0]) + span
-                allowed = window_allowed[n]
-                count = 0
-                for lane in range(lanes):
-                    v = height - cx * gx[lane] - cy * gy[lane] + slack[lane] + allowed[lane]
-                    count += 1 if v > threshold[lane] else 0
-                if count == 0:
-                    continue
-                for m in range(windows[n, 2], windows[n, 3]):
-                    r = cells[m, 0]
-                    c = cells[m, 1]
-                    level = z[i + r, j + c]
-                    dx = np.float32(c)
-                    dy = np.float32(r)
-                    if level - dx * mx - dy * my + abs(dx) * ex + abs(dy) * ey <= low + worst:
-                        continue
-                    within = cell_allowed[m]
-                    for lane in range(lanes):
-                        v = level - dx * gx[lane] - dy * gy[lane] + within[lane]
-                        old = top[lane]
-                        top[lane] = v if v > old else old
-                higher = _worst(top, base, stretch, worst)
-                if higher > worst:
-                    worst = higher
-                    if decide:
-                        break
-                    for lane in range(lanes):
-                        threshold[lane] = base[lane] + worst * stretch[lane]
-            # A decision starts at the limit; only what rises above it counts.
-            rough_out[i, j] = worst if not decide or worst > limit_rough else np.float32(0.0)
+        lanes = np.empty((2, LANES), np.float32)
+        for j in range(reach, cols - reach, LANES):
+            here = i * cols + j
+            steepest = spread(0.0)
+            worst = spread(0.0)
+            for h in range(legs.shape[0]):
+                for s in range(planes):
+                    gx, gy, base = _plane(feet, here, legs, inverse, place, h, s)
+                    top = spread(-FAR)
+                    for n in range(item(first, h), item(first, h + 1), 4):
+                        four = _highest_of_four(tops, here, blocks, centres, n, gx, gy)
+                        top = larger(top, four)
+                    # A block's top may stand at its corner where the plane is lowest.
+                    top = top + span * (magnitude(gx) + magnitude(gy))
+                    square = _squared_tangent(gx, gy, posting)
+                    steepest = larger(steepest, square)
+                    worst = larger(worst, (top - base) / root(square + np.float32(1.0)))
+            store(lanes[0], 0, root(steepest))
+            store(lanes[1], 0, worst)
+            for k in range(min(LANES, cols - reach - j)):
+                slope_out[i, j + k] = lanes[0, k]
+                rough_out[i, j + k] = lanes[1, k]
 
 
 @kernel(parallel=True)
 def block_tops(z, block, out):
-    """Write the highest ground in block x block cells to the north-east of each cell."""
+    """Write the highest ground in block x block cells to the north-east of each cell.
+
+    z (rows, cols); out flat, see above.
+    """
     rows, cols = z.shape
     for i in prange(rows):
+        line = np.empty(cols, np.float32)
         for j in range(cols):
-            best = z[i, j]
-            for r in range(i, min(i + block, rows)):
-                for c in range(j, min(j + block, cols)):
-                    best = max(best, z[r, c])
-            out[i, j] = best
-
-
-@kernel(finite=True)
-def _plane(p0, p1, p2, z0, z1, z2, gx, gy, base):
-    """Write gradient (a cell) and height at the centre of the planes through three legs.
-
-    p*: cells (row, column) of the legs; z*: heights under them, a lane for each site.
-    """
-    ux = float(p1[1] - p0[1])
-    uy = float(p1[0] - p0[0])
-    vx = float(p2[1] - p0[1])
-    vy = float(p2[0] - p0[0])
-    det = 1.0 / (ux * vy - vx * uy)
-    xx = np.float32(vy * det)
-    xy = np.float32(-uy * det)
-    yx = np.float32(-vx * det)
-    yy = np.float32(ux * det)
-    row = np.float32(p0[0])
-    col = np.float32(p0[1])
-    for j in range(gx.size):
-        e = z1[j] - z0[j]
-        f = z2[j] - z0[j]
-        x = xx * e + xy * f
-        y = yx * e + yy * f
-        gx[j] = x
-        gy[j] = y
-        base[j] = z0[j] - x * col - y * row
-
-
-@kernel(finite=True)
-def _lift_four(s0, s1, s2, s3, place, gx, gy, top):
-    """Raise `top` to the heights of four blocks above the planes; place: (column, row) each."""
-    x0 = place[0, 0]
-    y0 = place[0, 1]
-    x1 = place[1, 0]
-    y1 = place[1, 1]
-    x2 = place[2, 0]
-    y2 = place[2, 1]
-    x3 = place[3, 0]
-    y3 = place[3, 1]
-    for j in range(top.size):
-        gxj = gx[j]
-        gyj = gy[j]
-        v0 = s0[j] - x0 * gxj - y0 * gyj
-        v1 = s1[j] - x1 * gxj - y1 * gyj
-        v2 = s2[j] - x2 * gxj - y2 * gyj
-        v3 = s3[j] - x3 * gxj - y3 * gyj
-        v0 = v0 if v0 > v1 else v1
-        v2 = v2 if v2 > v3 else v3
-        v0 = v0 if v0 > v2 else v2
-        t = top[j]
-        top[j] = v0 if v0 > t else t
-
-
-@kernel(parallel=True, finite=True)
-def bounded(blocks, feet, legs, covers, first_cover, block, reach, posting, slope_out, rough_out):
-    """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
-
-    Stretches of a row run in parallel, sites of a stretch in SIMD lanes. `covers` (n, 2) lists
-    the blocks (row, column) that cover the polygon of heading h, from first_cover[h], in
-    multiples of four.
-    """
-    rows, cols = blocks.shape
-    headings, count, _ = legs.shape
-    planes = 2 if count == 4 else 1
-    span = np.float32(0.5 * (block - 1))
-    across = (cols - 2 * reach + _STRETCH - 1) // _STRETCH
-    for task in prange((rows - 2 * reach) * across):
-        i = reach + task // across
-        c0 = reach + (task % across) * _STRETCH
-        width = min(_STRETCH, cols - reach - c0)
-        work = np.empty((9, width), np.float32)
-        place = np.empty((4, 2), np.float32)
-        gx = work[0]
-        gy = work[1]
-        base = work[2]
-        other_gx = work[3]
-        other_gy = work[4]
-        other_base = work[5]
-        top = work[6]
-        slope = work[7]
-        rough = work[8]
-        slope[:] = np.float32(0.0)
-        rough[:] = np.float32(0.0)
-        step = np.float32(posting)
-        for h in range(headings):
-            a = legs[h, 0]
-            b = legs[h, 1]
-            c = legs[h, 2]
-            d = legs[h, count - 1]
-            za = feet[i + a[0], c0 + a[1] : c0 + a[1] + width]
-            zb = feet[i + b[0], c0 + b[1] : c0 + b[1] + width]
-            zc = feet[i + c[0], c0 + c[1] : c0 + c[1] + width]
-            zd = feet[i + d[0], c0 + d[1] : c0 + d[1] + width]
-            for s in range(planes):
-                if count == 3:
-                    _plane(a, b, c, za, zb, zc, gx, gy, base)
-                elif s == 0:
-                    _plane(a, b, c, za, zb, zc, gx, gy, base)
-                    _plane(a, b, d, za, zb, zd, other_gx, other_gy, other_base)
-                else:
-                    _plane(a, c, d, za, zc, zd, gx, gy, base)
-                    _plane(b, c, d, zb, zc, zd, other_gx, other_gy, other_base)
-                if count == 4:
-                    for j in range(width):
-                        first = za[j] + zc[j] >= zb[j] + zd[j]
-                        gx[j] = gx[j] if first else other_gx[j]
-                        gy[j] = gy[j] if first else other_gy[j]
-                        base[j] = base[j] if first else other_base[j]
-                for j in range(width):
-                    top[j] = -FAR
-                for n in range(first_cover[h], first_cover[h + 1], 4):
-                    for k in range(4):
-                        place[k, 0] = np.float32(covers[n + k, 1]) + span
-                        place[k, 1] = np.float32(covers[n + k, 0]) + span
-                    j0 = c0 + covers[n, 1]
-                    j1 = c0 + covers[n + 1, 1]
-                    j2 = c0 + covers[n + 2, 1]
-                    j3 = c0 + covers[n + 3, 1]
-                    _lift_four(
-                        blocks[i + covers[n, 0], j0 : j0 + width],
-                        blocks[i + covers[n + 1, 0], j1 : j1 + width],
-                        blocks[i + covers[n + 2, 0], j2 : j2 + width],
-                        blocks[i + covers[n + 3, 0], j3 : j3 + width],
-                        place,
-                        gx,
-                        gy,
-                        top,
-                    )
-                for j in range(width):
-                    tx = gx[j] / step
-                    ty = gy[j] / step
-                    square = tx * tx + ty * ty
-                    # A block's top may stand at its corner where the plane is lowest.
-                    height = top[j] + span * (abs(gx[j]) + abs(gy[j])) - base[j]
-                    height = height / np.sqrt(np.float32(1.0) + square)
-                    old = slope[j]
-                    slope[j] = square if square > old else old
-                    old = rough[j]
-                    rough[j] = height if height > old else old
-        for j in range(width):
-            slope_out[i, c0 + j] = np.sqrt(slope[j])
-            rough_out[i, c0 + j] = rough[j]
+            line[j] = z[i, j]
+        for r in range(i + 1, min(i + block, rows)):
+            for j in range(cols):
+                line[j] = max(line[j], z[r, j])
+        for j in range(cols):
+            best = line[j]
+            for c in range(j + 1, min(j + block, cols)):
+                best = max(best, line[c])
+            out[i * cols + j] = best

@@ -24,7 +24,9 @@ from lunarsim.hazards.safety import _plane_kernels as pk
 from lunarsim.hazards.safety.exact import (
     SafetyMap,
     check_raster,
+    flat,
     footprint_maximum,
+    highest,
     known_ground,
 )
 from lunarsim.hazards.safety.footprint import Footprint, footprint_of
@@ -43,7 +45,7 @@ def bound_planes(
     Parameters
     ----------
     tops
-        Highest ground in block x block cells to the north-east of each cell (rows, cols), m.
+        Highest ground in block x block cells to the north-east of each cell, flat, m.
     feet
         Ground on which a pad centred on each cell stands (rows, cols), m.
     footprint
@@ -53,14 +55,18 @@ def bound_planes(
     posting
         m.
     """
-    corners, first = footprint.covers(block)
-    tangent, roughness = np.zeros(tops.shape, np.float32), np.zeros(tops.shape, np.float32)
+    covers, supports = footprint.covers(block), footprint.supports
+    tangent, roughness = np.zeros(feet.shape, np.float32), np.zeros(feet.shape, np.float32)
     pk.bounded(
         tops,
-        feet,
-        footprint.legs,
-        corners,
-        first,
+        feet.shape,
+        flat(feet),
+        footprint.legs @ (feet.shape[1], 1),
+        supports.inverse,
+        supports.place,
+        covers.corners @ (feet.shape[1], 1),
+        covers.centres,
+        covers.first,
         block,
         footprint.reach,
         np.float32(posting),
@@ -93,9 +99,7 @@ def bounded_safety(
     z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
     block = footprint.block_cells(block_side, grid.posting)
     feet = footprint_maximum(z, footprint.pad_windows, footprint)
-    tops = np.empty(z.shape, np.float32)
-    pk.block_tops(z, block, tops)
-    tangent, roughness = bound_planes(tops, feet, footprint, block, grid.posting)
+    tangent, roughness = bound_planes(highest(z, block), feet, footprint, block, grid.posting)
     slope = np.arctan(tangent)
     safe = observed & (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
     slope[~observed] = np.nan

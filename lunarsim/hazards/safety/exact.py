@@ -7,14 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._lanes import LANES
 from lunarsim.grid import Grid
 from lunarsim.hazards.safety import _kernels as k
 from lunarsim.hazards.safety import _plane_kernels as pk
-from lunarsim.hazards.safety.footprint import BLOCK, Footprint, PlaneTables, footprint_of
+from lunarsim.hazards.safety.footprint import BLOCK, Footprint, footprint_of
 from lunarsim.vehicle.lander import Lander
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
+
+# Of the heights' size: what a few float32 operations may lose.
+_ROUNDING = np.float32(1e-6)
 
 
 @dataclass(frozen=True)
@@ -111,11 +115,11 @@ def exact_safety(
         If shapes differ, or the grid is smaller than the footprint.
     """
     footprint = footprint_of(lander, grid.posting)
-    tables = footprint.planes
     if heading is not None:
-        tables = footprint.one_heading(footprint.nearest_heading(lander, grid.posting, heading))
+        index = footprint.nearest_heading(lander, grid.posting, heading)
+        footprint = footprint.one_heading(index)
     z, observed = known_ground(check_raster("elevation", elevation, grid, footprint), footprint)
-    tangent, roughness = _evaluate(z, observed, footprint, tables, lander, grid.posting, False)
+    tangent, roughness = _evaluate(z, observed, footprint, lander, grid.posting, False)
     slope = np.arctan(tangent)
     safe = observed & (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
     slope[~observed] = np.nan
@@ -142,7 +146,7 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
         body_max - leg_min < lander.roughness_limit
     )
     todo = observed & ~sure
-    tangent, roughness = _evaluate(z, todo, footprint, footprint.planes, lander, grid.posting, True)
+    tangent, roughness = _evaluate(z, todo, footprint, lander, grid.posting, True)
     passed = (np.arctan(tangent) < lander.slope_limit) & (roughness < lander.roughness_limit)
     return observed & (sure | passed), observed
 
@@ -163,40 +167,52 @@ def footprint_extremes(z: FloatMap, footprint: Footprint) -> tuple[FloatMap, Flo
     return leg_max, leg_min, body_max
 
 
+def flat(raster: FloatMap) -> FloatMap:
+    """Return a raster row by row, with as much behind it as a kernel may read ahead."""
+    ahead = np.zeros(BLOCK * raster.shape[1] + LANES, np.float32)
+    return np.concatenate((raster.ravel(), ahead))
+
+
+def highest(z: FloatMap, block: int) -> FloatMap:
+    """Return the highest ground in block x block cells to the north-east of each cell, flat."""
+    tops = np.zeros(z.size + LANES, np.float32)
+    pk.block_tops(z, block, tops)
+    return tops
+
+
 def _evaluate(
     z: FloatMap,
     todo: BoolMap,
     footprint: Footprint,
-    tables: PlaneTables,
     lander: Lander,
     posting: float,
     decide: bool,
 ) -> tuple[FloatMap, FloatMap]:
     """Return tan(slope) and roughness of the sites to do, 0 elsewhere."""
     feet = footprint_maximum(z, footprint.pad_windows, footprint)
-    blocks = np.empty(z.shape, np.float32)
-    pk.block_tops(z, BLOCK, blocks)
-    offsets, lowest = tables.offsets(z.shape[1])
+    covers, supports = footprint.covers(BLOCK), footprint.supports
+    limit = np.float32(lander.roughness_limit)
     tangent = np.zeros(z.shape, np.float32)
     roughness = np.zeros(z.shape, np.float32)
     pk.exact(
-        z,
-        feet,
-        blocks,
+        flat(z),
+        flat(feet),
+        highest(z, BLOCK),
         todo,
-        offsets,
-        lowest,
-        tables.inverse,
-        tables.place,
-        tables.windows,
-        tables.window_allowed,
-        tables.cells,
-        tables.cell_allowed,
-        BLOCK,
+        footprint.legs @ (z.shape[1], 1),
+        supports.inverse,
+        supports.place,
+        covers.corners @ (z.shape[1], 1),
+        covers.centres,
+        covers.corners.ravel(),
+        covers.allowed,
+        covers.first,
         np.float32(posting),
         footprint.reach,
+        _ROUNDING * np.abs(z).max(),
         np.float32(np.tan(lander.slope_limit)),
-        np.float32(lander.roughness_limit),
+        # What reaches the limit passes it: a decision asks for more than this.
+        np.nextafter(limit, np.float32(0.0)) if decide else limit,
         decide,
         tangent,
         roughness,

@@ -8,62 +8,66 @@ test looks at.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.hazards.safety._kernels import FAR
 from lunarsim.vehicle.lander import Lander
 
 IntArray = NDArray[np.int64]
 
 
 BLOCK = 4  # side of the blocks of cells that the exact test opens or skips, cells
-_FORBIDDEN = np.float32(-1e30)
-_LANES = 16  # float32 numbers in the widest SIMD vector
 
 
 @dataclass(frozen=True)
-class PlaneTables:
-    """What the exact test needs of a footprint, a lane for every heading and support plane.
+class Supports:
+    """Triangles of legs on which the lander may stand, for every heading.
 
     Attributes
     ----------
-    legs
-        Cells of the legs for every heading, padded to whole SIMD vectors (headings, legs, 2).
     inverse
-        For plane s and diagonal d the inverse of the matrix of the triangle's edges
-        (planes, diagonals, 4, headings).
+        For plane s on diagonal d the inverse of the matrix of the triangle's edges
+        (headings, planes, diagonals, 4), cells.
     place
-        Row and column of the triangle's first leg (planes, diagonals, 2, headings).
-    windows
-        Blocks that cover the footprint: row, column, first and last entry of `cells` (n, 4).
-    window_allowed
-        0 where a lane's polygon touches the block, else far below any ground (n, lanes).
-    cells
-        Cells (row, column) of all blocks (m, 2).
-    cell_allowed
-        0 where a lane's polygon holds the cell, else far below any ground (m, lanes).
+        Row and column of the triangle's first leg (headings, planes, diagonals, 2), cells.
     """
 
-    legs: IntArray
     inverse: NDArray[np.float32]
     place: NDArray[np.float32]
-    windows: IntArray
-    window_allowed: NDArray[np.float32]
-    cells: IntArray
-    cell_allowed: NDArray[np.float32]
-
-    def offsets(self, cols: int) -> tuple[NDArray[np.uint64], int]:
-        """Return the legs' places in a flat raster (legs, headings) above the lowest, and it."""
-        flat = self.legs[..., 0] * cols + self.legs[..., 1]
-        lowest = int(flat.min())
-        return np.ascontiguousarray((flat - lowest).T.astype(np.uint64)), lowest
 
 
 @dataclass(frozen=True)
+class Covers:
+    """Square blocks of cells that cover the polygon of every heading.
+
+    Attributes
+    ----------
+    block
+        Side of a block, cells.
+    corners
+        South-west cells (row, column) of the blocks (n, 2), heading by heading.
+    centres
+        Column and row of their centres, one after the other (2 n,).
+    allowed
+        0 for each cell of a block that the polygon holds, else far below any ground
+        (n block block,).
+    first
+        Where each heading's blocks begin (headings + 1,); multiples of four.
+    """
+
+    block: int
+    corners: IntArray
+    centres: NDArray[np.float32]
+    allowed: NDArray[np.float32]
+    first: IntArray
+
+
+@dataclass(frozen=True, eq=False)
 class Footprint:
     """Cells that a lander touches or covers, relative to the cell of its centre.
 
@@ -85,8 +89,6 @@ class Footprint:
         h0: least height of any triangle of legs, m.
     reach
         Largest offset in any direction, cells.
-    planes
-        Tables of the exact test.
     """
 
     legs: IntArray
@@ -97,7 +99,6 @@ class Footprint:
     depth: int
     least_height: float
     reach: int
-    planes: PlaneTables
 
     def nearest_heading(self, lander: Lander, posting: float, heading: float) -> int:
         """Return the index of the distinct heading nearest to an azimuth of body x (rad)."""
@@ -125,42 +126,18 @@ class Footprint:
             raise ValueError(f"block_side = {side}: must be a positive length in metres")
         return max(1, min(round(side / posting), self.reach))
 
-    def covers(self, block: int) -> tuple[IntArray, IntArray]:
-        """Return blocks of cells that cover the polygon of every heading.
+    def one_heading(self, index: int) -> Footprint:
+        """Return the footprint with a single heading; the sets L and U stay as they are."""
+        return replace(self, legs=self.legs[index : index + 1])
 
-        Parameters
-        ----------
-        block
-            Side of a block, cells.
+    @cached_property
+    def supports(self) -> Supports:
+        """Triangles of legs of every heading."""
+        return _supports(self.legs)
 
-        Returns
-        -------
-        corners
-            South-west cells (row, column) of the blocks (n, 2), heading by heading.
-        first
-            Where each heading's blocks begin (headings + 1,); multiples of four.
-        """
-        corners: list[tuple[int, int]] = []
-        first = [0]
-        for polygon in self.legs:
-            runs = np.array(_polygon_runs(polygon))
-            lowest, highest = int(runs[0, 0]), int(runs[-1, 0])
-            for start in range(lowest, highest + 1, block):
-                # The last band ends at the last row, so that no block leaves the footprint.
-                row = min(start, max(highest - block + 1, lowest))
-                band = runs[(runs[:, 0] >= row) & (runs[:, 0] < row + block)]
-                low, high = int(band[:, 1].min()), int((band[:, 1] + band[:, 2]).max())
-                columns = list(range(low, max(high - block, low) + 1, block))
-                if columns[-1] + block < high:
-                    columns.append(high - block)
-                corners += [(row, col) for col in columns]
-            corners += [corners[-1]] * (-len(corners) % 4)
-            first.append(len(corners))
-        return np.array(corners, dtype=np.int64), np.array(first, dtype=np.int64)
-
-    def one_heading(self, index: int) -> PlaneTables:
-        """Return the tables of the exact test for a single heading."""
-        return _plane_tables(self.legs[index : index + 1], self.reach)
+    def covers(self, block: int) -> Covers:
+        """Return blocks that cover the polygons; `block` is their side in cells."""
+        return _covers(self, block)
 
 
 def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
@@ -219,55 +196,49 @@ def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
 _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
 
 
-def _plane_tables(cells: IntArray, reach: int) -> PlaneTables:
-    """Return the tables for a list of headings (headings, legs, 2)."""
-    triangles = _TRIANGLES[cells.shape[1]]
-    padding = -len(cells) % _LANES
-    padded = np.concatenate((cells, np.repeat(cells[-1:], padding, axis=0)))
-    inverse = np.zeros((len(triangles), len(triangles[0]), 4, len(padded)))
-    place = np.zeros((len(triangles), len(triangles[0]), 2, len(padded)))
+def _supports(legs: IntArray) -> Supports:
+    triangles = _TRIANGLES[legs.shape[1]]
+    shape = (len(legs), len(triangles), len(triangles[0]))
+    inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
     for s, diagonals in enumerate(triangles):
         for d, (a, b, c) in enumerate(diagonals):
-            u, v = padded[:, b] - padded[:, a], padded[:, c] - padded[:, a]
+            u, v = legs[:, b] - legs[:, a], legs[:, c] - legs[:, a]
             determinant = u[:, 1] * v[:, 0] - v[:, 1] * u[:, 0]
-            inverse[s, d] = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1])) / determinant
-            place[s, d] = padded[:, a].T
-    side = 2 * reach + 1
-    holds = np.zeros((len(padded), side + BLOCK, side + BLOCK), np.bool_)
-    for heading, polygon in enumerate(padded):
-        for row, col, length in _polygon_runs(polygon):
-            holds[heading, row + reach, col + reach : col + reach + length] = True
-    windows: list[tuple[int, int, int, int]] = []
-    spots: list[tuple[int, int]] = []
-    window_allowed: list[NDArray[np.bool_]] = []
-    cell_allowed: list[NDArray[np.bool_]] = []
-    corners = [(r, c) for r in range(0, side, BLOCK) for c in range(0, side, BLOCK)]
-    # From the centre outwards: there every heading looks.
-    corners.sort(key=lambda rc: np.hypot(rc[0] - reach + 1.5, rc[1] - reach + 1.5))
-    for r, c in corners:
-        touched = holds[:, r : r + BLOCK, c : c + BLOCK]
-        if not touched.any():
-            continue
-        first = len(spots)
-        for a, b in np.argwhere(touched.any(axis=0)):
-            spots.append((r + a - reach, c + b - reach))
-            cell_allowed.append(touched[:, a, b])
-        windows.append((r - reach, c - reach, first, len(spots)))
-        window_allowed.append(np.asarray(touched.any(axis=(1, 2))))
+            edges = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1]), axis=-1)
+            inverse[:, s, d] = edges / determinant[:, None]
+            place[:, s, d] = legs[:, a]
+    return Supports(inverse.astype(np.float32), place.astype(np.float32))
 
-    def lanes(allowed: list[NDArray[np.bool_]]) -> NDArray[np.float32]:
-        marks = np.where(np.array(allowed), np.float32(0.0), _FORBIDDEN)
-        return np.ascontiguousarray(np.tile(marks, (1, len(triangles))), dtype=np.float32)
 
-    return PlaneTables(
-        padded,
-        inverse.astype(np.float32),
-        place.astype(np.float32),
-        np.array(windows, dtype=np.int64),
-        lanes(window_allowed),
-        np.array(spots, dtype=np.int64),
-        lanes(cell_allowed),
-    )
+@lru_cache(maxsize=64)
+def _covers(footprint: Footprint, block: int) -> Covers:
+    corners: list[tuple[int, int]] = []
+    allowed: list[NDArray[np.bool_]] = []
+    first = [0]
+    across = np.arange(block)
+    for polygon in footprint.legs:
+        spans = {row: (col, col + length) for row, col, length in _polygon_runs(polygon)}
+        lowest, highest = min(spans), max(spans)
+        for start in range(lowest, highest + 1, block):
+            # The last band ends at the last row, so that no block leaves the footprint.
+            row = min(start, max(highest - block + 1, lowest))
+            band = np.array([spans.get(row + r, (0, 0)) for r in range(block)])
+            there = band[:, 1] > band[:, 0]
+            low, high = int(band[there, 0].min()), int(band[there, 1].max())
+            columns = list(range(low, max(high - block, low) + 1, block))
+            if columns[-1] + block < high:
+                columns.append(high - block)
+            for col in columns:
+                corners.append((row, col))
+                allowed.append((col + across >= band[:, :1]) & (col + across < band[:, 1:]))
+        spare = -len(corners) % 4
+        corners += [corners[-1]] * spare
+        allowed += [allowed[-1]] * spare
+        first.append(len(corners))
+    south_west = np.array(corners, dtype=np.int64)
+    centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
+    marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
+    return Covers(block, south_west, centres.ravel(), marks, np.array(first))
 
 
 def _triangle_height(points: NDArray[np.float64]) -> float:
@@ -318,7 +289,6 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         depth=1 + deepest,
         least_height=least * posting,
         reach=reach,
-        planes=_plane_tables(cells, reach),
     )
 
 

@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from lunarsim.grid import Grid
-from lunarsim.hazards.safety import _plane_kernels as pk
 from lunarsim.hazards.safety.bounded import BLOCK_SIDE, bound_planes
 from lunarsim.hazards.safety.conservative import StochasticSafety
 from lunarsim.hazards.safety.exact import (
     check_raster,
     check_variance,
     footprint_maximum,
+    highest,
     known_ground,
 )
 from lunarsim.hazards.safety.footprint import Footprint, footprint_of
@@ -66,10 +66,8 @@ def plane_stochastic_safety(
     band = 3.0 * np.sqrt(np.nan_to_num(spread, nan=0.0))
     high, low = (z + band).astype(np.float32), (z - band).astype(np.float32)
     feet, leg_sigma = _pad_heights(high, low, footprint)
-    tops, bottoms = np.empty_like(z), np.empty_like(z)
     block = footprint.block_cells(block_side, grid.posting)
-    pk.block_tops(high, block, tops)
-    pk.block_tops(low, block, bottoms)
+    tops, bottoms = highest(high, block), highest(low, block)
     middle = np.float32(0.5) * (tops + bottoms)
     tangent, nominal = bound_planes(middle, feet, footprint, block, grid.posting)
     _, raised = bound_planes(tops, feet, footprint, block, grid.posting)

@@ -1,0 +1,211 @@
+"""Sixteen float32 at a time in compiled kernels.
+
+LLVM unrolls short loops over lanes before it would vectorise them, and must assume that what they
+write overlaps what they read; values of the type below are vectors from the start and stay in
+registers. A kernel loads neighbours from a flat array, computes with ``+ - * /`` (a number stands
+for sixteen equal ones) and stores the outcome::
+
+    height = load(z, at) - column * gx - row * gy
+    store(out, at, larger(height, load(out, at)))
+
+No NaN or infinity may occur. Indices are not checked.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.errors import TypingError
+from numba.extending import intrinsic, models, overload, register_model
+
+LANES = 16
+
+_FLOAT = ir.FloatType()
+_VECTOR = ir.VectorType(_FLOAT, LANES)
+_MASK = ir.IntType(LANES)
+_FLAGS = ("contract", "nsz", "arcp", "nnan", "ninf")
+
+
+class _Lanes(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes{LANES}")
+
+
+_lanes = _Lanes()
+
+
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _VECTOR)
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    """Return the address of sixteen elements of an array."""
+    data = cgutils.create_struct_proxy(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
+
+
+def _want(argument: Any, kind: type) -> None:
+    if not isinstance(argument, kind):
+        raise TypingError(f"{argument} where {kind.__name__} is needed")
+
+
+def _want_line(array: Any, dtype: Any = None) -> None:
+    _want(array, types.Array)
+    if array.ndim != 1 or array.layout != "C" or array.dtype != (dtype or array.dtype):
+        raise TypingError(f"{array} where a contiguous array of one dimension is needed")
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def load(typing: Any, array: Any, at: Any) -> Any:
+    """Return sixteen elements of a contiguous float32 array (n,) from index `at` on."""
+    _want_line(array, types.float32)
+    _want(at, types.Integer)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load(_place(context, builder, signature.args[0], *args), align=4)
+
+    return _lanes(array, types.int64), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def item(typing: Any, array: Any, at: Any) -> Any:
+    """Return one element of a contiguous array (n,), without minding negative indices."""
+    _want_line(array)
+    _want(at, types.Integer)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = signature.args[0]
+        data = cgutils.create_struct_proxy(kind)(context, builder, args[0]).data
+        return context.unpack_value(builder, kind.dtype, builder.gep(data, [args[1]]))
+
+    return array.dtype(array, types.int64), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
+    """Write sixteen elements of a contiguous float32 array (n,) from index `at` on."""
+    _want_line(array, types.float32)
+    _want(at, types.Integer)
+    _want(value, _Lanes)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.store(
+            args[2], _place(context, builder, signature.args[0], args[0], args[1]), align=4
+        )
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, _lanes), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def spread(typing: Any, number: Any) -> Any:
+    """Return sixteen times the same number."""
+    _want(number, types.Number)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        undefined = ir.Constant(_VECTOR, ir.Undefined)
+        one = builder.insert_element(undefined, args[0], ir.Constant(ir.IntType(32), 0))
+        first = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        return builder.shuffle_vector(one, undefined, first)
+
+    return _lanes(types.float32), code
+
+
+def _binary(make: Callable[[Any, Any, Any], Any]) -> Any:
+    """Return a function of two vectors that the compiler makes by `make(builder, a, b)`."""
+
+    def typed(typing: Any, a: Any, b: Any) -> Any:
+        _want(a, _Lanes)
+        _want(b, _Lanes)
+
+        def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return make(builder, *args)
+
+        return _lanes(_lanes, _lanes), code
+
+    return intrinsic(typed)
+
+
+_add = _binary(lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS))
+_subtract = _binary(lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS))
+_multiply = _binary(lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS))
+_divide = _binary(lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))
+larger = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
+smaller = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
+
+
+def _operator(symbol: Any, function: Any) -> None:
+    """Let `symbol` stand for a function of two vectors, or of a vector and a number."""
+
+    # Numba compares this signature with the ones below: no annotations.
+    @overload(symbol)
+    def choose(a, b):  # type: ignore[no-untyped-def]
+        if isinstance(a, _Lanes) and isinstance(b, _Lanes):
+            return lambda a, b: function(a, b)  # noqa: PLW0108 - of this very signature
+        if isinstance(a, _Lanes) and isinstance(b, types.Number):
+            return lambda a, b: function(a, spread(b))
+        if isinstance(a, types.Number) and isinstance(b, _Lanes):
+            return lambda a, b: function(spread(a), b)
+        return None
+
+
+for _symbol, _function in (
+    (operator.add, _add),
+    (operator.sub, _subtract),
+    (operator.mul, _multiply),
+    (operator.truediv, _divide),
+):
+    _operator(_symbol, _function)
+
+
+def _unary(name: str) -> Any:
+    """Return a function of one vector that is an instruction of LLVM's."""
+
+    def typed(typing: Any, a: Any) -> Any:
+        _want(a, _Lanes)
+
+        def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = ir.FunctionType(_VECTOR, [_VECTOR])
+            function = cgutils.get_or_insert_function(
+                builder.module, kind, f"llvm.{name}.v{LANES}f32"
+            )
+            return builder.call(function, args)
+
+        return _lanes(_lanes), code
+
+    return intrinsic(typed)
+
+
+root = _unary("sqrt")
+magnitude = _unary("fabs")
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def where_above(typing: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` in the lanes in which a >= b, elsewhere `no`."""
+    for argument in (a, b, yes, no):
+        _want(argument, _Lanes)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered(">=", args[0], args[1]), args[2], args[3])
+
+    return _lanes(_lanes, _lanes, _lanes, _lanes), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def any_above(typing: Any, a: Any, b: Any) -> Any:
+    """Return whether a > b in any lane."""
+    _want(a, _Lanes)
+    _want(b, _Lanes)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        above = builder.bitcast(builder.fcmp_ordered(">", *args), _MASK)
+        return builder.icmp_unsigned("!=", above, ir.Constant(_MASK, 0))
+
+    return types.boolean(_lanes, _lanes), code
