@@ -27,8 +27,8 @@ def _to_integers(xy: ArrayLike) -> IntArray:
         raise ValueError("xy holds NaN or infinity: leave such points out")
     if len(points) == 0:
         return np.zeros((0, 2), np.int64)
-    low = points.min(axis=0)
-    extent = float((points.max(axis=0) - low).max())
+    low, high = (np.array([f(column) for column in points.T.copy()]) for f in (np.min, np.max))
+    extent = float((high - low).max())
     # A power of two keeps coordinates that are already multiples of one exact.
     scale = 2.0 ** (_BITS - 1 - np.frexp(extent)[1]) if extent > 0.0 else 1.0
     return np.asarray(np.rint((points - low) * scale), dtype=np.int64)

@@ -117,14 +117,23 @@ def longest_edges(points, triangles, pixels, cols):
     return out
 
 
-@kernel()
+@kernel(fast=True)
 def _decay(x):
     """Return exp(-x); a polynomial good to 2e-11 for the small x of near neighbours."""
     if x < 0.1:
         return 1.0 - x * (
-            1.0 - x / 2 * (1.0 - x / 3 * (1.0 - x / 4 * (1.0 - x / 5 * (1.0 - x / 6))))
+            1.0
+            - x
+            * (1 / 2)
+            * (1.0 - x * (1 / 3) * (1.0 - x * (1 / 4) * (1.0 - x * (1 / 5) * (1.0 - x * (1 / 6)))))
         )
     return np.exp(-x)
+
+
+@kernel(fast=True)
+def _correlation(x, y, u, v, per_length):
+    """Return the exponential kernel of Eq. 4 between two places, for a variance of 1."""
+    return _decay(np.sqrt((x - u) * (x - u) + (y - v) * (y - v)) * per_length)
 
 
 @kernel()
@@ -165,16 +174,17 @@ def _regress_triangle(
         return
     # The Gram matrix and its inverse, symmetric.
     d = prior + noise
-    ab = prior * _decay(np.hypot(ax - bx, ay - by) / length_scale)
-    ac = prior * _decay(np.hypot(ax - cx, ay - cy) / length_scale)
-    bc = prior * _decay(np.hypot(bx - cx, by - cy) / length_scale)
+    per_length = 1.0 / length_scale
+    ab = prior * _correlation(ax, ay, bx, by, per_length)
+    ac = prior * _correlation(ax, ay, cx, cy, per_length)
+    bc = prior * _correlation(bx, by, cx, cy, per_length)
     maa = d * d - bc * bc
     mab = ac * bc - ab * d
     mac = ab * bc - ac * d
     mbb = d * d - ac * ac
     mbc = ab * ac - bc * d
     mcc = d * d - ab * ab
-    det = d * maa + ab * mab + ac * mac
+    per_det = 1.0 / (d * maa + ab * mab + ac * mac)
     centre = (points[a, 2] + points[b, 2] + points[c, 2]) / 3.0
     za = points[a, 2] - centre
     zb = points[b, 2] - centre
@@ -191,12 +201,12 @@ def _regress_triangle(
                 and _side(points, c, a, x, y)
             ):
                 continue
-            ka = prior * _decay(np.sqrt((ax - x) ** 2 + (ay - y) ** 2) / length_scale)
-            kb = prior * _decay(np.sqrt((bx - x) ** 2 + (by - y) ** 2) / length_scale)
-            kc = prior * _decay(np.sqrt((cx - x) ** 2 + (cy - y) ** 2) / length_scale)
-            wa = (maa * ka + mab * kb + mac * kc) / det
-            wb = (mab * ka + mbb * kb + mbc * kc) / det
-            wc = (mac * ka + mbc * kb + mcc * kc) / det
+            ka = prior * _correlation(ax, ay, x, y, per_length)
+            kb = prior * _correlation(bx, by, x, y, per_length)
+            kc = prior * _correlation(cx, cy, x, y, per_length)
+            wa = (maa * ka + mab * kb + mac * kc) * per_det
+            wb = (mab * ka + mbb * kb + mbc * kc) * per_det
+            wc = (mac * ka + mbc * kb + mcc * kc) * per_det
             mean[i, j] = centre + wa * za + wb * zb + wc * zc
             if use:
                 variance[i, j] = max(prior - (ka * wa + kb * wb + kc * wc), 0.0)

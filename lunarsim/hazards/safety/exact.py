@@ -85,7 +85,7 @@ def known_ground(z: FloatMap, footprint: Footprint) -> tuple[FloatMap, BoolMap]:
 def footprint_maximum(z: FloatMap, windows: NDArray[np.int64], footprint: Footprint) -> FloatMap:
     """Return the maximum of `z` over a set of windows around each cell; FAR off the raster."""
     out = np.empty(z.shape, np.float32)
-    k.maximum(z, 1.0, windows, footprint.depth, footprint.reach, out)
+    k.maximum(z, windows, footprint.depth, footprint.reach, out)
     return out
 
 
