@@ -11,8 +11,10 @@ from lunarsim.grid import Grid
 from lunarsim.hazards.logistic import Logistic
 from lunarsim.hazards.quadtree import calibration as quadtree
 from lunarsim.hazards.reliability import calibration_error, frequencies, reliability
+from lunarsim.hazards.safety import SafetyMap
 from lunarsim.hazards.safety import calibration as dem
 from lunarsim.hazards.safety.conservative import StochasticSafety
+from lunarsim.vehicle import Lander
 
 
 def test_a_known_law_is_recovered():
@@ -51,30 +53,52 @@ def test_files_are_checked(tmp_path):
             Logistic.load(tmp_path / "bad.json", quadtree.COUNT)
 
 
-def test_a_better_bound_never_lowers_the_probability():
-    grid = Grid.centred((0.0, 0.0), 41.0, 1.0)
-    slope, rough = (a.astype(np.float32) for a in np.meshgrid(*[ndtr(np.linspace(-6, 6, 41))] * 2))
-    everywhere = np.ones(grid.shape, bool)
-    safety = StochasticSafety(grid, slope, rough, slope * rough, everywhere)
-    for spacing in ((0.156, 0.156), (0.39, 0.39), (0.8, 0.39), (1.6, 0.78), (0.5, 0.3), (2.0, 0.1)):
-        p = dem.calibrated_safety(safety, spacing)
-        assert (np.diff(p, axis=0) >= -1e-6).all()
-        assert (np.diff(p, axis=1) >= -1e-6).all()
-        # The bounds answer for the worst: in dense scans a third of the sites for which both are
-        # nil is exactly safe (of 332 sites of testbeds 1 and 3 at 200 m, 124).
-        assert p[0, 0] < (0.4 if spacing[0] < 0.2 else 0.1)
-        assert p[-1, -1] > 0.9
+LANDER = Lander()
+SPACINGS = ((0.156, 0.156), (0.39, 0.39), (0.8, 0.39), (1.6, 0.78), (0.5, 0.3), (2.0, 0.1))
 
 
-def test_unobserved_ground_is_not_safe_and_spacing_is_checked():
-    grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
-    p = np.full(grid.shape, 0.9, np.float32)
-    seen = np.zeros(grid.shape, bool)
+def maps(p_slope, p_rough, slope, rough, seen=None):
+    """Return the two maps of sites with these bounds and shares of the limits (rows, cols)."""
+    layers = np.broadcast_arrays(
+        *(np.asarray(v, np.float32) for v in (p_slope, p_rough, slope, rough))
+    )
+    p_slope, p_rough, slope, rough = (np.atleast_2d(v) for v in layers)
+    grid = Grid(0.0, 0.0, 1.0, *p_slope.shape)
+    seen = np.ones(grid.shape, bool) if seen is None else seen
+    nominal = SafetyMap(
+        grid, slope * LANDER.slope_limit, rough * LANDER.roughness_limit,
+        (slope < 1.0) & (rough < 1.0), np.ones(grid.shape, bool),
+    )  # fmt: skip
+    return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, seen), nominal
+
+
+@pytest.mark.parametrize("spacing", SPACINGS)
+def test_better_ground_never_lowers_the_probability(spacing):
+    bounds = ndtr(np.linspace(-6.0, 6.0, 41))
+    shares = np.linspace(3.0, 0.0, 41)
+    p = dem.calibrated_safety(*maps(bounds[:, None], bounds, 0.5, 0.5), LANDER, spacing)
+    assert (np.diff(p, axis=0) >= -1e-6).all()
+    assert (np.diff(p, axis=1) >= -1e-6).all()
+    p = dem.calibrated_safety(*maps(0.5, 0.5, shares[:, None], shares), LANDER, spacing)
+    assert (np.diff(p, axis=0) >= -1e-6).all()
+    assert (np.diff(p, axis=1) >= -1e-6).all()
+    ends = [
+        float(dem.calibrated_safety(*maps(*site), LANDER, spacing)[0, 0])
+        for site in ((0.0, 0.0, 3.0, 3.0), (1.0, 1.0, 0.0, 0.0))
+    ]
+    assert ends[0] < 0.1
+    assert ends[1] > 0.9
+
+
+def test_unobserved_ground_is_not_safe_and_requests_are_checked():
+    seen = np.zeros((4, 4), bool)
     seen[1:3] = True
-    safety = StochasticSafety(grid, p, p, p * p, seen)
-    out = dem.calibrated_safety(safety, (0.4, 0.4))
+    safety, nominal = maps(np.full((4, 4), 0.9), 0.9, 0.3, 0.3, seen)
+    out = dem.calibrated_safety(safety, nominal, LANDER, (0.4, 0.4))
     assert (out[~seen] == 0.0).all()
     assert (out[seen] > 0.5).all()
     for spacing in ((0.0, 0.4), (0.4, 5.0), (np.nan, 0.4)):
         with pytest.raises(InputError, match=r"calibration\.spacing"):
-            dem.calibrated_safety(safety, spacing)
+            dem.calibrated_safety(safety, nominal, LANDER, spacing)
+    with pytest.raises(InputError, match=r"calibration\.nominal"):
+        dem.calibrated_safety(safety, maps(0.9, 0.9, 0.3, 0.3)[1], LANDER, (0.4, 0.4))
