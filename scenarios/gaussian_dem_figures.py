@@ -93,3 +93,152 @@ def draw_reliability(
         ax.set_ylabel("share truly safe")
     axes[0, 0].legend(loc="lower right", fontsize=7)
     save(figure, path)
+
+
+def marked_rocks(rocks: Any) -> list[tuple[str, float, float]]:
+    """Return name, x and y of the two rocks nearest to the middle of the segment."""
+    nearest = np.argsort(np.hypot(rocks.x, rocks.y))[:2]
+    return [(name, rocks.x[n], rocks.y[n]) for name, n in zip("AB", nearest, strict=True)]
+
+
+def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Path) -> None:
+    """The testbed's segment and how the nine scans look at it: the paper's Figure 13."""
+    figure = new_figure(10.0, 4.4)
+    left, right = figure.subplots(1, 2)
+    half = 0.5 * _VIEW
+    inside = np.ix_(np.abs(field.grid.y) < half, np.abs(field.grid.x) < half)
+    image = show(
+        left, field.elevation, field.grid, cmap="viridis", vmin=0.0,
+        vmax=float(field.elevation[inside].max()),
+    )  # fmt: skip
+    figure.colorbar(image, ax=left, label="elevation (m)", shrink=0.8)
+    map_axes(left, "testbed")
+    left.set_xlim(-half, half)
+    left.set_ylim(-half, half)
+    for name, x, y in marked_rocks(field.terrain.rocks):
+        if max(abs(x), abs(y)) < half:
+            left.annotate(name, (x, y), (6, 6), textcoords="offset points", color="white")
+    opening = np.arctan(0.1)
+    for distance, angle in configurations:
+        tilt = np.deg2rad(angle)
+        x, z = -distance * np.sin(tilt), distance * np.cos(tilt)
+        edges = [x + z * np.tan(tilt + side) for side in (-opening, opening)]
+        right.fill([x, *edges], [z, 0.0, 0.0], alpha=0.25)
+        right.plot(x, z, "k.")
+        right.annotate(
+            f"{distance:.0f} m, {angle:.0f} deg", (x, z), (5, 2) if angle == 0.0 else (-4, 4),
+            textcoords="offset points", fontsize=7, ha="left" if angle == 0.0 else "right",
+        )  # fmt: skip
+    right.set_xlim(-1250.0, 450.0)
+    right.set_ylim(0.0, 1100.0)
+    right.set_aspect("equal")
+    right.set_xlabel("east (m)")
+    right.set_ylabel("height (m)")
+    right.set_title("field of view of the scans")
+    right.grid(alpha=0.3)
+    save(figure, path)
+
+
+def draw_profiles(pictures: dict[str, list[Any]], field: Any,
+                  configurations: list[tuple[float, float]], path: Path) -> None:  # fmt: skip
+    """East-west profiles of truth and DEMs through two rocks: the paper's Figure 17."""
+    figure = new_figure(9.0, 16.0)
+    axes = figure.subplots(len(configurations), 2, sharey=True, sharex="col")
+    rocks = marked_rocks(field.terrain.rocks)
+    for n, (distance, angle) in enumerate(configurations):
+        base, grid, _ = pictures["baseline"][n]
+        mean, sigma = pictures["mean"][n][0], pictures["sigma"][n][0]
+        for ax, (name, x, y) in zip(axes[n], rocks, strict=True):
+            row = int(grid.cell((x, y))[0])
+            near = np.abs(grid.x - x) < 1.5
+            true_row = int(field.grid.cell((x, y))[0])
+            true_near = np.abs(field.grid.x - x) < 1.5
+            east, m, s = grid.x[near], mean[row, near], sigma[row, near]
+            ax.fill_between(east, m - 3 * s, m + 3 * s, color="#0072B2", alpha=0.2, lw=0,
+                            label="proposed, 3 sigma")  # fmt: skip
+            ax.plot(east, m, color="#0072B2", label="proposed, mean")
+            ax.step(east, base[row, near], where="mid", color="#D55E00", label="baseline")
+            ax.plot(field.grid.x[true_near], field.elevation[true_row, true_near], "k--", lw=1,
+                    label="truth")  # fmt: skip
+            ax.set_title(f"rock {name}: {distance:.0f} m, {angle:.0f} deg", fontsize=9)
+            ax.grid(alpha=0.3)
+        axes[n, 0].set_ylabel("height (m)")
+    for ax in axes[-1]:
+        ax.set_xlabel("east (m)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    save(figure, path)
+
+
+def draw_truth(field: Any, layer: np.ndarray, limit: float, label: str, path: Path) -> None:
+    """A true quantity and where it is under its limit: the paper's Figures 18 and 21."""
+    figure = new_figure(9.0, 4.2)
+    left, right = figure.subplots(1, 2, sharey=True)
+    half = 0.5 * _VIEW
+    image = show(left, layer, field.grid, cmap="viridis", vmin=0.0, vmax=2.0 * limit)
+    bar = figure.colorbar(image, ax=left, label=f"{label}; limit marked", shrink=0.8, extend="max")
+    bar.ax.axhline(limit, color="white")
+    map_axes(left, f"true {label.split(' (', maxsplit=1)[0]}")
+    safe = np.where(np.isfinite(layer), layer < limit, np.nan)
+    show(right, safe, field.grid, cmap=ListedColormap(["#303030", "#ffffff"]), vmin=0, vmax=1)
+    map_axes(right, "white: under the limit")
+    right.set_ylabel("")
+    for ax in (left, right):
+        ax.set_xlim(-half, half)
+        ax.set_ylim(-half, half)
+    save(figure, path)
+
+
+def draw_precision_recall(
+    curves: np.ndarray, names: tuple[str, ...], configurations: list[tuple[float, float]],
+    paper: list[tuple[float, float]], title: str, lowest: float, path: Path,
+) -> None:  # fmt: skip
+    """Precision against recall as the threshold falls, the paper's point beside.
+
+    Parameters
+    ----------
+    curves
+        Numbers of unsafe and safe cells by bin of probability, rising (configurations, methods,
+        2, bins).
+    names
+        Of the methods.
+    configurations
+        Range and angle of each scan.
+    paper
+        Precision and recall of the proposed method there.
+    title, lowest, path
+        Of the figure; the lowest precision it shows.
+    """
+    figure = new_figure(9.6, 9.6)
+    axes = figure.subplots(3, 3, sharex=True, sharey=True)
+    for ax, own, (distance, angle), (precision, recall) in zip(
+        axes.ravel(), curves, configurations, paper, strict=True
+    ):
+        for name, counts, colour in zip(names, own, ("#D55E00", "#0072B2", "#009E73"), strict=True):
+            p, r, half = precision_recall(counts)
+            ax.plot(r, p, color=colour, label=name)
+            ax.plot(r[half], p[half], "o", color=colour, ms=4)
+        ax.plot(recall, precision, "k*", ms=9, label="proposed, paper")
+        ax.set_title(f"{distance:.0f} m, {angle:.0f} deg")
+        ax.set_xlim(0.6, 1.003)
+        ax.set_ylim(lowest, 1.0 + 0.02 * (1.0 - lowest))
+        ax.grid(alpha=0.3)
+    for ax in axes[2]:
+        ax.set_xlabel("recall of safe ground")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("precision")
+    axes[0, 0].legend(loc="lower left", fontsize=7)
+    figure.suptitle(f"{title}; dots: p > 0.5")
+    save(figure, path)
+
+
+def precision_recall(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return precision and recall by falling threshold, and the index of the threshold 0.5.
+
+    `counts` are the numbers of unsafe and safe cells by bin (2, bins), an even number of bins
+    that lie symmetrically about one half.
+    """
+    wrong, hits = np.cumsum(counts[:, ::-1], axis=1)
+    used = hits + wrong > 0
+    half = int(used[: counts.shape[1] // 2].sum()) - 1
+    return hits[used] / (hits + wrong)[used], hits[used] / max(hits[-1], 1), max(half, 0)

@@ -17,10 +17,20 @@ from typing import Any
 
 import click
 import numpy as np
-from gaussian_dem_figures import draw_conservativeness, draw_panels, draw_reliability
+from gaussian_dem_figures import (
+    draw_conservativeness,
+    draw_panels,
+    draw_precision_recall,
+    draw_profiles,
+    draw_reliability,
+    draw_testbed,
+    draw_truth,
+    precision_recall,
+)
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from scipy.special import ndtr
 
 from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
@@ -31,6 +41,7 @@ from lunarsim.hazards.safety import (
     bounded_safety,
     conservative_safety,
     exact_safety,
+    plane_stochastic_safety,
     stochastic_safety,
 )
 from lunarsim.sensors import FlashLidar
@@ -47,6 +58,9 @@ POSTING = 0.1  # of the truth and of the proposed maps, m
 # a margin against missed rocks: two purposes, two settings, both stated with the tables.
 DENSITY = {"sigma_f": 0.1, "length_scale": 10.0}  # Table 5
 MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
+METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`
+# Of precision-recall curves: symmetric about 0.5, finer at either end.
+THRESHOLDS = ndtr(np.linspace(-6.0, 6.0, 241))
 
 PAPER_3 = {0.0: 0.9563, 0.2: 0.7251, 0.5: 0.2848, 0.7: 0.1604, 1.0: 0.0810}
 PAPER_4 = [  # coverage x, y (m), ground sample distance x, y (m), 3 sigma (cm)
@@ -298,6 +312,7 @@ def table_6(seeds: int) -> dict[str, Any]:
                               "proposed slope")
     }  # fmt: skip
     bins = np.zeros((len(CONFIGURATIONS), 20, 3))
+    curves = np.zeros((2, len(CONFIGURATIONS), len(METHODS), 2, len(THRESHOLDS) + 1))
     for seed in track(range(seeds), description="table 6"):
         field = testbed(seed)
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
@@ -312,15 +327,22 @@ def table_6(seeds: int) -> dict[str, Any]:
             own = stochastic_safety(dem.mean, dem.variance, grid, LANDER)
             coarse, nearest = baseline(points, grid, sample_distance(distance, angle))
             other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=sigma)
+            planes = plane_stochastic_safety(dem.mean, dem.variance, grid, LANDER)
             judged = own.observed & other.observed[nearest] & field.safety.observed[window]
             p = {
                 "baseline slope": other.p_slope[nearest], "proposed slope": own.p_slope,
                 "baseline roughness": other.p_roughness[nearest],
                 "proposed roughness": own.p_roughness,
+                "planes slope": planes.p_slope, "planes roughness": planes.p_roughness,
             }  # fmt: skip
             column = 0
             results = []
-            for kind, truth in (("slope", slope), ("roughness", rough)):
+            for which, (kind, truth) in enumerate((("slope", slope), ("roughness", rough))):
+                for m, method in enumerate(METHODS):
+                    place = np.searchsorted(THRESHOLDS, p[f"{method} {kind}"][judged])
+                    for safe in (0, 1):
+                        of = place[truth[judged] == bool(safe)]
+                        curves[which, n, m, safe] += np.bincount(of, minlength=len(THRESHOLDS) + 1)
                 for method in ("baseline", "proposed"):
                     called = p[f"{method} {kind}"] > 0.5
                     results.append(scores(called[judged], truth[judged]))
@@ -333,7 +355,12 @@ def table_6(seeds: int) -> dict[str, Any]:
                     column += 1
             safe = (slope & rough)[judged]
             bins[n] += reliability(own.p_safe[judged], safe, np.linspace(0.0, 1.0, 21))
-    return {"rows": rows, "pictures": pictures, "reliability": bins.tolist()}
+    return {
+        "rows": rows,
+        "pictures": pictures,
+        "reliability": bins.tolist(),
+        "precision_recall": curves.tolist(),
+    }
 
 
 def print_6(result: dict[str, Any], console: Console) -> None:
@@ -354,6 +381,22 @@ def print_6(result: dict[str, Any], console: Console) -> None:
         complete = round(mean[5], 4) >= paper[5] and round(mean[7], 4) >= paper[7]
         error = calibration_error(np.array(result["reliability"][n]))
         table.add_row(f"{r:.0f}", f"{a:.0f}", *cells, yes(precise), yes(complete), f"{error:.3f}")
+    console.print(table)
+    table = Table(title="Precision at the recall of the paper's proposed method")
+    headings = ("range m", "angle deg", "slope: paper", "baseline", "proposed", "planes",
+                "roughness: paper", "baseline", "proposed", "planes")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    curves = np.array(result["precision_recall"])
+    for n, (r, a) in enumerate(CONFIGURATIONS):
+        cells = []
+        for which in (0, 1):
+            cells.append(f"{PAPER_6[n][1 + 2 * which]:.4f}")
+            for counts in curves[which, n]:
+                precision, recall, _ = precision_recall(counts)
+                found = int(np.searchsorted(recall, PAPER_6[n][5 + 2 * which]))
+                cells.append(f"{precision[min(found, len(recall) - 1)]:.4f}")
+        table.add_row(f"{r:.0f}", f"{a:.0f}", *cells)
     console.print(table)
 
 
@@ -432,6 +475,9 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
             draw_panels(
                 result["pictures"][key], CONFIGURATIONS, label, out / f"figure_{number}.png"
             )
+        field = testbed(0)
+        draw_testbed(field, CONFIGURATIONS, out / "figure_13.png")
+        draw_profiles(result["pictures"], field, CONFIGURATIONS, out / "figure_17.png")
     elif name == "6":
         for number, key in ((19, "baseline roughness"), (20, "proposed roughness"),
                             (22, "baseline slope"), (23, "proposed slope")):  # fmt: skip
@@ -440,6 +486,17 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
                 out / f"figure_{number}.png", diverging=True,
             )  # fmt: skip
         draw_reliability(np.array(result["reliability"]), CONFIGURATIONS, out / "reliability.png")
+        field = testbed(0)
+        draw_truth(field, field.safety.roughness, LANDER.roughness_limit, "roughness (m)",
+                   out / "figure_18.png")  # fmt: skip
+        draw_truth(field, np.rad2deg(field.safety.slope), np.rad2deg(LANDER.slope_limit),
+                   "slope (deg)", out / "figure_21.png")  # fmt: skip
+        for which, kind in enumerate(("slope", "roughness")):
+            paper = [(row[1 + 2 * which], row[5 + 2 * which]) for row in PAPER_6]
+            draw_precision_recall(
+                np.array(result["precision_recall"])[which], METHODS, CONFIGURATIONS, paper,
+                f"Safety of {kind}", (0.995, 0.85)[which], out / f"precision_recall_{kind}.png",
+            )  # fmt: skip
 
 
 @click.command()
