@@ -103,7 +103,7 @@ def marked_rocks(rocks: Any) -> list[tuple[str, float, float]]:
 
 def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Path) -> None:
     """The testbed's segment and how the nine scans look at it: the paper's Figure 13."""
-    figure = new_figure(10.0, 4.4)
+    figure = new_figure(10.0, 4.8)
     left, right = figure.subplots(1, 2)
     half = 0.5 * _VIEW
     inside = np.ix_(np.abs(field.grid.y) < half, np.abs(field.grid.x) < half)

@@ -6,7 +6,9 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from tests.conftest import ROOT
 
@@ -60,3 +62,24 @@ def test_gallery_renders_a_scene_and_fits_the_rocks(tmp_path):
         subprocess.run(command, capture_output=True, text=True, check=True)
     assert (tmp_path / "hirise.png").stat().st_size > 20_000
     assert (tmp_path / "rock_sizes.png").exists()
+
+
+def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "scenarios"))
+    import gaussian_dem_monte_carlo as study
+
+    for configuration in (1, 3):
+        dem = study.scanned(configuration, 0)[-1]
+        task = study.Task(configuration, 0, 0, 1)
+        ratio = [
+            (study.error_field(task, np.random.default_rng([9, n])) ** 2 / dem.variance)[
+                dem.observed
+            ].mean()
+            for n in range(3)
+        ]
+        assert np.mean(ratio) == pytest.approx(1.0, abs=0.08)
+    done = CliRunner().invoke(study.main, ["--samples", "2", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert done.output.count("support planes") == 4
+    assert (tmp_path / "monte_carlo.png").stat().st_size > 20_000
+    assert CliRunner().invoke(study.main, ["--samples", "0"]).exit_code == 2
