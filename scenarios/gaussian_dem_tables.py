@@ -449,6 +449,12 @@ def print_7(result: dict[str, Any], console: Console) -> None:
             f"{row['baseline'] / (row['dem'] + row['safety']):.1f}",
         )  # fmt: skip
     console.print(table)
+    ours = [row["dem"] + row["safety"] for row in result["rows"]]
+    cheap = [r["posting"] for r, o in zip(result["rows"], ours, strict=True) if r["baseline"] < o]
+    console.print(
+        "the baseline's safety alone is cheaper than the proposed DEM and safety at "
+        + (", ".join(f"{p} m" for p in cheap) or "no posting")
+    )
     x = -np.log([row["posting"] for row in result["rows"]])
     for name in ("baseline", "dem", "safety"):
         exponent = np.polyfit(x, np.log([row[name] for row in result["rows"]]), 1)[0]
