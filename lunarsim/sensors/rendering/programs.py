@@ -58,6 +58,11 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
     programs["rocks-shadow"] = ctx.program(
         shader("rock_vertex"), shader("rock", "rock_shadow_fragment", defines=(most,))
     )
+    for name, defines in (("small-rocks", ("STONE",)), ("small-rocks-shadow", ())):
+        programs[name] = ctx.program(
+            shader("small_rock_vertex", defines=defines),
+            shader("small_rock_fragment", defines=defines),
+        )
     for name, program in programs.items():
         if name.startswith("rocks"):
             faces = np.zeros(32, np.int32)

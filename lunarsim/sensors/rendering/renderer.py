@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, RenderingError
 from lunarsim.light import Light
 from lunarsim.sensors.rendering import _cull_kernels as kernels
+from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
 from lunarsim.sensors.rendering.context import gl_context
 from lunarsim.sensors.rendering.programs import (
     build_programs,
@@ -30,6 +31,7 @@ from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
 from lunarsim.sensors.rendering.target import Target, read_image
 from lunarsim.sensors.rendering.view import Image, View
 from lunarsim.terrain import Terrain
+from lunarsim.terrain.shapes import shape_table
 
 Array = NDArray[np.float64]
 
@@ -100,6 +102,8 @@ class Renderer:
         self._box = np.empty((count, 4))
         self._box_buffer = self._ctx.buffer(reserve=max(16 * count, 16))
         self._number_buffer = self._ctx.buffer(reserve=max(4 * count, 4))
+        self._shapes = shape_table()
+        self._point_buffer = self._ctx.buffer(reserve=28)
 
     def render(
         self, view: View, light: Light, *, truth: bool = False, shadows: bool = True
@@ -138,7 +142,15 @@ class Renderer:
             target.depth_only.use()
             self._draw_relief("relief", values, shown, level)
             target.rocks.use()
-            self._draw_rocks("rocks", values, self._boxes(view, near))
+            box, number = self._boxes(view, near)
+            small, start, rest = small_rocks.split(box)
+            self._draw_rocks("rocks", values, box[rest], number[rest])
+            points, hit = small_rocks.sight(
+                self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
+                view.position, np.ascontiguousarray(view.axes.T), view.fx, view.fy, view.cx,
+                view.cy, near, far,
+            )  # fmt: skip
+            self._draw_points("small-rocks", values, points[hit])
             target.picture.use()
             self._ctx.disable(moderngl.DEPTH_TEST)
             target.picture.clear()
@@ -262,10 +274,22 @@ class Renderer:
             self._tile_buffer.write(np.ascontiguousarray(self._tiles.first[picked]))
             self._vaos[name, k].render(instances=picked.size)
 
+    def _draw_points(self, name: str, values: dict[str, Any], points: NDArray[np.float32]) -> None:
+        """Draw what small rocks were found to cover (n, 7 or 3): place, depth, normal, number."""
+        if len(points) == 0:
+            return
+        program = self._programs[name]
+        set_uniforms(program, values)
+        self._point_buffer.orphan(points.nbytes)
+        self._point_buffer.write(points)
+        if (name, 0) not in self._vaos:
+            parts = ("3f 4f", "at", "stone") if points.shape[1] == 7 else ("3f", "at")
+            self._vaos[name, 0] = self._ctx.vertex_array(program, [(self._point_buffer, *parts)])
+        self._vaos[name, 0].render(moderngl.POINTS, vertices=len(points))
+
     def _draw_rocks(
-        self, name: str, values: dict[str, Any], boxes: tuple[Array, NDArray[np.int32]]
+        self, name: str, values: dict[str, Any], box: Array, number: NDArray[np.int32]
     ) -> None:
-        box, number = boxes
         if number.size == 0:
             return
         program = self._programs[name]
@@ -276,9 +300,9 @@ class Renderer:
                 program, [(self._box_buffer, "4f/i", "box"), (self._number_buffer, "i/i", "number")]
             )
         self._box_buffer.orphan()
-        self._box_buffer.write(box)
+        self._box_buffer.write(np.ascontiguousarray(box))
         self._number_buffer.orphan()
-        self._number_buffer.write(number)
+        self._number_buffer.write(np.ascontiguousarray(number))
         self._vaos[name, 0].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=number.size)
 
     def _shadow_map(self) -> tuple[moderngl.Texture, moderngl.Framebuffer]:
@@ -336,7 +360,14 @@ class Renderer:
             self._rows, self._reach, self._feet, view.position, lean, axes, corner, texel,
             float(size[0]), float(size[1]), self._box,
         )  # fmt: skip
-        self._draw_rocks("rocks-shadow", values, kernels.gather(self._box, boxes))
+        box, number = kernels.gather(self._box, boxes)
+        small, start, rest = small_rocks.split(box)
+        self._draw_rocks("rocks-shadow", values, box[rest], number[rest])
+        points, hit = small_rocks.shade(
+            self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
+            view.position, lean, axes, corner, texel, *heights,
+        )  # fmt: skip
+        self._draw_points("small-rocks-shadow", values, points[hit])
         texture.use(2)
         return {
             "shaded": 1, "patched": patched, "shadow": 2, "lean": tuple(lean),

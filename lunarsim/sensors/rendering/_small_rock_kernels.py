@@ -1,0 +1,105 @@
+"""Compiled drawing of rocks that cover a pixel or two.
+
+A software OpenGL driver shades sixteen pixels for the sake of one. Small rocks are therefore met by
+their rays here, with the geometry of the ray caster, and reach OpenGL as points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+from lunarsim.terrain._rock_kernels import rock_hit, rock_normal
+
+MOST = 16  # pixels that a small rock's box holds
+
+
+@kernel()
+def split(box):
+    """Return the indices of boxes (n, 4) that hold few pixels, where each one's start, the rest.
+
+    The last start is the number of pixels in all.
+    """
+    area = np.empty(box.shape[0], np.int64)
+    for m in range(box.shape[0]):
+        area[m] = round((box[m, 2] - box[m, 0]) * (box[m, 3] - box[m, 1]))
+    small = np.flatnonzero(area <= MOST)
+    start = np.zeros(small.size + 1, np.int64)
+    start[1:] = np.cumsum(area[small])
+    return small, start, np.flatnonzero(area > MOST)
+
+
+@kernel(parallel=True)
+def sight(
+    rocks, planes, count, box, number, small, start, eye, to_sensor, fx, fy, cx, cy, near, far
+):
+    """Write pixel, window depth, normal and number + 1 of small rocks where rays meet them.
+
+    Returns rows (m, 7), float32, and which of them are hits (m,).
+    """
+    out = np.empty((start[-1], 7), np.float32)
+    hit = np.zeros(start[-1], np.bool_)
+    for k in prange(small.size):
+        m = small[k]
+        n = number[m]
+        normal = np.empty(3)
+        at = start[k]
+        wide = round(box[m, 2] - box[m, 0])
+        for p in range(start[k + 1] - at):
+            u = np.float64(box[m, 0]) + 0.5 + p % wide
+            v = np.float64(box[m, 1]) + 0.5 + p // wide
+            sx = (u - cx) / fx
+            sy = (v - cy) / fy
+            dx = to_sensor[0, 0] * sx + to_sensor[1, 0] * sy + to_sensor[2, 0]
+            dy = to_sensor[0, 1] * sx + to_sensor[1, 1] * sy + to_sensor[2, 1]
+            dz = to_sensor[0, 2] * sx + to_sensor[1, 2] * sy + to_sensor[2, 2]
+            t = rock_hit(eye[0], eye[1], eye[2], dx, dy, dz, rocks, n, planes, count)
+            if not (t >= near and t < np.inf):
+                continue
+            rock_normal(
+                eye[0] + t * dx, eye[1] + t * dy, eye[2] + t * dz, rocks, n, planes, count, normal
+            )
+            row = out[at + p]
+            row[0] = u
+            row[1] = v
+            row[2] = 0.5 + 0.5 * ((far + near) - 2.0 * far * near / t) / (far - near)
+            row[3] = normal[0]
+            row[4] = normal[1]
+            row[5] = normal[2]
+            row[6] = n + 1
+            hit[at + p] = True
+    return out, hit
+
+
+@kernel(parallel=True)
+def shade(
+    rocks, planes, count, box, number, small, start, eye, lean, axes, corner, texel, highest, lowest
+):
+    """Write texel and depth of the highest lee face of small rocks along each sunray.
+
+    Returns rows (m, 3), float32, and which of them are hits (m,). Elevations are above the camera.
+    """
+    out = np.empty((start[-1], 3), np.float32)
+    hit = np.zeros(start[-1], np.bool_)
+    for k in prange(small.size):
+        m = small[k]
+        n = number[m]
+        at = start[k]
+        wide = round(box[m, 2] - box[m, 0])
+        for p in range(start[k + 1] - at):
+            u = np.float64(box[m, 0]) + 0.5 + p % wide
+            v = np.float64(box[m, 1]) + 0.5 + p // wide
+            a = corner[0] + texel * (u + 0.5)
+            b = corner[1] + texel * (v + 0.5)
+            x = eye[0] + axes[0, 0] * a + axes[1, 0] * b
+            y = eye[1] + axes[0, 1] * a + axes[1, 1] * b
+            # Up towards the Sun: where this ray enters the rock, one from the Sun leaves it.
+            t = rock_hit(x, y, eye[2], lean[0], lean[1], 1.0, rocks, n, planes, count)
+            if t == np.inf:
+                continue
+            row = out[at + p]
+            row[0] = u
+            row[1] = v
+            row[2] = min(max((highest - t) / (highest - lowest), 0.0), 1.0)
+            hit[at + p] = True
+    return out, hit
