@@ -194,7 +194,7 @@ class Camera:
                 self._distort(image.normal, cv2.INTER_NEAREST),
                 identity.astype(np.int32),
             )
-        return Photograph(time, self._detect(radiance.astype(np.float64), rng), kept)
+        return Photograph(time, self._detect(radiance, rng), kept)
 
     @property
     def tangents(self) -> tuple[Array, Array]:
@@ -269,19 +269,22 @@ class Camera:
         return np.asarray(total / np.float32(steps))
 
     def _detect(
-        self, radiance: Array, rng: np.random.Generator
+        self, radiance: NDArray[np.float32], rng: np.random.Generator
     ) -> NDArray[np.unsignedinteger[Any]]:
-        electrons = radiance * (self.sensitivity * self.exposure)
-        variance = np.full(electrons.shape, self.read_noise**2)
-        if self.shot_noise:
-            # Where photons are few they are counted; where many, their noise is normal.
-            few = electrons < _FEW
-            variance += np.where(few, 0.0, electrons)
-            electrons[few] = rng.poisson(electrons[few])
+        electrons = radiance * np.float32(self.sensitivity * self.exposure)
         if self.shot_noise or self.read_noise > 0.0:
-            electrons = electrons + np.sqrt(variance) * rng.standard_normal(electrons.shape)
+            deviation = np.full(electrons.shape, np.float32(self.read_noise**2))
+            if self.shot_noise:
+                few = electrons < np.float32(_FEW)
+                # Where photons are few they are counted; where many, their noise is normal.
+                np.add(deviation, electrons, out=deviation, where=~few)
+                electrons[few] = rng.poisson(electrons[few])
+            np.sqrt(deviation, out=deviation)
+            deviation *= rng.standard_normal(electrons.shape, dtype=np.float32)
+            electrons += deviation
         top = 2**self.bits - 1
-        counts = np.rint(np.clip(electrons / self.full_well, 0.0, 1.0) * top)
+        electrons *= np.float32(top / self.full_well)
+        counts = np.rint(np.clip(electrons, 0.0, top, out=electrons), out=electrons)
         narrow: NDArray[np.unsignedinteger[Any]]
         narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
         return narrow
