@@ -10,8 +10,11 @@ one update, which equals the sequential one.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
@@ -413,13 +416,28 @@ class RockFilter:
 def _subtract_square(p: Array, w: Array) -> None:
     """Subtract w' w (n, n) from the symmetric p in place, w being (m, n).
 
-    Block by block above the diagonal: the products then stay in the cache.
+    Block by block above the diagonal: the products then stay in the cache. Blocks are shared among
+    threads, and are the same however many there are.
     """
     if len(w) == 1:
         subtract_outer(p, w[0])
         return
     n = len(p)
-    for start in range(0, n, _BLOCK):
+
+    def subtract(start: int) -> None:
         stop = min(start + _BLOCK, n)
         p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
         p[stop:, start:stop] = p[start:stop, stop:].T
+
+    starts = range(0, n, _BLOCK)
+    threads = numba.get_num_threads()
+    if threads == 1 or len(starts) == 1:
+        for start in starts:
+            subtract(start)
+    else:
+        list(_threads(threads).map(subtract, starts))
+
+
+@lru_cache(maxsize=1)
+def _threads(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count)
