@@ -15,6 +15,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.light import Light
+from lunarsim.sensors import Camera
 from lunarsim.sensors.rendering import Renderer, View, renderer_of
 from lunarsim.terrain import (
     Heightfield,
@@ -222,6 +223,28 @@ def test_coarse_relief_moves_nothing_by_more_than_its_bound(rocky):
     fine = renderer.render(view, light, truth=True).radiance
     changed = np.abs(coarse - fine) > 0.02 * fine.max()
     assert changed.mean() < 0.01
+
+
+@pytest.mark.parametrize(("distance", "share"), [(100.0, 0.0), (600.0, 0.015)], ids=["near", "far"])
+@pytest.mark.parametrize("elevation", [10.0, 20.0, 45.0])
+def test_coarse_relief_changes_few_pixels_by_more_than_their_noise(distance, share, elevation):
+    # The scene and lens of the benchmark; what changes are edges of shadows and of facets.
+    rng = np.random.default_rng(0)
+    relief = fractal_relief(
+        Grid.centred((0.0, 0.0), 512.0, 1.0), rng, hurst=0.8, rms_slope=np.radians(4.0)
+    )
+    diameters = rng.uniform(0.3, 2.0, 5000)
+    terrain = Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("mixed")))
+    camera = Camera()
+    view = look(distance, 0.2, pixels=(640, 480), fov=60.0)
+    light = Light(np.pi / 2, np.radians(elevation))
+    renderer = renderer_of(terrain)
+    gain = camera.sensitivity * camera.exposure
+    drawn = gain * renderer.render(view, light).radiance
+    finest = gain * renderer.render(view, light, truth=True).radiance
+    step = camera.full_well / 2**camera.bits
+    noise = np.sqrt(finest + camera.read_noise**2 + step**2 / 12.0)
+    assert (np.abs(drawn - finest) > noise).mean() <= share
 
 
 def test_same_view_same_bits(rocky):
