@@ -8,7 +8,8 @@ for sixteen equal ones) and stores the outcome::
     height = load(z, at) - column * gx - row * gy
     store(out, at, larger(height, load(out, at)))
 
-No NaN or infinity may occur. Indices are not checked.
+A NaN loses every comparison, so garbage in a lane beyond the last element does no harm. Indices are
+not checked.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ LANES = 16
 _FLOAT = ir.FloatType()
 _VECTOR = ir.VectorType(_FLOAT, LANES)
 _MASK = ir.IntType(LANES)
-_FLAGS = ("contract", "nsz", "arcp", "nnan", "ninf")
+# Multiply-adds may be fused, and a division by the same number become a product.
+_FLAGS = ("contract", "nsz", "arcp")
 
 
 class _Lanes(types.Type):
