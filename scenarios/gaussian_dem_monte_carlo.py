@@ -72,7 +72,7 @@ def spectrum(cells: int) -> np.ndarray:
 def error_field(task: Task, rng: np.random.Generator) -> np.ndarray:
     """Return one draw of the DEM's error over the map (rows, cols), m."""
     _, points, sigma, shape, _ = scanned(task.configuration, task.seed)
-    # Twice the width that scans reach at most over the map, so that opposite edges do not meet.
+    # Four times as wide as the map: what is periodic in the draw does not show on it.
     cells = fft.next_fast_len(4 * MAP.rows)
     noise = rng.standard_normal((2, cells, cells))
     drawn = fft.ifft2(spectrum(cells) * (noise[0] + 1j * noise[1])).real * cells

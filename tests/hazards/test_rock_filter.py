@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.stats import chi2
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.hazards.shadows.rock_filter import RockFilter
+from lunarsim.hazards.shadows.rock_filter import RockFilter, subtract_square
 from lunarsim.navigation.inertial import InertialState
 from tests.hazards.rock_scene import GRAVITY, Flight
 
@@ -206,3 +207,20 @@ def test_a_wrong_altitude_changes_nothing(reading):
     f.update_range(reading, 1.0)
     assert np.array_equal(f.covariance, p)
     assert np.array_equal(f.inertial.position, z)
+
+
+def test_covariance_update_is_the_same_on_any_number_of_threads():
+    rng = np.random.default_rng(3)
+    w = rng.standard_normal((40, 1000))
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(threads)
+            p = 1e4 * np.eye(1000)
+            subtract_square(p, w)
+            results.append(p)
+    finally:
+        numba.set_num_threads(before)
+    assert np.array_equal(*results)
+    assert np.allclose(results[0], 1e4 * np.eye(1000) - w.T @ w, atol=1e-9)

@@ -307,7 +307,7 @@ class RockFilter:
         """Correct by whitened rows: gain times innovation is w' y, the covariance loses w' w."""
         w = np.ascontiguousarray(w)
         correction = innovation @ w
-        _subtract_square(self.covariance, w)
+        subtract_square(self.covariance, w)
         self.inertial.correct(correction[:INERTIAL])
         self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
 
@@ -413,7 +413,7 @@ class RockFilter:
             setattr(self, name, more)
 
 
-def _subtract_square(p: Array, w: Array) -> None:
+def subtract_square(p: Array, w: Array) -> None:
     """Subtract w' w (n, n) from the symmetric p in place, w being (m, n).
 
     Block by block above the diagonal: the products then stay in the cache. Blocks are shared among
