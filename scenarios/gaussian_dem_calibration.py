@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from gaussian_dem_tables import (
+from gaussian_dem_testbed import (
     CONFIGURATIONS,
     LANDER,
     MARGIN,

@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 import numpy as np
-from gaussian_dem_tables import LANDER, MARGIN, Field, crop, scan, testbed
+from gaussian_dem_testbed import LANDER, MARGIN, Field, crop, scan, testbed
 from rich.console import Console
 from rich.table import Table
 from scipy import fft, ndimage

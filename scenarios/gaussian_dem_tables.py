@@ -11,7 +11,6 @@ import json
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +26,22 @@ from gaussian_dem_figures import (
     draw_truth,
     precision_recall,
 )
+from gaussian_dem_testbed import (
+    CONFIGURATIONS,
+    DENSITY,
+    LANDER,
+    MARGIN,
+    POSTING,
+    crop,
+    scan,
+    testbed,
+    view_grid,
+)
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from scipy.special import ndtr
 
-from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.hazards.gaussian_dem import conventional_dem, gaussian_dem
 from lunarsim.hazards.reliability import calibration_error, reliability
@@ -44,20 +53,9 @@ from lunarsim.hazards.safety import (
     plane_stochastic_safety,
     stochastic_safety,
 )
-from lunarsim.sensors import FlashLidar
 from lunarsim.terrain import Heightfield, RockField, Terrain, load_dtm, place_rocks
-from lunarsim.vehicle import Lander, State
-from lunarsim.world import World
 
 DATA = Path(__file__).parent / "data"
-LANDER = Lander()
-RANGES, ANGLES = (200.0, 500.0, 1000.0), (0.0, 30.0, 60.0)
-CONFIGURATIONS = [(r, a) for r in RANGES for a in ANGLES]
-POSTING = 0.1  # of the truth and of the proposed maps, m
-# Only sigma_f^2 / length_scale matters. The density of the elevations asks for a smaller one than
-# a margin against missed rocks: two purposes, two settings, both stated with the tables.
-DENSITY = {"sigma_f": 0.1, "length_scale": 10.0}  # Table 5
-MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`
 # Of precision-recall curves: symmetric about 0.5, finer at either end.
 THRESHOLDS = ndtr(np.linspace(-6.0, 6.0, 241))
@@ -92,37 +90,6 @@ PAPER_7 = {0.5: (0.0412, 0.1248, 0.0016), 0.3: (0.3890, 0.2991, 0.0469),
            0.2: (2.5194, 0.7112, 0.0724), 0.1: (84.3238, 2.7666, 1.0420)}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Field:
-    """One testbed: 500 hemispheres of 1 m on a plane of 200 x 200 m (section IV.B.1)."""
-
-    terrain: Terrain
-    grid: Grid
-    elevation: np.ndarray
-    safety: Any
-
-
-def testbed(seed: int, side: float = 100.0) -> Field:
-    """Draw a testbed and its exact safety over the middle `side` metres."""
-    plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))
-    terrain = Terrain(plane, place_rocks(plane, np.full(500, 1.0), np.random.default_rng(seed)))
-    grid = Grid.centred((0.0, 0.0), side, POSTING)
-    elevation = terrain.raster(grid)
-    return Field(terrain, grid, elevation, exact_safety(elevation, grid, LANDER))
-
-
-def scan(field: Field, distance: float, angle_deg: float, rng: np.random.Generator):
-    """Flash at the map's centre from a distance and an angle off nadir towards +x."""
-    angle = np.deg2rad(angle_deg)
-    position = distance * np.array([-np.sin(angle), 0.0, np.cos(angle)])
-    upright = np.array([0.0, 0.0, 0.0, 1.0])
-    state = State(position, np.zeros(3), upright, np.zeros(3), 1.0)
-    lidar = FlashLidar()
-    world = World(field.terrain, 1.622)
-    flash = lidar.measure(world, state, 0.0, rng, sensor_axes(-position))
-    return flash.points(position, upright), lidar.noise_ratio * distance, flash.shape
-
-
 def sample_distance(distance: float, angle_deg: float) -> float:
     """Mean ground sample distance of a configuration (m): the baseline's posting."""
     x, y = table_4_row(distance, angle_deg)[2:4]
@@ -137,9 +104,6 @@ def baseline(points, grid: Grid, posting: float):
     row, col = coarse.cell(grid.centres())
     nearest = (np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1))
     return conventional_dem(points, coarse), nearest
-
-
-# --- the tables -----------------------------------------------------------------------------------
 
 
 def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
@@ -231,17 +195,6 @@ def print_4(result: dict[str, Any], console: Console) -> None:
         cells = [f"{o:.3f} / {p:.3f}" for o, p in zip(ours, paper, strict=True)]
         table.add_row(f"{r:.0f}", f"{a:.0f}", *cells)
     console.print(table)
-
-
-def view_grid(distance: float) -> Grid:
-    """The square over which a configuration is judged: what is scanned, 100 m at most."""
-    return Grid.centred((0.0, 0.0), min(100.0, 0.2 * distance), POSTING)
-
-
-def crop(field: Field, grid: Grid) -> tuple[slice, slice]:
-    """Cells of the field's grid that are those of `grid`."""
-    row, col = (int(v) for v in field.grid.cell((grid.x0, grid.y0)))
-    return slice(row, row + grid.rows), slice(col, col + grid.cols)
 
 
 def density(error: np.ndarray, variance: np.ndarray | float) -> float:
