@@ -139,7 +139,6 @@ _subtract = _binary(lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS))
 _multiply = _binary(lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS))
 _divide = _binary(lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))
 larger = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
-smaller = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
 
 
 def _operator(symbol: Any, function: Any) -> None:

@@ -47,8 +47,6 @@ class Covers:
 
     Attributes
     ----------
-    block
-        Side of a block, cells.
     corners
         South-west cells (row, column) of the blocks (n, 2), heading by heading.
     centres
@@ -60,7 +58,6 @@ class Covers:
         Where each heading's blocks begin (headings + 1,); multiples of four.
     """
 
-    block: int
     corners: IntArray
     centres: NDArray[np.float32]
     allowed: NDArray[np.float32]
@@ -238,7 +235,7 @@ def _covers(footprint: Footprint, block: int) -> Covers:
     south_west = np.array(corners, dtype=np.int64)
     centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
     marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
-    return Covers(block, south_west, centres.ravel(), marks, np.array(first))
+    return Covers(south_west, centres.ravel(), marks, np.array(first))
 
 
 def _triangle_height(points: NDArray[np.float64]) -> float:

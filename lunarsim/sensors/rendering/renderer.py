@@ -300,9 +300,9 @@ class Renderer:
                 program, [(self._box_buffer, "4f/i", "box"), (self._number_buffer, "i/i", "number")]
             )
         self._box_buffer.orphan()
-        self._box_buffer.write(np.ascontiguousarray(box))
+        self._box_buffer.write(box)
         self._number_buffer.orphan()
-        self._number_buffer.write(np.ascontiguousarray(number))
+        self._number_buffer.write(number)
         self._vaos[name, 0].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=number.size)
 
     def _shadow_map(self) -> tuple[moderngl.Texture, moderngl.Framebuffer]:
