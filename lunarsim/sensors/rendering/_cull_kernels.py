@@ -240,3 +240,20 @@ def gather(box, rocks):
         for k in range(4):
             out[m, k] = box[number[m], k]
     return out, number
+
+
+@kernel(parallel=True)
+def box_corners(box, number, picked):
+    """Return the corners of boxes `picked` (m,) from the picture's corner, and their numbers.
+
+    Rows (4 m, 3), float32: lower left, lower right, upper left, upper right.
+    """
+    out = np.empty((4 * picked.size, 3), np.float32)
+    for m in prange(picked.size):
+        n = picked[m]
+        for k in range(4):
+            # The centre of the first pixel is at 0.
+            out[4 * m + k, 0] = box[n, 2 * (k % 2)] + 0.5
+            out[4 * m + k, 1] = box[n, 1 + 2 * (k // 2)] + 0.5
+            out[4 * m + k, 2] = number[n]
+    return out

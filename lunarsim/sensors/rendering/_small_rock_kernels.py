@@ -30,10 +30,8 @@ def split(box):
 
 
 @kernel(parallel=True)
-def sight(
-    rocks, planes, count, box, number, small, start, eye, to_sensor, fx, fy, cx, cy, near, far
-):
-    """Write pixel, window depth, normal and number + 1 of small rocks where rays meet them.
+def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, fy, cx, cy, near):
+    """Write pixel, depth, normal and number of small rocks where rays meet them.
 
     Returns rows (m, 7), float32, and which of them are hits (m,).
     """
@@ -62,11 +60,11 @@ def sight(
             row = out[at + p]
             row[0] = u
             row[1] = v
-            row[2] = 0.5 + 0.5 * ((far + near) - 2.0 * far * near / t) / (far - near)
+            row[2] = t
             row[3] = normal[0]
             row[4] = normal[1]
             row[5] = normal[2]
-            row[6] = n + 1
+            row[6] = n
             hit[at + p] = True
     return out, hit
 
@@ -103,3 +101,20 @@ def shade(
             row[2] = min(max((highest - t) / (highest - lowest), 0.0), 1.0)
             hit[at + p] = True
     return out, hit
+
+
+@kernel(parallel=True)
+def least(points, hit, height, width):
+    """Return the least depth (height, width), float32, of points that hit; 1 where there is none.
+
+    `points` (m, 3) are column, row and depth.
+    """
+    out = np.empty((height, width), np.float32)
+    for i in prange(height):
+        out[i] = 1.0
+    for n in range(len(points)):
+        if hit[n]:
+            i = int(points[n, 1])
+            j = int(points[n, 0])
+            out[i, j] = min(out[i, j], points[n, 2])
+    return out

@@ -11,18 +11,30 @@ from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering.context import shader
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, level_mesh
-from lunarsim.terrain.shapes import shape_table
+from lunarsim.terrain.shapes import CUBE, shape_table
 
 Array = NDArray[np.float64]
 
 
 def float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture:
-    """Return an array (rows, cols, parts) as a float32 texture without filtering."""
+    """Return an array (rows, cols, parts) as a float32 texture without filtering.
+
+    Rows that are a power of two apart fall on the same places of a processor's cache: such an array
+    gets a few columns more, as the last one.
+    """
     data = np.ascontiguousarray(data, np.float32)
+    if data.strides[0] % 1024 == 0:
+        data = np.pad(data, ((0, 0), (0, 16), (0, 0)), mode="edge")
     rows, cols, parts = data.shape
     texture = ctx.texture((cols, rows), parts, data.tobytes(), dtype="f4")
-    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    plain(texture)
     return texture
+
+
+def plain(texture: moderngl.Texture) -> None:
+    """Have a texture read as it is: the nearest texel, the last one beyond its edge."""
+    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    texture.repeat_x = texture.repeat_y = False
 
 
 @lru_cache(maxsize=LEVELS)
@@ -32,45 +44,66 @@ def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moder
     return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
 
 
+# Rocks are drawn by one program a kind: a driver that works on many pixels at once would run the
+# code of every kind for each of them.
+ROCK_KINDS = ("half-sphere", "cube", "hull")
+
+
 @lru_cache(maxsize=2)
 def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
     """Return all programs; terrains of one context share them."""
-    programs = {}
+    programs = {
+        "relief": ctx.program(
+            shader("relief_vertex", defines=holes), shader("depth_fragment", defines=holes)
+        ),
+        "relief-shadow": ctx.program(
+            shader("relief_vertex", defines=holes), shader("relief_shadow_fragment", defines=holes)
+        ),
+        "small-rocks-shadow": ctx.program(
+            shader("small_rock_shadow_vertex"), shader("small_rock_shadow_fragment")
+        ),
+    }
+    lit = ("view", "light", "given_light")
+    for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
+        programs[f"shade{suffix}"] = ctx.program(
+            shader(*lit, "screen_vertex", defines=truth),
+            shader("light", "paint", "shade_fragment", defines=truth),
+        )
+        programs[f"small-rocks{suffix}"] = ctx.program(
+            shader(*lit, "small_rock_vertex", defines=truth),
+            shader("paint", "small_rock_fragment", defines=truth),
+        )
+    return programs | _rock_programs(ctx)
+
+
+def _rock_programs(ctx: moderngl.Context) -> dict[str, moderngl.Program]:
+    """Return the programs of rocks of all kinds, in pictures and in shadow maps."""
     table = shape_table()
-    most = f"MOST {table.planes.shape[1]}"
-    to_map = "PLACE(rel) map_position(rel)"
-    programs["relief"] = ctx.program(
-        shader("view", "relief_vertex", defines=("PLACE(rel) project(rel)", *holes)),
-        shader("depth_fragment", defines=holes),
-    )
-    programs["rocks"] = ctx.program(
-        shader("rock_vertex"), shader("view", "ray", "rock", "rock_fragment", defines=(most,))
-    )
-    for name, defines in (("shade", ()), ("shade-truth", ("TRUTH",))):
-        programs[name] = ctx.program(
-            shader("screen_vertex"),
-            shader("view", "ray", "shadow", "light", "shade_fragment", defines=defines),
+    most = table.planes.shape[1]
+    faces = dict(zip(ROCK_KINDS, (0, int(table.count[CUBE]), most), strict=True))
+    # Half spaces that hold everything fill the table up.
+    planes = table.planes.astype("f4")
+    planes[~planes[..., :3].any(2), 3] = 1.0
+    programs = {}
+    for kind in ROCK_KINDS:
+        round_one = faces[kind] == 0
+        shape = () if round_one else (f"MOST {most}", f"FACES {faces[kind]}")
+        before = ("half_sphere",) if round_one else ()
+        stem = "half_sphere" if round_one else "hull"
+        for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
+            programs[kind + suffix] = ctx.program(
+                shader("view", "light", "given_light", "rock_vertex", defines=shape),
+                shader("light", "paint", *before, f"{stem}_fragment", defines=(*shape, *truth)),
+            )
+        programs[f"{kind}-shadow"] = ctx.program(
+            shader("rock_vertex", defines=("SHADOW", *shape)),
+            shader(*before, f"{stem}_shadow_fragment", defines=shape),
         )
-    programs["relief-shadow"] = ctx.program(
-        shader("shadow", "map_position", "relief_vertex", defines=(to_map, *holes)),
-        shader("depth_fragment", defines=holes),
-    )
-    programs["rocks-shadow"] = ctx.program(
-        shader("rock_vertex"), shader("rock", "rock_shadow_fragment", defines=(most,))
-    )
-    for name, defines in (("small-rocks", ("STONE",)), ("small-rocks-shadow", ())):
-        programs[name] = ctx.program(
-            shader("small_rock_vertex", defines=defines),
-            shader("small_rock_fragment", defines=defines),
-        )
-    for name, program in programs.items():
-        if name.startswith("rocks"):
-            faces = np.zeros(32, np.int32)
-            faces[: table.count.size] = table.count
-            set_uniforms(program, {"faces": faces.tolist()})
-            planes = program["planes"]
-            assert isinstance(planes, moderngl.Uniform)
-            planes.write(table.planes.astype("f4").tobytes())
+        if not round_one:
+            for suffix in ("", "-truth", "-shadow"):
+                uniform = programs[kind + suffix]["planes"]
+                assert isinstance(uniform, moderngl.Uniform)
+                uniform.write(planes.tobytes())
     return programs
 
 

@@ -30,6 +30,9 @@ class ReliefTiles:
         Greatest gradient of each tile (n,).
     error
         Greatest vertical error of each level of detail (6, n), m: level l keeps every 2^l-th post.
+    neighbour
+        Numbers of the tiles to the west, east, south and north of each (n, 4); its own where
+        there is none.
     """
 
     first: NDArray[np.int32]
@@ -37,6 +40,7 @@ class ReliefTiles:
     high: Array
     steepness: Array
     error: Array
+    neighbour: NDArray[np.int64]
 
     @classmethod
     def of(cls, relief: Heightfield) -> ReliefTiles:
@@ -54,6 +58,7 @@ class ReliefTiles:
             np.column_stack((x1, y1, top[i, j])),
             steep[i, j],
             error[:, i, j],
+            _neighbours(i, j, low.shape),
         )
 
     def corners(self) -> Array:
@@ -73,37 +78,27 @@ class ReliefTiles:
         return np.asarray(np.argmin(np.vstack((fits, np.zeros_like(fits[:1]))), axis=0) - 1).clip(0)
 
 
-def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """Return the vertices (column, row, hanging) and triangles of one tile at a level.
+def _neighbours(
+    i: NDArray[np.int64], j: NDArray[np.int64], shape: tuple[int, ...]
+) -> NDArray[np.int64]:
+    """Return the numbers of the four neighbours of tiles at rows `i` and columns `j`."""
+    number = np.full((shape[0] + 2, shape[1] + 2), -1)
+    number[i + 1, j + 1] = np.arange(i.size)
+    around = np.stack(
+        [number[i + 1, j], number[i + 1, j + 2], number[i, j + 1], number[i + 2, j + 1]], axis=1
+    )
+    return np.where(around < 0, np.arange(i.size)[:, None], around)
 
-    A curtain hangs from the four edges, so that neighbours at other levels leave no gap.
-    """
+
+def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+    """Return the vertices (column, row) and triangles of one tile at a level."""
     step = 2**level
     n = SIDE // step
-    k = np.arange(n + 1)
-    jj, ii = np.meshgrid(k, k)
-    flat = np.column_stack((jj.ravel(), ii.ravel(), np.zeros(jj.size, int)))
+    jj, ii = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
     # The diagonal runs from south-west to north-east, as the terrain's does.
     triangles = np.concatenate(
         (np.column_stack((a, a + 1, a + n + 2)), np.column_stack((a, a + n + 2, a + n + 1)))
     )
-    edges = [
-        np.arange(n + 1),
-        np.arange(n + 1) * (n + 1) + n,
-        (n * (n + 1) + np.arange(n + 1))[::-1],
-        (np.arange(n + 1) * (n + 1))[::-1],
-    ]
-    posts, faces = [flat], [triangles]
-    count = flat.shape[0]
-    for edge in edges:
-        hanging = flat[edge].copy()
-        hanging[:, 2] = 1
-        posts.append(hanging)
-        top, down = edge, count + np.arange(n + 1)
-        faces.append(np.column_stack((top[:-1], down[:-1], top[1:])))
-        faces.append(np.column_stack((top[1:], down[:-1], down[1:])))
-        count += n + 1
-    vertices = np.concatenate(posts)
-    vertices[:, :2] *= step
-    return vertices.astype(np.int32), np.concatenate(faces).astype(np.uint32)
+    posts = step * np.column_stack((jj.ravel(), ii.ravel()))
+    return posts.astype(np.int32), triangles.astype(np.uint32)

@@ -7,19 +7,22 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from lunarsim.sensors.rendering.programs import plain
 from lunarsim.sensors.rendering.view import Image, View
+
+# Sizes change a little from picture to picture; a map has this much room for it on each side.
+_SPARE = 1.15
 
 
 @dataclass(frozen=True)
 class Target:
-    """What a picture of one size is drawn into: depth and rocks first, then the picture."""
+    """What a picture of one size is drawn into: depth of the relief, its picture, the rocks."""
 
     depth: moderngl.Texture
-    stones: moderngl.Texture
     colours: tuple[moderngl.Texture, ...]
     depth_only: moderngl.Framebuffer
-    rocks: moderngl.Framebuffer
     picture: moderngl.Framebuffer
+    both: moderngl.Framebuffer
 
     @classmethod
     def of(cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]) -> Target:
@@ -27,17 +30,38 @@ class Target:
         size = (width, height)
         depth = ctx.depth_texture(size)
         depth.compare_func = ""
-        depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        stones = ctx.texture(size, 4, dtype="f4")
+        plain(depth)
         colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
         return cls(
             depth,
-            stones,
             colours,
             ctx.framebuffer(depth_attachment=depth),
-            ctx.framebuffer([stones], depth),
             ctx.framebuffer(list(colours)),
+            ctx.framebuffer(list(colours), depth),
         )
+
+
+@dataclass(frozen=True)
+class ShadowMap:
+    """What a shadow map is drawn into: the least depth of all that shades."""
+
+    texture: moderngl.Texture
+    buffer: moderngl.Framebuffer
+
+    @classmethod
+    def of(cls, ctx: moderngl.Context, size: tuple[int, int]) -> ShadowMap:
+        """Make a map that holds `size` texels and a little more."""
+        # Rows that are a power of two apart would fall on the same places of a processor's cache.
+        width, height = (64 * -(-int(_SPARE * n) // 64) for n in size)
+        texture = ctx.texture((width + 16, height), 1, dtype="f4")
+        plain(texture)
+        return cls(texture, ctx.framebuffer([texture]))
+
+    def suits(self, size: tuple[int, int]) -> bool:
+        """Return whether `size` texels fit, and do not leave most of the map idle."""
+        width, height = self.texture.width, self.texture.height
+        fits = size[0] <= width and size[1] <= height
+        return fits and width * height < int(_SPARE**3 * (size[0] + 80) * (size[1] + 64))
 
 
 def read_image(target: Target, view: View, truth: bool) -> Image:

@@ -1,23 +1,30 @@
-in ivec3 post;     // column and row in the tile, and whether this vertex hangs below the edge
-in ivec2 tile;     // first column and row of the tile
-uniform sampler2D relief;
-uniform ivec2 size;          // columns and rows of the relief
-uniform vec2 eye_posts;      // camera in posts
-uniform float eye_height;    // elevation of the camera, m
-uniform float posting;       // m
-uniform float skirt;         // depth by which edges hang, to close gaps between levels of detail, m
-out vec3 rel;
+in ivec2 post;     // column and row in the tile
+in ivec4 tile;     // first column and row of the tile, last ones in it counted from there
+in ivec4 edges;    // level of detail of the western, eastern, southern and northern edge
+in mat4 placed;    // from (column and row in the tile, height in the texture) to clip coordinates
+uniform sampler2D heights;
 #ifdef HOLES
 out float hole;
 #endif
 
+const int SIDE = 32;
+
+// Along an edge a fine tile has but the posts of its coarser neighbour: no gap is left.
+int snapped(int k, int level) {
+    return ((k + ((1 << level) >> 1)) >> level) << level;
+}
+
 void main() {
-    ivec2 at = min(tile + post.xy, size - 1);
-    float z = texelFetch(relief, at, 0).r;
+    ivec2 at = post;
+    if (post.x == 0) at.y = snapped(post.y, edges.x);
+    if (post.x == SIDE) at.y = snapped(post.y, edges.y);
+    if (post.y == 0) at.x = snapped(post.x, edges.z);
+    if (post.y == SIDE) at.x = snapped(post.x, edges.w);
+    at = min(at, tile.zw);
+    float z = texelFetch(heights, tile.xy + at, 0).r;
 #ifdef HOLES
     hole = isnan(z) ? 1.0 : 0.0;
-    if (isnan(z)) z = eye_height - 1.0;
+    if (isnan(z)) z = 0.0;
 #endif
-    rel = vec3((vec2(at) - eye_posts) * posting, z - eye_height - (post.z == 1 ? skirt : 0.0));
-    gl_Position = PLACE(rel);
+    gl_Position = placed * vec4(at, z, 1.0);
 }

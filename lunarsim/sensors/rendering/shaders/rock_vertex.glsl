@@ -1,11 +1,90 @@
-in vec4 box;     // least and greatest pixel of the rock, x and y
-in int number;
-uniform vec2 image;
-flat out int rock;
+// A rock: a scaled, turned unit shape, as in lunarsim.terrain. All that is the same for the whole
+// rock is worked out here and handed on as flat varyings.
+in vec2 corner;    // of the box that holds the rock, from the picture's corner
+in float number;   // a whole one
+uniform vec2 image;         // of the picture or the shadow map
+uniform sampler2D rocks;    // three texels a rock: (x, y, base, a), (b, height, cos, sin), (shape)
+uniform vec3 eye;           // camera, in the axes of the rocks
+#ifdef FACES
+uniform vec4 planes[18 * MOST];   // half spaces of the unit shapes, MOST to each
+flat out vec4 face[FACES];
+#else
+flat out vec3 fixed_part;
+noperspective out vec3 moving_part;
+#endif
+#ifdef SHADOW
+uniform mat2 from_map;     // from the map's texels to ENU
+uniform vec2 map_corner;   // place of the map's corner, ENU, m
+uniform vec2 lean;         // horizontal run of a sunray for each metre of rise
+uniform vec2 heights;      // highest and lowest elevation of the map, m above the camera
+flat out vec2 depth;       // of the base, and its growth for each metre down
+#else
+flat out vec3 depth;       // window depth: x - y / (depth along the boresight); nearest depth, m
+flat out float identity;
+flat out Light light;
+noperspective out vec3 ray;
+#ifndef FACES
+flat out vec4 turn_and_scale;
+flat out float height;
+#endif
+#endif
+#if defined(FACES) && defined(SHADOW)
+noperspective out vec2 place;
+#endif
+
+vec3 turned(vec2 turn, vec3 v) {
+    return vec3(turn.x * v.x + turn.y * v.y, turn.x * v.y - turn.y * v.x, v.z);
+}
 
 void main() {
-    vec2 corner = vec2(gl_VertexID % 2, gl_VertexID / 2);
-    vec2 pixel = mix(box.xy, box.zw, corner);
-    rock = number;
-    gl_Position = vec4((2.0 * pixel + 1.0) / image - 1.0, 0.0, 1.0);
+    gl_Position = vec4(2.0 * corner / image - 1.0, 0.0, 1.0);
+    int which = int(number);
+    ivec2 at = ivec2((which % 1024) * 3, which / 1024);
+    vec4 one = texelFetch(rocks, at, 0);
+    vec4 two = texelFetch(rocks, at + ivec2(1, 0), 0);
+    int shape = int(texelFetch(rocks, at + ivec2(2, 0), 0).r);
+    vec3 centre = one.xyz - eye;
+    vec3 scale = vec3(one.w, two.xy);
+    vec2 turn = two.zw;
+#ifdef SHADOW
+    // Sunrays go down, each from its place at the level of the rock's base.
+    vec3 way = vec3(-lean, -1.0);
+    vec2 level = map_corner + from_map * corner + lean * centre.z - centre.xy;
+    depth = vec2(heights.x - centre.z, 1.0) / (heights.x - heights.y);
+#else
+    vec3 way = pixel_ray(corner);
+    depth = vec3(clip.y, clip.x * clip.y, clip.x * (clip.y - clip.x)) / (clip.y - clip.x);
+    identity = number + 2.0;
+    light = given_light();
+    ray = way;
+#endif
+#ifdef FACES
+    for (int k = 0; k < FACES; k++) {
+        vec4 plane = planes[shape * MOST + k];
+        vec3 n = plane.xyz / scale;
+        n = vec3(turn.x * n.x - turn.y * n.y, turn.y * n.x + turn.x * n.y, n.z);
+#ifdef SHADOW
+        // Where a ray crosses the plane is linear in its place.
+        float speed = dot(n, way);
+        if (abs(speed) < 1e-9) speed = 1e-9;
+        face[k] = vec4(-n.xy, plane.w, speed) / abs(speed);
+        if (speed < 0.0) face[k].xyz = -face[k].xyz;
+#else
+        face[k] = vec4(n, plane.w + dot(n, centre));
+#endif
+    }
+#ifdef SHADOW
+    place = level;
+#endif
+#else
+#ifdef SHADOW
+    moving_part = turned(turn, vec3(level, 0.0)) / scale;
+    fixed_part = turned(turn, way) / scale;
+#else
+    moving_part = turned(turn, way) / scale;
+    fixed_part = turned(turn, -centre) / scale;
+    turn_and_scale = vec4(turn, scale.xy);
+    height = scale.z;
+#endif
+#endif
 }

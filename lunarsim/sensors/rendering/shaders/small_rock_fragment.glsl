@@ -1,12 +1,15 @@
 flat in float depth;
-#ifdef STONE
-flat in vec4 met;
-layout(location = 0) out vec4 normal_and_number;
+flat in float shade;
+#ifdef TRUTH
+flat in vec3 normal;
+flat in vec2 range_and_number;
 #endif
 
 void main() {
     gl_FragDepth = depth;
-#ifdef STONE
-    normal_and_number = met;
+#ifdef TRUTH
+    paint(shade, normal, range_and_number.x, range_and_number.y);
+#else
+    paint(shade, vec3(0.0), 0.0, 0.0);
 #endif
 }

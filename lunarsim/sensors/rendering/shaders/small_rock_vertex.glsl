@@ -1,16 +1,22 @@
-in vec3 at;                // pixel and window depth, from the ray that meets the rock
+// A pixel of a rock that covers few of them; it is shaded here, once.
+in vec3 at;                // pixel and depth along the boresight, m, where the ray meets the rock
+in vec4 stone;             // normal and number
 uniform vec2 image;
 flat out float depth;
-#ifdef STONE
-in vec4 stone;             // normal and number + 1
-flat out vec4 met;
+flat out float shade;
+#ifdef TRUTH
+flat out vec3 normal;
+flat out vec2 range_and_number;
 #endif
 
 void main() {
     gl_Position = vec4((2.0 * at.xy + 1.0) / image - 1.0, 0.0, 1.0);
     gl_PointSize = 1.0;
-    depth = at.z;
-#ifdef STONE
-    met = stone;
+    depth = (clip.y - clip.x * clip.y / at.z) / (clip.y - clip.x);
+    vec3 rel = at.z * pixel_ray(at.xy + 0.5);
+    shade = radiance(given_light(), rel, stone.xyz);
+#ifdef TRUTH
+    normal = stone.xyz;
+    range_and_number = vec2(length(rel), stone.w + 2.0);
 #endif
 }

@@ -1,0 +1,101 @@
+"""Drawing the relief: tiles at the level of detail that a picture needs."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering.programs import float_texture, tile_mesh
+from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
+from lunarsim.terrain import Heightfield
+
+Array = NDArray[np.float64]
+
+# What the shader takes for each tile; see relief_vertex.glsl.
+_INSTANCE = np.dtype([("tile", "4i4"), ("edges", "4i4"), ("placed", "16f4")])
+
+
+class ReliefPainter:
+    """Draws a relief.
+
+    Parameters
+    ----------
+    ctx
+        The context.
+    programs
+        The programs of that context.
+    relief
+        The relief.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], relief: Heightfield
+    ) -> None:
+        self.tiles = ReliefTiles.of(relief)
+        self._grid = relief.grid
+        # Heights are counted from the middle, so that float32 is precise.
+        finite = relief.z[np.isfinite(relief.z)]
+        self._ground = float(0.5 * (finite.min() + finite.max())) if finite.size else 0.0
+        heights = relief.z.astype(np.float64) - self._ground
+        self._heights = float_texture(ctx, heights[:, :, None])
+        self._programs = programs
+        self._ctx = ctx
+        self._buffer = ctx.buffer(reserve=_INSTANCE.itemsize)
+        self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
+
+    def draw(
+        self, name: str, matrix: Array, eye: Array, shown: NDArray[np.bool_],
+        level: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        """Draw tiles.
+
+        Parameters
+        ----------
+        name
+            "relief" for its depth, "relief-shadow" for a shadow map.
+        matrix
+            From metres about the eye, ENU, to clip coordinates (4, 4).
+        eye
+            ENU (3,), m.
+        shown, level
+            Which tiles, and the level of detail of every tile, shown or not (n,).
+        """
+        self._heights.use(0)
+        program = self._programs[name]
+        program.__setitem__("heights", 0)
+        for k in range(LEVELS):
+            picked = np.flatnonzero(shown & (level == k))
+            if picked.size == 0:
+                continue
+            if (name, k) not in self._vaos:
+                posts, triangles = tile_mesh(self._ctx, k)
+                instance = (self._buffer, "4i 4i 16f/i", "tile", "edges", "placed")
+                self._vaos[name, k] = self._ctx.vertex_array(
+                    program, [(posts, "2i", "post"), instance], triangles
+                )
+            rows = self._instances(matrix, eye, picked, level)
+            self._buffer.orphan(rows.nbytes)
+            self._buffer.write(rows.tobytes())
+            self._vaos[name, k].render(instances=picked.size)
+
+    def _instances(
+        self, matrix: Array, eye: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
+    ) -> NDArray[np.void]:
+        """Return what the shader needs of each tile; positions are summed in float64."""
+        g, tiles = self._grid, self.tiles
+        rows = np.empty(picked.size, _INSTANCE)
+        first = tiles.first[picked]
+        rows["tile"][:, :2] = first
+        rows["tile"][:, 2:] = np.array([g.cols, g.rows]) - 1 - first
+        rows["edges"] = np.maximum(level[tiles.neighbour[picked]], level[picked, None])
+        corner = np.empty((picked.size, 4))
+        corner[:, :2] = first * g.posting + np.array([g.x0, g.y0]) - eye[:2]
+        corner[:, 2] = self._ground - eye[2]
+        corner[:, 3] = 1.0
+        placed = rows["placed"].reshape(-1, 4, 4)  # column by column
+        placed[:, 0] = matrix[:, 0] * g.posting
+        placed[:, 1] = matrix[:, 1] * g.posting
+        placed[:, 2] = matrix[:, 2]
+        placed[:, 3] = corner @ matrix.T
+        return rows

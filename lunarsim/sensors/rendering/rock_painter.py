@@ -1,0 +1,169 @@
+"""Drawing rocks: boxes on the screen in which the shader meets the exact shape.
+
+Rocks of a few pixels are met by their rays on the processor and drawn as points.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering import _cull_kernels as kernels
+from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
+from lunarsim.sensors.rendering.programs import ROCK_KINDS, float_texture, set_uniforms
+from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.target import ShadowMap
+from lunarsim.sensors.rendering.view import View
+from lunarsim.terrain import Terrain
+from lunarsim.terrain.shapes import CUBE, ELLIPSOID, shape_table
+
+Array = NDArray[np.float64]
+
+_TEXTURE = 1024
+_UNIT = 3  # texture unit
+# To draw a point takes as long as to fill and hand over this many texels.
+_TEXELS_A_POINT = 100
+
+
+class RockPainter:
+    """Draws the rocks of one terrain.
+
+    Parameters
+    ----------
+    ctx
+        The context.
+    programs
+        The programs of that context.
+    terrain
+        The terrain.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], terrain: Terrain
+    ) -> None:
+        rocks = terrain.rocks
+        self._ctx = ctx
+        self._programs = programs
+        self._rows = rocks.rows()
+        self._reach = rocks.reach()
+        self._shapes = shape_table()
+        g = terrain.relief.grid
+        self._feet = kernels.rock_feet(
+            self._rows, self._reach, terrain.relief.z, g.x0, g.y0, g.posting
+        )
+        self.tallest = float(self._rows[:, 5].max(initial=0.0))
+        self.lowest = float(self._feet.min(initial=np.inf))
+        shape = self._rows[:, 8].astype(int)
+        named = {ELLIPSOID: "half-sphere", CUBE: "cube"}
+        self._kind = np.array([ROCK_KINDS.index(named.get(s, "hull")) for s in shape], np.int8)
+        count = len(rocks)
+        lines = max(1, -(-count // _TEXTURE))
+        texels = np.zeros((lines * _TEXTURE, 12), np.float32)
+        texels[:count, :9] = self._rows
+        self._texture = float_texture(ctx, texels.reshape(lines, 3 * _TEXTURE, 4))
+        self._box = np.empty((count, 4))
+        self._corners = ctx.buffer(reserve=48)
+        self._order = ctx.buffer(reserve=4)  # too small for any box
+        self._points = ctx.buffer(reserve=28)
+        self._vaos: dict[str, moderngl.VertexArray] = {}
+
+    def draw(self, view: View, near: float, values: dict[str, Any], truth: bool) -> None:
+        """Draw all rocks in a view over the relief.
+
+        Parameters
+        ----------
+        view
+            The view.
+        near
+            Least depth, m.
+        values
+            The uniforms of camera and light.
+        truth
+            Whether range, normal and identity are drawn too.
+        """
+        towards = np.ascontiguousarray(view.axes.T)
+        seen = kernels.visible_rocks(
+            self._rows, self._reach, self._feet, view.position, towards, view.fx, view.fy,
+            view.cx, view.cy, float(view.width), float(view.height), near, self._box,
+        )  # fmt: skip
+        box, number = kernels.gather(self._box, seen)
+        small, start, rest = small_rocks.split(box)
+        values = values | {"eye": tuple(view.position)}
+        suffix = "-truth" if truth else ""
+        self._draw_boxes(suffix, values, box[rest], number[rest])
+        points, hit = small_rocks.sight(
+            self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
+            view.position, towards, view.fx, view.fy, view.cx, view.cy, near,
+        )  # fmt: skip
+        self._draw_points("small-rocks" + suffix, values, points[hit])
+
+    def draw_shadows(self, view: View, frame: ShadowFrame, shadow: ShadowMap) -> None:
+        """Begin a shadow map with all rocks that shade ground in it."""
+        size = (float(frame.size[0]), float(frame.size[1]))
+        shading = kernels.shading_rocks(
+            self._rows, self._reach, self._feet, view.position, frame.lean, frame.axes,
+            frame.corner, frame.texel, *size, self._box,
+        )  # fmt: skip
+        box, number = kernels.gather(self._box, shading)
+        small, start, rest = small_rocks.split(box)
+        points, hit = small_rocks.shade(
+            self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
+            view.position, frame.lean, frame.axes, frame.corner, frame.texel, *frame.heights,
+        )  # fmt: skip
+        values = frame.drawing() | {"eye": tuple(view.position)}
+        if len(points) * _TEXELS_A_POINT > frame.size[0] * frame.size[1]:
+            dark = small_rocks.least(points, hit, frame.size[1], frame.size[0])
+            shadow.texture.write(dark, viewport=(0, 0, *frame.size))
+        else:
+            # All of it: a driver clears a part far more slowly.
+            shadow.buffer.clear(1.0)
+            self._draw_points("small-rocks-shadow", values, points[hit])
+        shadow.buffer.viewport = (0, 0, *frame.size)
+        self._draw_boxes("-shadow", values, box[rest], number[rest])
+
+    def _draw_boxes(
+        self, suffix: str, values: dict[str, Any], box: NDArray[np.float32],
+        number: NDArray[np.int32],
+    ) -> None:  # fmt: skip
+        kinds = self._kind[number]
+        for k, kind in enumerate(ROCK_KINDS):
+            picked = np.flatnonzero(kinds == k)
+            if picked.size:
+                corners = kernels.box_corners(box, number, picked)
+                self._draw_corners(kind + suffix, values, corners)
+
+    def _draw_corners(
+        self, name: str, values: dict[str, Any], corners: NDArray[np.float32]
+    ) -> None:
+        program = self._programs[name]
+        self._texture.use(_UNIT)
+        set_uniforms(program, values | {"rocks": _UNIT})
+        boxes = len(corners) // 4
+        if 24 * boxes > self._order.size:
+            count = max(boxes, min(2 * boxes, len(self._rows)))
+            order = np.array([0, 1, 2, 2, 1, 3]) + 4 * np.arange(count)[:, None]
+            self._order.orphan(24 * count)
+            self._order.write(order.astype(np.int32).tobytes())
+        self._corners.orphan(corners.nbytes)
+        self._corners.write(corners)
+        if name not in self._vaos:
+            self._vaos[name] = self._ctx.vertex_array(
+                program, [(self._corners, "2f 1f", "corner", "number")], self._order
+            )
+        self._vaos[name].render(moderngl.TRIANGLES, vertices=6 * boxes)
+
+    def _draw_points(self, name: str, values: dict[str, Any], points: NDArray[np.float32]) -> None:
+        """Draw pixels of small rocks (n, 7 or 3): place, depth, normal and number."""
+        if len(points) == 0:
+            return
+        program = self._programs[name]
+        set_uniforms(program, values)
+        self._points.orphan(points.nbytes)
+        self._points.write(points)
+        if name not in self._vaos:
+            parts = ("3f 4f", "at", "stone") if points.shape[1] == 7 else ("3f", "at")
+            self._vaos[name] = self._ctx.vertex_array(program, [(self._points, *parts)])
+        self._vaos[name].render(moderngl.POINTS, vertices=len(points))

@@ -1,0 +1,28 @@
+// A rock that is the convex body of a few half spaces.
+flat in vec4 face[FACES];   // normal over the scale, and what it makes of a point on the plane
+noperspective in vec3 ray;
+flat in vec3 depth;
+flat in float identity;
+flat in Light light;
+
+void main() {
+    float enter = -1e30, leave = 1e30;
+    vec3 normal = vec3(0.0);
+    for (int k = 0; k < FACES; k++) {
+        float speed = dot(face[k].xyz, ray);
+        // Along a plane, its crossing is far behind where that is outside, far ahead inside.
+        if (abs(speed) < 1e-12) speed = 1e-12;
+        float t = face[k].w / speed;
+        if (speed > 0.0) {
+            leave = min(leave, t);
+        } else if (t > enter) {
+            enter = t;
+            normal = face[k].xyz;
+        }
+    }
+    if (enter > leave || enter < depth.z) discard;
+    gl_FragDepth = depth.x - depth.y / enter;
+    normal = normalize(normal);
+    vec3 rel = enter * ray;
+    paint(radiance(light, rel, normal), normal, length(rel), identity);
+}

@@ -1,0 +1,182 @@
+"""`ShadowFrame`: what ground a shadow map covers, and how finely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering.programs import columns
+from lunarsim.sensors.rendering.relief_tiles import ReliefTiles
+from lunarsim.sensors.rendering.view import View
+
+Array = NDArray[np.float64]
+
+# A texel of the shadow map is this much finer than a pixel on the ground.
+_DETAIL = 1.5
+_SIDE = 4096
+_AREA = 6_000_000
+# Within this share of a texel behind a lee face a point is dark: at the foot of a rock no light
+# may leak in.
+_OVERHANG = 0.6
+
+
+@dataclass(frozen=True)
+class ShadowFrame:
+    """Where the texels of a shadow map are.
+
+    A sunray is known by its place: where it meets the level of the camera, in horizontal axes
+    along the Sun's azimuth and across it.
+
+    Attributes
+    ----------
+    lean
+        Horizontal run of a sunray for each metre of rise (2,), ENU.
+    axes
+        Axes of the map (2, 2), ENU to along and across.
+    corner
+        Place of the map's corner in its axes about the camera (2,), m.
+    texel
+        Side of a texel, m.
+    size
+        Texels along and across.
+    heights
+        Highest and lowest elevation in the map, m above the camera.
+    slack
+        Elevation of an occluder over a point from which on it shades it, m.
+    """
+
+    lean: Array
+    axes: Array
+    corner: Array
+    texel: float
+    size: tuple[int, int]
+    heights: tuple[float, float]
+    slack: float
+
+    @classmethod
+    def of(
+        cls, view: View, sun: Array, tiles: ReliefTiles, shown: NDArray[np.bool_], rock: float,
+        lowest: float,
+    ) -> ShadowFrame:  # fmt: skip
+        """Return the frame that holds all that a view shows.
+
+        Parameters
+        ----------
+        view
+            The view.
+        sun
+            Unit vector towards the Sun (3,), ENU, above the horizon.
+        tiles, shown
+            The relief, and which of its tiles are in the view.
+        rock
+            Height of the tallest rock, m.
+        lowest
+            Lowest elevation of anything that is drawn, m.
+        """
+        horizontal = float(np.hypot(sun[0], sun[1]))
+        lean = sun[:2] / sun[2]
+        along = sun[:2] / horizontal if horizontal > 1e-9 else np.array([1.0, 0.0])
+        axes = np.array([along, [-along[1], along[0]]])
+        corner, extent = _extent(view, tiles, shown, lean, axes, rock)
+        distance = max(float(tiles.distance(view.position)[shown].min()), 1e-3)
+        texel = distance / max(view.fx, view.fy) / _DETAIL
+        texel = float(max(texel, extent.max() / _SIDE, np.sqrt(np.prod(extent) / _AREA)))
+        wide, high = np.minimum(np.ceil(extent / texel).astype(int).clip(1), _SIDE)
+        top = float(tiles.high[:, 2].max()) + rock - view.position[2] + 1.0
+        slack = -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0)
+        return cls(
+            lean, axes, corner, texel, (int(wide), int(high)),
+            (top, lowest - view.position[2] - 1.0), slack,
+        )  # fmt: skip
+
+    def shades(self, corners: Array, eye: Array) -> NDArray[np.bool_]:
+        """Return which boxes (n, 8, 3) may throw a shadow on the ground that the map covers."""
+        place = corners - eye
+        place = (place[..., :2] - place[..., 2:] * self.lean) @ self.axes.T
+        most = self.corner + self.texel * np.array(self.size)
+        return np.asarray((place.max(1) >= self.corner).all(1) & (place.min(1) <= most).all(1))
+
+    def _texels(self) -> Array:
+        """Return the map (2, 4) from metres about the camera, and 1, to texels."""
+        turn = self.axes / self.texel
+        return np.column_stack((turn, -turn @ self.lean, -self.corner / self.texel))
+
+    def matrix(self) -> Array:
+        """Return the map (4, 4) from metres about the camera to clip coordinates."""
+        out = np.zeros((4, 4))
+        out[:2] = 2.0 * self._texels() / np.array(self.size)[:, None]
+        out[:2, 3] -= 1.0
+        high, low = self.heights
+        out[2, 2] = -2.0 / (high - low)
+        out[2, 3] = 2.0 * high / (high - low) - 1.0
+        out[3, 3] = 1.0
+        return out
+
+    def reading(self, texture: tuple[int, int]) -> dict[str, Any]:
+        """Return what the shader needs to look a point up in a texture of that size."""
+        texels = self._texels()
+        high, low = self.heights
+        return {
+            "shadow_axes": columns(texels[:, :3]),
+            "shadow_corner": tuple(texels[:, 3]),
+            "shadow_size": (float(self.size[0]), float(self.size[1])),
+            "shadow_texel": (1.0 / texture[0], 1.0 / texture[1]),
+            "shadow_depth": ((high - self.slack) / (high - low), -1.0 / (high - low)),
+        }
+
+    def drawing(self) -> dict[str, Any]:
+        """Return what the shaders need to draw a rock."""
+        return {
+            "lean": tuple(self.lean),
+            "heights": self.heights,
+            "from_map": columns(self.axes.T * self.texel),
+            "map_corner": tuple(self.axes.T @ self.corner),
+            "image": (float(self.size[0]), float(self.size[1])),
+        }
+
+
+# What the shader is told where nothing shades: no texel is as low as that.
+NO_SHADOW: dict[str, Any] = {
+    "shadow_axes": (0.0,) * 6,
+    "shadow_corner": (0.0, 0.0),
+    "shadow_size": (4.0, 4.0),
+    "shadow_texel": (0.0, 0.0),
+    "shadow_depth": (-1e30, 0.0),
+}
+
+
+def _extent(
+    view: View, tiles: ReliefTiles, shown: NDArray[np.bool_], lean: Array, axes: Array, rock: float
+) -> tuple[Array, Array]:
+    """Return corner (2,) and extent (2,) of the shadow map, m, in its axes about the camera.
+
+    It must hold the places of all that is seen: the part of the view's pyramid between the
+    lowest and the highest elevation in it, and inside the tiles in it.
+    """
+    low, high = tiles.low[shown].min(0), tiles.high[shown].max(0) + np.array([0.0, 0.0, rock])
+    u = np.array([-0.5, view.width - 0.5]) - view.cx
+    v = np.array([-0.5, view.height - 0.5]) - view.cy
+    border = np.array([[a / view.fx, b / view.fy, 1.0] for a in u for b in v]) @ view.axes.T
+    # Rays that come down beyond the tiles, or not at all, end well beyond the tiles, on the level
+    # all the same: cut off in mid-air they would leave out the ground below.
+    reach = 3.0 * np.linalg.norm(np.maximum(high - view.position, view.position - low)[:2])
+    seen = []
+    for ray in border:
+        run = np.hypot(ray[0], ray[1])
+        for level in (low[2], high[2]):
+            drop = level - view.position[2]
+            t = drop / ray[2] if ray[2] * drop > 0.0 else np.inf
+            t = min(t, reach / max(run, 1e-9))
+            seen.append([t * ray[0], t * ray[1], drop])
+    box = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
+                    for z in (low[2], high[2])]) - view.position  # fmt: skip
+    in_view, in_box = (
+        (points[:, :2] - points[:, 2:] * lean) @ axes.T for points in (np.array(seen), box)
+    )
+    least = np.maximum(in_view.min(0), in_box.min(0))
+    most = np.minimum(in_view.max(0), in_box.max(0))
+    margin = 0.01 * np.maximum(most - least, 0.0) + 1e-3
+    return least - margin, np.maximum(most - least, 0.0) + 2.0 * margin
