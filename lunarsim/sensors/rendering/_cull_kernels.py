@@ -1,4 +1,4 @@
-"""Compiled choice of what to draw.
+"""Compiled choice of the rocks to draw.
 
 A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape); `reach` scales a rock's
 outline and `foot` is the elevation down to which its sides are drawn.
@@ -27,91 +27,6 @@ def rock_feet(rocks, reach, z, x0, y0, p):
                 lowest = min(lowest, np.float64(z[i, j]))
         foot[n] = lowest - 0.01
     return foot
-
-
-@kernel(parallel=True)
-def tile_tables(z, side, levels, p):
-    """Return lowest, highest, steepest gradient and decimation errors of tiles.
-
-    Tile (i, j) spans `side` cells from post (i * side, j * side) on. Its error at level l is the
-    greatest distance in height between the relief and the relief through every 2^l-th post; it is
-    infinite where an elevation is missing.
-    """
-    rows, cols = z.shape
-    high = (rows - 2) // side + 1
-    wide = (cols - 2) // side + 1
-    low = np.full((high, wide), np.inf)
-    top = np.full((high, wide), -np.inf)
-    steep = np.zeros((high, wide))
-    error = np.zeros((levels, high, wide))
-    for ti in prange(high):
-        for tj in range(wide):
-            i1 = min((ti + 1) * side, rows - 1)
-            j1 = min((tj + 1) * side, cols - 1)
-            missing = False
-            for i in range(ti * side, i1 + 1):
-                for j in range(tj * side, j1 + 1):
-                    here = np.float64(z[i, j])
-                    if np.isnan(here):
-                        missing = True
-                    else:
-                        low[ti, tj] = min(low[ti, tj], here)
-                        top[ti, tj] = max(top[ti, tj], here)
-                    if i < i1 and j < j1:
-                        z00 = np.float64(z[i, j])
-                        z10 = np.float64(z[i, j + 1])
-                        z01 = np.float64(z[i + 1, j])
-                        z11 = np.float64(z[i + 1, j + 1])
-                        lower = (z10 - z00) ** 2 + (z11 - z10) ** 2
-                        upper = (z11 - z01) ** 2 + (z01 - z00) ** 2
-                        steep[ti, tj] = max(steep[ti, tj], lower)
-                        steep[ti, tj] = max(steep[ti, tj], upper)
-            steep[ti, tj] = np.sqrt(steep[ti, tj]) / p
-            for level in range(1, levels):
-                step = 1 << level
-                worst = np.inf if missing else 0.0
-                for ci in range(ti * side, i1, step):
-                    if missing:
-                        break
-                    for cj in range(tj * side, j1, step):
-                        ei = min(ci + step, i1)
-                        ej = min(cj + step, j1)
-                        z00 = np.float64(z[ci, cj])
-                        z10 = np.float64(z[ci, ej])
-                        z01 = np.float64(z[ei, cj])
-                        z11 = np.float64(z[ei, ej])
-                        for i in range(ci, ei + 1):
-                            v = (i - ci) / (ei - ci)
-                            for j in range(cj, ej + 1):
-                                u = (j - cj) / (ej - cj)
-                                if u >= v:
-                                    flat = z00 + u * (z10 - z00) + v * (z11 - z10)
-                                else:
-                                    flat = z00 + v * (z01 - z00) + u * (z11 - z01)
-                                worst = max(worst, abs(flat - np.float64(z[i, j])))
-                error[level, ti, tj] = worst
-    return low, top, steep, error
-
-
-@kernel(parallel=True)
-def slopes(z, p):
-    """Return the gradients (rows - 1, 2 (cols - 1), 2) of the two triangles of every cell.
-
-    The south-eastern triangle stands in the even columns, the north-western one in the odd.
-    """
-    rows, cols = z.shape
-    out = np.empty((rows - 1, 2 * (cols - 1), 2), np.float32)
-    for i in prange(rows - 1):
-        for j in range(cols - 1):
-            z00 = np.float64(z[i, j])
-            z10 = np.float64(z[i, j + 1])
-            z01 = np.float64(z[i + 1, j])
-            z11 = np.float64(z[i + 1, j + 1])
-            out[i, 2 * j, 0] = (z10 - z00) / p
-            out[i, 2 * j, 1] = (z11 - z10) / p
-            out[i, 2 * j + 1, 0] = (z11 - z01) / p
-            out[i, 2 * j + 1, 1] = (z01 - z00) / p
-    return out
 
 
 @kernel()
@@ -231,25 +146,25 @@ def shading_rocks(rocks, reach, foot, eye, lean, axes, corner, texel, width, hei
     return seen
 
 
-@kernel(parallel=True)
+@kernel()
 def gather(box, rocks):
     """Return the rows of `box` (n, 4), as float32 (m, 4), and the numbers (m,) where `rocks`."""
     number = np.flatnonzero(rocks).astype(np.int32)
     out = np.empty((number.size, 4), np.float32)
-    for m in prange(number.size):
+    for m in range(number.size):
         for k in range(4):
             out[m, k] = box[number[m], k]
     return out, number
 
 
-@kernel(parallel=True)
+@kernel()
 def box_corners(box, number, picked):
     """Return the corners of boxes `picked` (m,) from the picture's corner, and their numbers.
 
     Rows (4 m, 3), float32: lower left, lower right, upper left, upper right.
     """
     out = np.empty((4 * picked.size, 3), np.float32)
-    for m in prange(picked.size):
+    for m in range(picked.size):
         n = picked[m]
         for k in range(4):
             # The centre of the first pixel is at 0.

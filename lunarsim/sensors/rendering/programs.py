@@ -44,6 +44,16 @@ def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moder
     return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
 
 
+# Texture units, and what the shaders call them.
+HEIGHTS, SLOPES, SHADOW, DEPTHS, ROCKS = range(5)
+_UNITS = {
+    "heights_of_posts": HEIGHTS,
+    "slopes": SLOPES,
+    "shadow": SHADOW,
+    "depths": DEPTHS,
+    "rocks": ROCKS,
+}
+
 # Rocks are drawn by one program a kind: a driver that works on many pixels at once would run the
 # code of every kind for each of them.
 ROCK_KINDS = ("half-sphere", "cube", "hull")
@@ -60,10 +70,10 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
             shader("relief_vertex", defines=holes), shader("relief_shadow_fragment", defines=holes)
         ),
         "small-rocks-shadow": ctx.program(
-            shader("small_rock_shadow_vertex"), shader("small_rock_shadow_fragment")
+            shader("frame", "small_rock_shadow_vertex"), shader("small_rock_shadow_fragment")
         ),
     }
-    lit = ("view", "light", "given_light")
+    lit = ("frame", "light", "given_light")
     for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
         programs[f"shade{suffix}"] = ctx.program(
             shader(*lit, "screen_vertex", defines=truth),
@@ -73,7 +83,16 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
             shader(*lit, "small_rock_vertex", defines=truth),
             shader("paint", "small_rock_fragment", defines=truth),
         )
-    return programs | _rock_programs(ctx)
+    programs |= _rock_programs(ctx)
+    for program in programs.values():
+        for sampler, unit in _UNITS.items():
+            if sampler in program:
+                program.__setitem__(sampler, unit)
+        if "Frame" in program:
+            block = program["Frame"]
+            assert isinstance(block, moderngl.UniformBlock)
+            block.binding = 0
+    return programs
 
 
 def _rock_programs(ctx: moderngl.Context) -> dict[str, moderngl.Program]:
@@ -92,11 +111,11 @@ def _rock_programs(ctx: moderngl.Context) -> dict[str, moderngl.Program]:
         stem = "half_sphere" if round_one else "hull"
         for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
             programs[kind + suffix] = ctx.program(
-                shader("view", "light", "given_light", "rock_vertex", defines=shape),
+                shader("frame", "light", "given_light", "rock_vertex", defines=shape),
                 shader("light", "paint", *before, f"{stem}_fragment", defines=(*shape, *truth)),
             )
         programs[f"{kind}-shadow"] = ctx.program(
-            shader("rock_vertex", defines=("SHADOW", *shape)),
+            shader("frame", "rock_vertex", defines=("SHADOW", *shape)),
             shader(*before, f"{stem}_shadow_fragment", defines=shape),
         )
         if not round_one:
@@ -105,15 +124,3 @@ def _rock_programs(ctx: moderngl.Context) -> dict[str, moderngl.Program]:
                 assert isinstance(uniform, moderngl.Uniform)
                 uniform.write(planes.tobytes())
     return programs
-
-
-def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
-    """Give a program those values that it uses."""
-    for name, value in values.items():
-        if name in program:  # the compiler drops what a shader does not use
-            program.__setitem__(name, value)
-
-
-def columns(matrix: Array) -> tuple[float, ...]:
-    """Return a matrix as OpenGL takes it, column by column."""
-    return tuple(float(x) for x in matrix.T.ravel())

@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.programs import float_texture, tile_mesh
+from lunarsim.sensors.rendering.programs import HEIGHTS, float_texture, tile_mesh
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
 from lunarsim.terrain import Heightfield
 
@@ -61,9 +61,8 @@ class ReliefPainter:
         shown, level
             Which tiles, and the level of detail of every tile, shown or not (n,).
         """
-        self._heights.use(0)
+        self._heights.use(HEIGHTS)
         program = self._programs[name]
-        program.__setitem__("heights", 0)
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
             if picked.size == 0:

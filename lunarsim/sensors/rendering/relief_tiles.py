@@ -7,13 +7,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering import _cull_kernels as kernels
+from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.terrain import Heightfield
 
 SIDE = 32
 LEVELS = 6
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TileChoice:
+    """What a camera shows of a relief.
+
+    Attributes
+    ----------
+    shown
+        Which tiles may be in the picture (n,).
+    level
+        The coarsest level of detail that is good enough, of every tile (n,).
+    nearest
+        Least distance of a shown tile, m.
+    low, high
+        Corners of the box that holds all shown tiles (3,), m.
+    """
+
+    shown: NDArray[np.bool_]
+    level: NDArray[np.int64]
+    nearest: float
+    low: Array
+    high: Array
 
 
 @dataclass(frozen=True)
@@ -66,16 +89,26 @@ class ReliefTiles:
         pick = (np.arange(8)[:, None] >> np.arange(3)) & 1
         return np.asarray(np.where(pick, self.high[:, None, :], self.low[:, None, :]))
 
-    def distance(self, eye: Array) -> Array:
-        """Return the distance of each box from a point (n,), m."""
-        gap = np.maximum(np.maximum(self.low - eye, eye - self.high), 0.0)
-        return np.asarray(np.linalg.norm(gap, axis=1))
+    def choose(
+        self, eye: Array, axes: Array, bounds: Array, near: float, tolerance: float
+    ) -> TileChoice:
+        """Return what a camera shows.
 
-    def level(self, tolerance: Array) -> NDArray[np.int64]:
-        """Return the coarsest level (n,) whose error keeps within `tolerance` (n,), m."""
-        fits = self.error <= tolerance
-        # Errors need not rise with the level: take the last of the first run that fits.
-        return np.asarray(np.argmin(np.vstack((fits, np.zeros_like(fits[:1]))), axis=0) - 1).clip(0)
+        Parameters
+        ----------
+        eye, axes
+            Place (3,) and axes (3, 3) of the sensor, ENU.
+        bounds
+            Tangents at the left, right, upper and lower border of the picture (4,).
+        near
+            Least depth, m.
+        tolerance
+            Vertical error that is allowed for each metre of distance.
+        """
+        shown, level, nearest, low, high = kernels.choose(
+            self.low, self.high, self.error, eye, axes, bounds, near, tolerance
+        )
+        return TileChoice(shown, level, nearest, low, high)
 
 
 def _neighbours(

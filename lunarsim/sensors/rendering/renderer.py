@@ -9,7 +9,6 @@ highest face turned away from the Sun: a lit face never lies on it, so nothing s
 from __future__ import annotations
 
 import weakref
-from typing import Any
 
 import moderngl
 import numpy as np
@@ -17,17 +16,20 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, RenderingError
 from lunarsim.light import Light
-from lunarsim.sensors.rendering import _cull_kernels as kernels
+from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.sensors.rendering.context import gl_context
+from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
 from lunarsim.sensors.rendering.programs import (
+    DEPTHS,
+    SHADOW,
+    SLOPES,
     build_programs,
-    columns,
     float_texture,
-    set_uniforms,
 )
 from lunarsim.sensors.rendering.relief_painter import ReliefPainter
+from lunarsim.sensors.rendering.relief_tiles import TileChoice
 from lunarsim.sensors.rendering.rock_painter import RockPainter
-from lunarsim.sensors.rendering.shadow_frame import NO_SHADOW, ShadowFrame
+from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap, Target, read_image
 from lunarsim.sensors.rendering.view import Image, View
 from lunarsim.terrain import Terrain
@@ -38,7 +40,6 @@ Array = NDArray[np.float64]
 # this share of a pixel.
 _RANGE_ERROR = 4e-4
 _SHADOW_ERROR = 0.5
-_SHADOW_UNIT = 2
 
 
 class Renderer:
@@ -67,9 +68,14 @@ class Renderer:
         self._programs = build_programs(ctx, holes)
         self._ground = ReliefPainter(ctx, self._programs, relief)
         self._rocks = RockPainter(ctx, self._programs, terrain)
-        self._tiles = self._ground.tiles
-        self._corners = self._tiles.corners()
+        tiles = self._ground.tiles
+        self._tiles = tiles
+        self._corners = tiles.corners()
+        some = tiles.low.size > 0
+        self._lowest = float(tiles.low[:, 2].min()) if some else 0.0
+        self._highest = float(tiles.high[:, 2].max()) if some else 0.0
         self._slopes = float_texture(ctx, kernels.slopes(relief.z, relief.grid.posting))
+        self._block = ctx.buffer(reserve=FRAME.itemsize)
         self._screens: dict[str, moderngl.VertexArray] = {}
         self._targets: dict[tuple[int, int, bool], Target] = {}
         self._shadow: ShadowMap | None = None
@@ -96,47 +102,42 @@ class Renderer:
         """
         self._check_above_ground(view)
         sun = light.direction
-        lit = sun[2] > 0.0
-        near, far = self._clip(view)
-        shown = self._tiles_in(view, near)
-        level = self._levels(view, sun, shown, truth)
+        clip = self._clip(view)
+        choice = self._choose(view, sun, clip[0])
+        level = np.zeros_like(choice.level) if truth else choice.level
         target = self._target(view.width, view.height, truth)
-        values = _light_values(light, sun) | NO_SHADOW | _view_values(view, near, far)
-        values["shadow"] = _SHADOW_UNIT
+        frame = None
+        if sun[2] > 0.0 and shadows and choice.shown.any():
+            frame = self._shadow_frame(view, sun, choice)
+        cells = (0.5 * self._slopes.width, float(self._slopes.height))
+        size = (1, 1) if self._shadow is None else self._shadow.texture.size
+        block = frame_block(view, clip, light, self._relief.grid, cells, frame, size)
+        self._block.orphan()
+        self._block.write(block.tobytes())
+        self._block.bind_to_uniform_block(0)
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
-            if lit and shadows and shown.any():
-                values |= self._draw_shadows(view, sun, shown, level)
+            if frame is not None:
+                self._draw_shadows(view, sun, frame, level)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
-            matrix = _camera_matrix(view, near, far)
-            self._ground.draw("relief", matrix, view.position, shown, level)
+            matrix = _camera_matrix(view, *clip)
+            self._ground.draw("relief", matrix, view.position, choice.shown, level)
             target.picture.use()
             self._ctx.disable(moderngl.DEPTH_TEST)
             target.picture.clear()
-            self._shade(target, view, values, truth)
+            self._shade(target, truth)
             target.both.use()
             self._ctx.enable(moderngl.DEPTH_TEST)
-            self._rocks.draw(view, near, values, truth)
+            self._rocks.draw(view, clip[0], truth)
             return read_image(target, view, truth)
 
-    def _shade(self, target: Target, view: View, values: dict[str, Any], truth: bool) -> None:
+    def _shade(self, target: Target, truth: bool) -> None:
         """Shade the relief."""
         name = "shade-truth" if truth else "shade"
-        g = self._relief.grid
-        posts = (view.position[:2] - np.array([g.x0, g.y0])) / g.posting
-        cell = np.floor(posts)
-        self._slopes.use(1)
-        target.depth.use(3)
-        program = self._programs[name]
-        place = {
-            "cells": (0.5 * self._slopes.width, float(self._slopes.height)),
-            "eye_cell": tuple(cell),
-            "eye_in_cell": tuple(posts - cell),
-            "posts_in_metre": 1.0 / g.posting,
-        }
-        set_uniforms(program, values | place | {"slopes": 1, "depths": 3})
+        self._slopes.use(SLOPES)
+        target.depth.use(DEPTHS)
         if name not in self._screens:
-            self._screens[name] = self._ctx.vertex_array(program, [])
+            self._screens[name] = self._ctx.vertex_array(self._programs[name], [])
         self._screens[name].render(moderngl.TRIANGLES, vertices=3)
 
     def _check_above_ground(self, view: View) -> None:
@@ -158,7 +159,7 @@ class Renderer:
         far = max(float(along.max(initial=1.0)) * 1.01 + 10.0, 1.0)
         # No ray meets anything before it has come down to the highest rock.
         steepest = np.linalg.norm([self._tan(view), 1.0])
-        drop = float(view.position[2] - self._tiles.high[:, 2].max() - self._rocks.tallest)
+        drop = float(view.position[2] - self._highest - self._rocks.tallest)
         return max(0.5 * drop / float(steepest), 2e-4 * far, 0.02), far
 
     @staticmethod
@@ -168,59 +169,44 @@ class Renderer:
         v = max(view.cy + 0.5, view.height - 0.5 - view.cy) / view.fy
         return float(np.hypot(u, v))
 
-    def _tiles_in(self, view: View, near: float) -> NDArray[np.bool_]:
-        """Return which tiles may be in the picture."""
-        s = (self._corners - view.position) @ view.axes
-        x, y, z = s[..., 0], s[..., 1], s[..., 2]
-        left, right = (-0.5 - view.cx) / view.fx, (view.width - 0.5 - view.cx) / view.fx
-        top, bottom = (-0.5 - view.cy) / view.fy, (view.height - 0.5 - view.cy) / view.fy
-        out = (
-            (z < near).all(1)
-            | (x < left * z).all(1)
-            | (x > right * z).all(1)
-            | (y < top * z).all(1)
-            | (y > bottom * z).all(1)
-        )
-        return np.asarray(~out)
+    def _choose(self, view: View, sun: Array, near: float) -> TileChoice:
+        """Return what to draw of the relief, and how finely."""
+        bounds = np.array([
+            (-0.5 - view.cx) / view.fx, (view.width - 0.5 - view.cx) / view.fx,
+            (-0.5 - view.cy) / view.fy, (view.height - 0.5 - view.cy) / view.fy,
+        ])  # fmt: skip
+        run = max(sun[2], 0.02) / max(float(np.hypot(sun[0], sun[1])), 1e-6)
+        tolerance = min(_RANGE_ERROR, _SHADOW_ERROR / max(view.fx, view.fy) * run)
+        return self._tiles.choose(view.position, view.axes, bounds, near, tolerance)
 
-    def _levels(
-        self, view: View, sun: Array, shown: NDArray[np.bool_], truth: bool
-    ) -> NDArray[np.int64]:
-        if truth:
-            return np.zeros(shown.size, np.int64)
-        distance = self._tiles.distance(view.position)
-        pixel = distance / max(view.fx, view.fy)
-        shift = _SHADOW_ERROR * pixel * max(sun[2], 0.02) / max(np.hypot(sun[0], sun[1]), 1e-6)
-        return self._tiles.level(np.minimum(_RANGE_ERROR * distance, shift))
-
-    def _shadow_map(self, size: tuple[int, int]) -> ShadowMap:
-        """Return a map that holds `size` texels, the last one where it is not much too large."""
-        if self._shadow is None or not self._shadow.suits(size):
+    def _shadow_frame(self, view: View, sun: Array, choice: TileChoice) -> ShadowFrame:
+        """Return what the shadow map covers, and see to a map of that size."""
+        rock = self._rocks.tallest
+        lowest = min(self._lowest, self._rocks.lowest)
+        frame = ShadowFrame.of(view, sun, choice, self._highest + rock, lowest, rock)
+        if self._shadow is None or not self._shadow.suits(frame.size):
             self._shadow = None  # free it first
-            self._shadow = ShadowMap.of(self._ctx, size)
-        return self._shadow
+            self._shadow = ShadowMap.of(self._ctx, frame.size)
+        return frame
 
     def _draw_shadows(
-        self, view: View, sun: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
-    ) -> dict[str, Any]:
-        """Draw the shadow map; return what the picture's shader needs to read it."""
-        tiles = self._tiles
-        lowest = min(float(tiles.low[:, 2].min()), self._rocks.lowest)
-        frame = ShadowFrame.of(view, sun, tiles, shown, self._rocks.tallest, lowest)
-        shadow = self._shadow_map(frame.size)
+        self, view: View, sun: Array, frame: ShadowFrame, level: NDArray[np.int64]
+    ) -> None:
+        """Draw the shadow map."""
+        shadow = self._shadow
+        assert shadow is not None
         shadow.buffer.use()
         self._ctx.enable_only(moderngl.BLEND)
         self._ctx.blend_equation = moderngl.MIN  # type: ignore[assignment]
         self._rocks.draw_shadows(view, frame, shadow)
         # Only a face steeper than the sunrays is turned away from the Sun.
-        steep = tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
+        steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
         shades = steep & frame.shades(self._corners, view.position)
         self._ctx.enable_only(moderngl.BLEND | moderngl.CULL_FACE)
         self._ctx.cull_face = "front"
         self._ground.draw("relief-shadow", frame.matrix(), view.position, shades, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        shadow.texture.use(_SHADOW_UNIT)
-        return frame.reading(shadow.texture.size)
+        shadow.texture.use(SHADOW)
 
     def _target(self, width: int, height: int, truth: bool) -> Target:
         key = (width, height, truth)
@@ -240,24 +226,6 @@ def renderer_of(terrain: Terrain) -> Renderer:
         # Its buffers are freed when the last reference to the renderer goes.
         weakref.finalize(terrain, _RENDERERS.pop, key, None).atexit = False
     return _RENDERERS[key]
-
-
-def _light_values(light: Light, sun: Array) -> dict[str, Any]:
-    return {
-        "sunlight": tuple(sun) if sun[2] > 0.0 else (0.0, 0.0, 0.0),
-        "albedo": light.albedo,
-        "ambient": light.ambient,
-        "mcewen": float(light.photometry == "lunar-lambert"),
-    }
-
-
-def _view_values(view: View, near: float, far: float) -> dict[str, Any]:
-    return {
-        "to_sensor": columns(view.axes.T),
-        "intrinsics": (view.fx, view.fy, view.cx, view.cy),
-        "image": (float(view.width), float(view.height)),
-        "clip": (near, far),
-    }
 
 
 def _camera_matrix(view: View, near: float, far: float) -> Array:

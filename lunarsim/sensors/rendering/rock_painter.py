@@ -5,15 +5,13 @@ Rocks of a few pixels are met by their rays on the processor and drawn as points
 
 from __future__ import annotations
 
-from typing import Any
-
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
-from lunarsim.sensors.rendering.programs import ROCK_KINDS, float_texture, set_uniforms
+from lunarsim.sensors.rendering.programs import ROCK_KINDS, ROCKS, float_texture
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
 from lunarsim.sensors.rendering.view import View
@@ -23,7 +21,6 @@ from lunarsim.terrain.shapes import CUBE, ELLIPSOID, shape_table
 Array = NDArray[np.float64]
 
 _TEXTURE = 1024
-_UNIT = 3  # texture unit
 # To draw a point takes as long as to fill and hand over this many texels.
 _TEXELS_A_POINT = 100
 
@@ -70,7 +67,7 @@ class RockPainter:
         self._points = ctx.buffer(reserve=28)
         self._vaos: dict[str, moderngl.VertexArray] = {}
 
-    def draw(self, view: View, near: float, values: dict[str, Any], truth: bool) -> None:
+    def draw(self, view: View, near: float, truth: bool) -> None:
         """Draw all rocks in a view over the relief.
 
         Parameters
@@ -79,8 +76,6 @@ class RockPainter:
             The view.
         near
             Least depth, m.
-        values
-            The uniforms of camera and light.
         truth
             Whether range, normal and identity are drawn too.
         """
@@ -91,14 +86,13 @@ class RockPainter:
         )  # fmt: skip
         box, number = kernels.gather(self._box, seen)
         small, start, rest = small_rocks.split(box)
-        values = values | {"eye": tuple(view.position)}
         suffix = "-truth" if truth else ""
-        self._draw_boxes(suffix, values, box[rest], number[rest])
+        self._draw_boxes(suffix, box[rest], number[rest])
         points, hit = small_rocks.sight(
             self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
             view.position, towards, view.fx, view.fy, view.cx, view.cy, near,
         )  # fmt: skip
-        self._draw_points("small-rocks" + suffix, values, points[hit])
+        self._draw_points("small-rocks" + suffix, points[hit])
 
     def draw_shadows(self, view: View, frame: ShadowFrame, shadow: ShadowMap) -> None:
         """Begin a shadow map with all rocks that shade ground in it."""
@@ -113,34 +107,26 @@ class RockPainter:
             self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
             view.position, frame.lean, frame.axes, frame.corner, frame.texel, *frame.heights,
         )  # fmt: skip
-        values = frame.drawing() | {"eye": tuple(view.position)}
         if len(points) * _TEXELS_A_POINT > frame.size[0] * frame.size[1]:
             dark = small_rocks.least(points, hit, frame.size[1], frame.size[0])
             shadow.texture.write(dark, viewport=(0, 0, *frame.size))
         else:
             # All of it: a driver clears a part far more slowly.
             shadow.buffer.clear(1.0)
-            self._draw_points("small-rocks-shadow", values, points[hit])
+            self._draw_points("small-rocks-shadow", points[hit])
         shadow.buffer.viewport = (0, 0, *frame.size)
-        self._draw_boxes("-shadow", values, box[rest], number[rest])
+        self._draw_boxes("-shadow", box[rest], number[rest])
 
-    def _draw_boxes(
-        self, suffix: str, values: dict[str, Any], box: NDArray[np.float32],
-        number: NDArray[np.int32],
-    ) -> None:  # fmt: skip
+    def _draw_boxes(self, suffix: str, box: NDArray[np.float32], number: NDArray[np.int32]) -> None:
         kinds = self._kind[number]
         for k, kind in enumerate(ROCK_KINDS):
             picked = np.flatnonzero(kinds == k)
             if picked.size:
                 corners = kernels.box_corners(box, number, picked)
-                self._draw_corners(kind + suffix, values, corners)
+                self._draw_corners(kind + suffix, corners)
 
-    def _draw_corners(
-        self, name: str, values: dict[str, Any], corners: NDArray[np.float32]
-    ) -> None:
-        program = self._programs[name]
-        self._texture.use(_UNIT)
-        set_uniforms(program, values | {"rocks": _UNIT})
+    def _draw_corners(self, name: str, corners: NDArray[np.float32]) -> None:
+        self._texture.use(ROCKS)
         boxes = len(corners) // 4
         if 24 * boxes > self._order.size:
             count = max(boxes, min(2 * boxes, len(self._rows)))
@@ -151,16 +137,15 @@ class RockPainter:
         self._corners.write(corners)
         if name not in self._vaos:
             self._vaos[name] = self._ctx.vertex_array(
-                program, [(self._corners, "2f 1f", "corner", "number")], self._order
+                self._programs[name], [(self._corners, "2f 1f", "corner", "number")], self._order
             )
         self._vaos[name].render(moderngl.TRIANGLES, vertices=6 * boxes)
 
-    def _draw_points(self, name: str, values: dict[str, Any], points: NDArray[np.float32]) -> None:
+    def _draw_points(self, name: str, points: NDArray[np.float32]) -> None:
         """Draw pixels of small rocks (n, 7 or 3): place, depth, normal and number."""
         if len(points) == 0:
             return
         program = self._programs[name]
-        set_uniforms(program, values)
         self._points.orphan(points.nbytes)
         self._points.write(points)
         if name not in self._vaos:

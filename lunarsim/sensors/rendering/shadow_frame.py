@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.programs import columns
-from lunarsim.sensors.rendering.relief_tiles import ReliefTiles
+from lunarsim.sensors.rendering.relief_tiles import TileChoice
 from lunarsim.sensors.rendering.view import View
 
 Array = NDArray[np.float64]
@@ -58,9 +56,8 @@ class ShadowFrame:
 
     @classmethod
     def of(
-        cls, view: View, sun: Array, tiles: ReliefTiles, shown: NDArray[np.bool_], rock: float,
-        lowest: float,
-    ) -> ShadowFrame:  # fmt: skip
+        cls, view: View, sun: Array, choice: TileChoice, top: float, lowest: float, rock: float
+    ) -> ShadowFrame:
         """Return the frame that holds all that a view shows.
 
         Parameters
@@ -69,27 +66,26 @@ class ShadowFrame:
             The view.
         sun
             Unit vector towards the Sun (3,), ENU, above the horizon.
-        tiles, shown
-            The relief, and which of its tiles are in the view.
+        choice
+            The tiles of the relief in the view.
+        top, lowest
+            Highest and lowest elevation of anything that is drawn, m.
         rock
             Height of the tallest rock, m.
-        lowest
-            Lowest elevation of anything that is drawn, m.
         """
         horizontal = float(np.hypot(sun[0], sun[1]))
         lean = sun[:2] / sun[2]
         along = sun[:2] / horizontal if horizontal > 1e-9 else np.array([1.0, 0.0])
         axes = np.array([along, [-along[1], along[0]]])
-        corner, extent = _extent(view, tiles, shown, lean, axes, rock)
-        distance = max(float(tiles.distance(view.position)[shown].min()), 1e-3)
+        corner, extent = _extent(view, choice, lean, axes, rock)
+        distance = max(choice.nearest, 1e-3)
         texel = distance / max(view.fx, view.fy) / _DETAIL
         texel = float(max(texel, extent.max() / _SIDE, np.sqrt(np.prod(extent) / _AREA)))
         wide, high = np.minimum(np.ceil(extent / texel).astype(int).clip(1), _SIDE)
-        top = float(tiles.high[:, 2].max()) + rock - view.position[2] + 1.0
         slack = -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0)
         return cls(
             lean, axes, corner, texel, (int(wide), int(high)),
-            (top, lowest - view.position[2] - 1.0), slack,
+            (top - view.position[2] + 1.0, lowest - view.position[2] - 1.0), slack,
         )  # fmt: skip
 
     def shades(self, corners: Array, eye: Array) -> NDArray[np.bool_]:
@@ -99,7 +95,7 @@ class ShadowFrame:
         most = self.corner + self.texel * np.array(self.size)
         return np.asarray((place.max(1) >= self.corner).all(1) & (place.min(1) <= most).all(1))
 
-    def _texels(self) -> Array:
+    def to_texels(self) -> Array:
         """Return the map (2, 4) from metres about the camera, and 1, to texels."""
         turn = self.axes / self.texel
         return np.column_stack((turn, -turn @ self.lean, -self.corner / self.texel))
@@ -107,7 +103,7 @@ class ShadowFrame:
     def matrix(self) -> Array:
         """Return the map (4, 4) from metres about the camera to clip coordinates."""
         out = np.zeros((4, 4))
-        out[:2] = 2.0 * self._texels() / np.array(self.size)[:, None]
+        out[:2] = 2.0 * self.to_texels() / np.array(self.size)[:, None]
         out[:2, 3] -= 1.0
         high, low = self.heights
         out[2, 2] = -2.0 / (high - low)
@@ -115,48 +111,16 @@ class ShadowFrame:
         out[3, 3] = 1.0
         return out
 
-    def reading(self, texture: tuple[int, int]) -> dict[str, Any]:
-        """Return what the shader needs to look a point up in a texture of that size."""
-        texels = self._texels()
-        high, low = self.heights
-        return {
-            "shadow_axes": columns(texels[:, :3]),
-            "shadow_corner": tuple(texels[:, 3]),
-            "shadow_size": (float(self.size[0]), float(self.size[1])),
-            "shadow_texel": (1.0 / texture[0], 1.0 / texture[1]),
-            "shadow_depth": ((high - self.slack) / (high - low), -1.0 / (high - low)),
-        }
-
-    def drawing(self) -> dict[str, Any]:
-        """Return what the shaders need to draw a rock."""
-        return {
-            "lean": tuple(self.lean),
-            "heights": self.heights,
-            "from_map": columns(self.axes.T * self.texel),
-            "map_corner": tuple(self.axes.T @ self.corner),
-            "image": (float(self.size[0]), float(self.size[1])),
-        }
-
-
-# What the shader is told where nothing shades: no texel is as low as that.
-NO_SHADOW: dict[str, Any] = {
-    "shadow_axes": (0.0,) * 6,
-    "shadow_corner": (0.0, 0.0),
-    "shadow_size": (4.0, 4.0),
-    "shadow_texel": (0.0, 0.0),
-    "shadow_depth": (-1e30, 0.0),
-}
-
 
 def _extent(
-    view: View, tiles: ReliefTiles, shown: NDArray[np.bool_], lean: Array, axes: Array, rock: float
+    view: View, choice: TileChoice, lean: Array, axes: Array, rock: float
 ) -> tuple[Array, Array]:
     """Return corner (2,) and extent (2,) of the shadow map, m, in its axes about the camera.
 
     It must hold the places of all that is seen: the part of the view's pyramid between the
     lowest and the highest elevation in it, and inside the tiles in it.
     """
-    low, high = tiles.low[shown].min(0), tiles.high[shown].max(0) + np.array([0.0, 0.0, rock])
+    low, high = choice.low, choice.high + np.array([0.0, 0.0, rock])
     u = np.array([-0.5, view.width - 0.5]) - view.cx
     v = np.array([-0.5, view.height - 0.5]) - view.cy
     border = np.array([[a / view.fx, b / view.fy, 1.0] for a in u for b in v]) @ view.axes.T

@@ -2,9 +2,7 @@
 // rock is worked out here and handed on as flat varyings.
 in vec2 corner;    // of the box that holds the rock, from the picture's corner
 in float number;   // a whole one
-uniform vec2 image;         // of the picture or the shadow map
 uniform sampler2D rocks;    // three texels a rock: (x, y, base, a), (b, height, cos, sin), (shape)
-uniform vec3 eye;           // camera, in the axes of the rocks
 #ifdef FACES
 uniform vec4 planes[18 * MOST];   // half spaces of the unit shapes, MOST to each
 flat out vec4 face[FACES];
@@ -13,10 +11,6 @@ flat out vec3 fixed_part;
 noperspective out vec3 moving_part;
 #endif
 #ifdef SHADOW
-uniform mat2 from_map;     // from the map's texels to ENU
-uniform vec2 map_corner;   // place of the map's corner, ENU, m
-uniform vec2 lean;         // horizontal run of a sunray for each metre of rise
-uniform vec2 heights;      // highest and lowest elevation of the map, m above the camera
 flat out vec2 depth;       // of the base, and its growth for each metre down
 #else
 flat out vec3 depth;       // window depth: x - y / (depth along the boresight); nearest depth, m
@@ -37,19 +31,24 @@ vec3 turned(vec2 turn, vec3 v) {
 }
 
 void main() {
-    gl_Position = vec4(2.0 * corner / image - 1.0, 0.0, 1.0);
+#ifdef SHADOW
+    vec2 whole = map_size;
+#else
+    vec2 whole = image;
+#endif
+    gl_Position = vec4(2.0 * corner / whole - 1.0, 0.0, 1.0);
     int which = int(number);
     ivec2 at = ivec2((which % 1024) * 3, which / 1024);
     vec4 one = texelFetch(rocks, at, 0);
     vec4 two = texelFetch(rocks, at + ivec2(1, 0), 0);
     int shape = int(texelFetch(rocks, at + ivec2(2, 0), 0).r);
-    vec3 centre = one.xyz - eye;
+    vec3 centre = one.xyz - eye.xyz;
     vec3 scale = vec3(one.w, two.xy);
     vec2 turn = two.zw;
 #ifdef SHADOW
     // Sunrays go down, each from its place at the level of the rock's base.
     vec3 way = vec3(-lean, -1.0);
-    vec2 level = map_corner + from_map * corner + lean * centre.z - centre.xy;
+    vec2 level = map_corner + mat2(from_map.xy, from_map.zw) * corner + lean * centre.z - centre.xy;
     depth = vec2(heights.x - centre.z, 1.0) / (heights.x - heights.y);
 #else
     vec3 way = pixel_ray(corner);

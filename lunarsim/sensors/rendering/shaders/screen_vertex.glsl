@@ -1,10 +1,4 @@
 // One triangle that covers the picture.
-uniform vec2 image;          // width and height, pixels
-uniform vec2 cells;          // cells that the texture of slopes holds
-uniform vec2 eye_cell;       // cell of the camera
-uniform vec2 eye_in_cell;    // and its place in it
-uniform float posts_in_metre;
-
 noperspective out vec2 pixel;
 noperspective out vec3 ray;
 flat out vec3 to_cells;      // place of the camera in its cell, posts in a metre
@@ -17,7 +11,7 @@ void main() {
     gl_Position = vec4(4.0 * corner - 1.0, 0.0, 1.0);
     pixel = 2.0 * corner;
     ray = pixel_ray(pixel * image);
-    to_cells = vec3(eye_in_cell, posts_in_metre);
+    to_cells = vec3(eye_in_cell, surface.w);
     to_slopes = vec4(1.0, 1.0, eye_cell + 0.5) / cells.xyxy;
     depth = vec2(1.0 / clip.x, (clip.y - clip.x) / (clip.x * clip.y));
     light = given_light();

@@ -1,7 +1,6 @@
 // A pixel of a rock that covers few of them; it is shaded here, once.
 in vec3 at;                // pixel and depth along the boresight, m, where the ray meets the rock
 in vec4 stone;             // normal and number
-uniform vec2 image;
 flat out float depth;
 flat out float shade;
 #ifdef TRUTH

@@ -1,0 +1,136 @@
+"""Compiled tables of the relief's tiles, and the choice of those to draw."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+
+
+@kernel(parallel=True)
+def tile_tables(z, side, levels, p):
+    """Return lowest, highest, steepest gradient and decimation errors of tiles.
+
+    Tile (i, j) spans `side` cells from post (i * side, j * side) on. Its error at level l is the
+    greatest distance in height between the relief and the relief through every 2^l-th post; it is
+    infinite where an elevation is missing.
+    """
+    rows, cols = z.shape
+    high = (rows - 2) // side + 1
+    wide = (cols - 2) // side + 1
+    low = np.full((high, wide), np.inf)
+    top = np.full((high, wide), -np.inf)
+    steep = np.zeros((high, wide))
+    error = np.zeros((levels, high, wide))
+    for ti in prange(high):
+        for tj in range(wide):
+            i1 = min((ti + 1) * side, rows - 1)
+            j1 = min((tj + 1) * side, cols - 1)
+            missing = False
+            for i in range(ti * side, i1 + 1):
+                for j in range(tj * side, j1 + 1):
+                    here = np.float64(z[i, j])
+                    if np.isnan(here):
+                        missing = True
+                    else:
+                        low[ti, tj] = min(low[ti, tj], here)
+                        top[ti, tj] = max(top[ti, tj], here)
+                    if i < i1 and j < j1:
+                        z00 = np.float64(z[i, j])
+                        z10 = np.float64(z[i, j + 1])
+                        z01 = np.float64(z[i + 1, j])
+                        z11 = np.float64(z[i + 1, j + 1])
+                        lower = (z10 - z00) ** 2 + (z11 - z10) ** 2
+                        upper = (z11 - z01) ** 2 + (z01 - z00) ** 2
+                        steep[ti, tj] = max(steep[ti, tj], lower)
+                        steep[ti, tj] = max(steep[ti, tj], upper)
+            steep[ti, tj] = np.sqrt(steep[ti, tj]) / p
+            for level in range(1, levels):
+                step = 1 << level
+                worst = np.inf if missing else 0.0
+                for ci in range(ti * side, i1, step):
+                    if missing:
+                        break
+                    for cj in range(tj * side, j1, step):
+                        ei = min(ci + step, i1)
+                        ej = min(cj + step, j1)
+                        z00 = np.float64(z[ci, cj])
+                        z10 = np.float64(z[ci, ej])
+                        z01 = np.float64(z[ei, cj])
+                        z11 = np.float64(z[ei, ej])
+                        for i in range(ci, ei + 1):
+                            v = (i - ci) / (ei - ci)
+                            for j in range(cj, ej + 1):
+                                u = (j - cj) / (ej - cj)
+                                if u >= v:
+                                    flat = z00 + u * (z10 - z00) + v * (z11 - z10)
+                                else:
+                                    flat = z00 + v * (z01 - z00) + u * (z11 - z01)
+                                worst = max(worst, abs(flat - np.float64(z[i, j])))
+                error[level, ti, tj] = worst
+    return low, top, steep, error
+
+
+@kernel(parallel=True)
+def slopes(z, p):
+    """Return the gradients (rows - 1, 2 (cols - 1), 2) of the two triangles of every cell.
+
+    The south-eastern triangle stands in the even columns, the north-western one in the odd.
+    """
+    rows, cols = z.shape
+    out = np.empty((rows - 1, 2 * (cols - 1), 2), np.float32)
+    for i in prange(rows - 1):
+        for j in range(cols - 1):
+            z00 = np.float64(z[i, j])
+            z10 = np.float64(z[i, j + 1])
+            z01 = np.float64(z[i + 1, j])
+            z11 = np.float64(z[i + 1, j + 1])
+            out[i, 2 * j, 0] = (z10 - z00) / p
+            out[i, 2 * j, 1] = (z11 - z10) / p
+            out[i, 2 * j + 1, 0] = (z11 - z01) / p
+            out[i, 2 * j + 1, 1] = (z01 - z00) / p
+    return out
+
+
+@kernel()
+def choose(low, high, error, eye, axes, bounds, near, tolerance):
+    """Return which tiles (n,) a camera may show, their levels (n,), and where the shown ones are.
+
+    The last three are the least distance of a shown tile and the corners of the box that holds all
+    of them (3,). `bounds` are the tangents at the left, right, upper and lower border.
+    """
+    count = low.shape[0]
+    shown = np.zeros(count, np.bool_)
+    level = np.zeros(count, np.int64)
+    nearest = np.inf
+    least = np.full(3, np.inf)
+    most = np.full(3, -np.inf)
+    for n in range(count):
+        square = 0.0
+        for k in range(3):
+            gap = max(low[n, k] - eye[k], eye[k] - high[n, k], 0.0)
+            square += gap * gap
+        distance = np.sqrt(square)
+        # Errors need not rise with the level: take the last of the first run that fits.
+        while level[n] + 1 < error.shape[0] and error[level[n] + 1, n] <= tolerance * distance:
+            level[n] += 1
+        behind = left = right = above = below = 0
+        for corner in range(8):
+            e = (high[n, 0] if corner & 1 else low[n, 0]) - eye[0]
+            f = (high[n, 1] if corner & 2 else low[n, 1]) - eye[1]
+            g = (high[n, 2] if corner & 4 else low[n, 2]) - eye[2]
+            x = e * axes[0, 0] + f * axes[1, 0] + g * axes[2, 0]
+            y = e * axes[0, 1] + f * axes[1, 1] + g * axes[2, 1]
+            z = e * axes[0, 2] + f * axes[1, 2] + g * axes[2, 2]
+            behind += z < near
+            left += x < bounds[0] * z
+            right += x > bounds[1] * z
+            above += y < bounds[2] * z
+            below += y > bounds[3] * z
+        shown[n] = max(behind, left, right, above, below) < 8
+        if shown[n]:
+            nearest = min(nearest, distance)
+            for k in range(3):
+                least[k] = min(least[k], low[n, k])
+                most[k] = max(most[k], high[n, k])
+    return shown, level, nearest, least, most
