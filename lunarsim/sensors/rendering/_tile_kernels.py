@@ -6,6 +6,9 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 
+# Looking straight down, a tile may be this many times as far off as where rays graze it.
+_MENDED = 4.0
+
 
 @kernel(parallel=True)
 def tile_tables(z, side, levels, p):
@@ -72,48 +75,62 @@ def tile_tables(z, side, levels, p):
 
 
 @kernel(parallel=True)
-def slopes(z, p):
-    """Return the gradients (rows - 1, 2 (cols - 1), 2) of the two triangles of every cell.
+def cell_corners(z, ground):
+    """Return the elevations over `ground` of the corners of every cell (rows, cols, 4), float32.
 
-    The south-eastern triangle stands in the even columns, the north-western one in the odd.
+    In the order SW, SE, NW, NE. Beyond the last post, the last one stands.
     """
     rows, cols = z.shape
-    out = np.empty((rows - 1, 2 * (cols - 1), 2), np.float32)
-    for i in prange(rows - 1):
-        for j in range(cols - 1):
-            z00 = np.float64(z[i, j])
-            z10 = np.float64(z[i, j + 1])
-            z01 = np.float64(z[i + 1, j])
-            z11 = np.float64(z[i + 1, j + 1])
-            out[i, 2 * j, 0] = (z10 - z00) / p
-            out[i, 2 * j, 1] = (z11 - z10) / p
-            out[i, 2 * j + 1, 0] = (z11 - z01) / p
-            out[i, 2 * j + 1, 1] = (z01 - z00) / p
+    out = np.empty((rows, cols, 4), np.float32)
+    for i in prange(rows):
+        up = min(i + 1, rows - 1)
+        for j in range(cols):
+            right = min(j + 1, cols - 1)
+            out[i, j, 0] = np.float64(z[i, j]) - ground
+            out[i, j, 1] = np.float64(z[i, right]) - ground
+            out[i, j, 2] = np.float64(z[up, j]) - ground
+            out[i, j, 3] = np.float64(z[up, right]) - ground
     return out
 
 
 @kernel()
-def choose(low, high, error, eye, axes, bounds, near, tolerance):
-    """Return which tiles (n,) a camera may show, their levels (n,), and where the shown ones are.
+def _coarsest(error, n, most):
+    """Return the coarsest level of tile n in the first run of levels whose error fits."""
+    level = 0
+    while level + 1 < error.shape[0] and error[level + 1, n] <= most:
+        level += 1
+    return level
 
-    The last three are the least distance of a shown tile and the corners of the box that holds all
-    of them (3,). `bounds` are the tangents at the left, right, upper and lower border.
+
+@kernel()
+def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_tolerance):
+    """Return which tiles (n,) a camera may show, how finely, and where the shown ones are.
+
+    Levels (n,) are those for the picture and for the shadow map. The last three are the least
+    distance of a shown tile and the corners of the box that holds all of them (3,). `bounds` are
+    the tangents at the left, right, upper and lower border.
     """
     count = low.shape[0]
     shown = np.zeros(count, np.bool_)
     level = np.zeros(count, np.int64)
+    shadow_level = np.zeros(count, np.int64)
     nearest = np.inf
     least = np.full(3, np.inf)
     most = np.full(3, -np.inf)
     for n in range(count):
         square = 0.0
+        run = 0.0
         for k in range(3):
             gap = max(low[n, k] - eye[k], eye[k] - high[n, k], 0.0)
             square += gap * gap
+            if k < 2:
+                run = max(run, eye[k] - low[n, k], high[n, k] - eye[k])
         distance = np.sqrt(square)
-        # Errors need not rise with the level: take the last of the first run that fits.
-        while level[n] + 1 < error.shape[0] and error[level[n] + 1, n] <= tolerance * distance:
-            level[n] += 1
+        # The shader mends what a coarse tile does to rays that come down steeply.
+        slant = run / max(eye[2] - high[n, 2], 1e-9)
+        steep = min(max(_MENDED / max(slant * slant, 1.0), 1.0), _MENDED)
+        level[n] = _coarsest(error, n, tolerance * steep * distance)
+        shadow_level[n] = _coarsest(error, n, shadow_tolerance * distance)
         behind = left = right = above = below = 0
         for corner in range(8):
             e = (high[n, 0] if corner & 1 else low[n, 0]) - eye[0]
@@ -133,4 +150,4 @@ def choose(low, high, error, eye, axes, bounds, near, tolerance):
             for k in range(3):
                 least[k] = min(least[k], low[n, k])
                 most[k] = max(most[k], high[n, k])
-    return shown, level, nearest, least, most
+    return shown, level, shadow_level, nearest, least, most

@@ -37,8 +37,8 @@ FRAME = np.dtype(
 
 
 def frame_block(
-    view: View, clip: tuple[float, float], light: Light, grid: Grid, cells: tuple[float, float],
-    frame: ShadowFrame | None, texture: tuple[int, int],
+    view: View, clip: tuple[float, float], light: Light, grid: Grid, cells: tuple[int, int],
+    ground: float, frame: ShadowFrame | None, texture: tuple[int, int],
 ) -> NDArray[np.void]:  # fmt: skip
     """Return the block of a picture.
 
@@ -51,7 +51,9 @@ def frame_block(
     grid
         Of the relief.
     cells
-        Columns and rows of cells that the texture of slopes holds.
+        Columns and rows of cells that the relief's texture holds.
+    ground
+        Elevation from which that counts, m.
     frame, texture
         The shadow map, None where nothing shades, and the size of its texture, texels.
     """
@@ -61,6 +63,7 @@ def frame_block(
     block["image"] = view.width, view.height
     block["clip"] = clip
     block["eye"][:3] = view.position
+    block["eye"][3] = view.position[2] - ground
     sun = light.direction
     if sun[2] > 0.0:
         block["sunlight"][:3] = sun

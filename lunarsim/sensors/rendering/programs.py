@@ -45,10 +45,9 @@ def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moder
 
 
 # Texture units, and what the shaders call them.
-HEIGHTS, SLOPES, SHADOW, DEPTHS, ROCKS = range(5)
+CORNERS, SHADOW, DEPTHS, ROCKS = range(4)
 _UNITS = {
-    "heights_of_posts": HEIGHTS,
-    "slopes": SLOPES,
+    "corners": CORNERS,
     "shadow": SHADOW,
     "depths": DEPTHS,
     "rocks": ROCKS,
@@ -75,10 +74,11 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
     }
     lit = ("frame", "light", "given_light")
     for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
-        programs[f"shade{suffix}"] = ctx.program(
-            shader(*lit, "screen_vertex", defines=truth),
-            shader("light", "paint", "shade_fragment", defines=truth),
-        )
+        for name, coarse in (("shade", ()), ("shade-coarse", ("COARSE",))):
+            programs[name + suffix] = ctx.program(
+                shader(*lit, "screen_vertex"),
+                shader("light", "paint", "shade_fragment", defines=(*truth, *coarse)),
+            )
         programs[f"small-rocks{suffix}"] = ctx.program(
             shader(*lit, "small_rock_vertex", defines=truth),
             shader("paint", "small_rock_fragment", defines=truth),

@@ -6,7 +6,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.programs import HEIGHTS, float_texture, tile_mesh
+from lunarsim.sensors.rendering import _tile_kernels as kernels
+from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
 from lunarsim.terrain import Heightfield
 
@@ -27,6 +28,15 @@ class ReliefPainter:
         The programs of that context.
     relief
         The relief.
+
+    Attributes
+    ----------
+    tiles
+        The tiles of the relief.
+    corners
+        Elevations of the corners of each cell, as a texture.
+    ground
+        The elevation from which they count, m.
     """
 
     def __init__(
@@ -34,11 +44,10 @@ class ReliefPainter:
     ) -> None:
         self.tiles = ReliefTiles.of(relief)
         self._grid = relief.grid
-        # Heights are counted from the middle, so that float32 is precise.
+        # Elevations are counted from the middle, in whole metres, so that float32 is precise.
         finite = relief.z[np.isfinite(relief.z)]
-        self._ground = float(0.5 * (finite.min() + finite.max())) if finite.size else 0.0
-        heights = relief.z.astype(np.float64) - self._ground
-        self._heights = float_texture(ctx, heights[:, :, None])
+        self.ground = float(np.round(0.5 * (finite.min() + finite.max()))) if finite.size else 0.0
+        self.corners = float_texture(ctx, kernels.cell_corners(relief.z, self.ground))
         self._programs = programs
         self._ctx = ctx
         self._buffer = ctx.buffer(reserve=_INSTANCE.itemsize)
@@ -61,7 +70,7 @@ class ReliefPainter:
         shown, level
             Which tiles, and the level of detail of every tile, shown or not (n,).
         """
-        self._heights.use(HEIGHTS)
+        self.corners.use(CORNERS)
         program = self._programs[name]
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
@@ -90,7 +99,7 @@ class ReliefPainter:
         rows["edges"] = np.maximum(level[tiles.neighbour[picked]], level[picked, None])
         corner = np.empty((picked.size, 4))
         corner[:, :2] = first * g.posting + np.array([g.x0, g.y0]) - eye[:2]
-        corner[:, 2] = self._ground - eye[2]
+        corner[:, 2] = self.ground - eye[2]
         corner[:, 3] = 1.0
         placed = rows["placed"].reshape(-1, 4, 4)  # column by column
         placed[:, 0] = matrix[:, 0] * g.posting

@@ -24,8 +24,9 @@ class TileChoice:
     ----------
     shown
         Which tiles may be in the picture (n,).
-    level
-        The coarsest level of detail that is good enough, of every tile (n,).
+    level, shadow_level
+        The coarsest level of detail that is good enough for the picture and for the shadow map, of
+        every tile (n,).
     nearest
         Least distance of a shown tile, m.
     low, high
@@ -34,6 +35,7 @@ class TileChoice:
 
     shown: NDArray[np.bool_]
     level: NDArray[np.int64]
+    shadow_level: NDArray[np.int64]
     nearest: float
     low: Array
     high: Array
@@ -90,8 +92,9 @@ class ReliefTiles:
         return np.asarray(np.where(pick, self.high[:, None, :], self.low[:, None, :]))
 
     def choose(
-        self, eye: Array, axes: Array, bounds: Array, near: float, tolerance: float
-    ) -> TileChoice:
+        self, eye: Array, axes: Array, bounds: Array, near: float, tolerance: float,
+        shadow_tolerance: float,
+    ) -> TileChoice:  # fmt: skip
         """Return what a camera shows.
 
         Parameters
@@ -102,13 +105,13 @@ class ReliefTiles:
             Tangents at the left, right, upper and lower border of the picture (4,).
         near
             Least depth, m.
-        tolerance
-            Vertical error that is allowed for each metre of distance.
+        tolerance, shadow_tolerance
+            Vertical error that is allowed for each metre of distance, in the picture and in the
+            shadow map.
         """
-        shown, level, nearest, low, high = kernels.choose(
-            self.low, self.high, self.error, eye, axes, bounds, near, tolerance
-        )
-        return TileChoice(shown, level, nearest, low, high)
+        return TileChoice(*kernels.choose(
+            self.low, self.high, self.error, eye, axes, bounds, near, tolerance, shadow_tolerance
+        ))  # fmt: skip
 
 
 def _neighbours(

@@ -9,6 +9,7 @@ highest face turned away from the Sun: a lit face never lies on it, so nothing s
 from __future__ import annotations
 
 import weakref
+from dataclasses import replace
 
 import moderngl
 import numpy as np
@@ -16,15 +17,12 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, RenderingError
 from lunarsim.light import Light
-from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.sensors.rendering.context import gl_context
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
 from lunarsim.sensors.rendering.programs import (
     DEPTHS,
     SHADOW,
-    SLOPES,
     build_programs,
-    float_texture,
 )
 from lunarsim.sensors.rendering.relief_painter import ReliefPainter
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
@@ -74,7 +72,6 @@ class Renderer:
         some = tiles.low.size > 0
         self._lowest = float(tiles.low[:, 2].min()) if some else 0.0
         self._highest = float(tiles.high[:, 2].max()) if some else 0.0
-        self._slopes = float_texture(ctx, kernels.slopes(relief.z, relief.grid.posting))
         self._block = ctx.buffer(reserve=FRAME.itemsize)
         self._screens: dict[str, moderngl.VertexArray] = {}
         self._targets: dict[tuple[int, int, bool], Target] = {}
@@ -104,41 +101,52 @@ class Renderer:
         sun = light.direction
         clip = self._clip(view)
         choice = self._choose(view, sun, clip[0])
-        level = np.zeros_like(choice.level) if truth else choice.level
+        if truth:
+            finest = np.zeros_like(choice.level)
+            choice = replace(choice, level=finest, shadow_level=finest)
         target = self._target(view.width, view.height, truth)
         frame = None
         if sun[2] > 0.0 and shadows and choice.shown.any():
             frame = self._shadow_frame(view, sun, choice)
-        cells = (0.5 * self._slopes.width, float(self._slopes.height))
         size = (1, 1) if self._shadow is None else self._shadow.texture.size
-        block = frame_block(view, clip, light, self._relief.grid, cells, frame, size)
+        block = frame_block(
+            view, clip, light, self._relief.grid, self._ground.corners.size, self._ground.ground,
+            frame, size,
+        )  # fmt: skip
         self._block.orphan()
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
             if frame is not None:
-                self._draw_shadows(view, sun, frame, level)
+                self._draw_shadows(view, sun, frame, choice.shadow_level)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
             matrix = _camera_matrix(view, *clip)
-            self._ground.draw("relief", matrix, view.position, choice.shown, level)
-            target.picture.use()
-            self._ctx.disable(moderngl.DEPTH_TEST)
-            target.picture.clear()
-            self._shade(target, truth)
-            target.both.use()
-            self._ctx.enable(moderngl.DEPTH_TEST)
+            self._ground.draw("relief", matrix, view.position, choice.shown, choice.level)
+            coarse = bool(choice.level[choice.shown].any())
+            over = target.over_mended if coarse else target.over
+            self._shade(target, over, coarse, truth)
+            over.use()
             self._rocks.draw(view, clip[0], truth)
             return read_image(target, view, truth)
 
-    def _shade(self, target: Target, truth: bool) -> None:
-        """Shade the relief."""
-        name = "shade-truth" if truth else "shade"
-        self._slopes.use(SLOPES)
+    def _shade(self, target: Target, over: moderngl.Framebuffer, coarse: bool, truth: bool) -> None:
+        """Shade the relief; mend its depth where it was drawn coarsely."""
+        if coarse:
+            over.use()
+            over.clear(depth=1.0)
+            self._ctx.depth_func = "1"
+        else:
+            target.picture.use()
+            target.picture.clear()
+            self._ctx.disable(moderngl.DEPTH_TEST)
         target.depth.use(DEPTHS)
+        name = "shade" + ("-coarse" if coarse else "") + ("-truth" if truth else "")
         if name not in self._screens:
             self._screens[name] = self._ctx.vertex_array(self._programs[name], [])
         self._screens[name].render(moderngl.TRIANGLES, vertices=3)
+        self._ctx.enable(moderngl.DEPTH_TEST)
+        self._ctx.depth_func = "<"
 
     def _check_above_ground(self, view: View) -> None:
         e, n, up = view.position
@@ -176,8 +184,8 @@ class Renderer:
             (-0.5 - view.cy) / view.fy, (view.height - 0.5 - view.cy) / view.fy,
         ])  # fmt: skip
         run = max(sun[2], 0.02) / max(float(np.hypot(sun[0], sun[1])), 1e-6)
-        tolerance = min(_RANGE_ERROR, _SHADOW_ERROR / max(view.fx, view.fy) * run)
-        return self._tiles.choose(view.position, view.axes, bounds, near, tolerance)
+        shift = min(_RANGE_ERROR, _SHADOW_ERROR / max(view.fx, view.fy) * run)
+        return self._tiles.choose(view.position, view.axes, bounds, near, _RANGE_ERROR, shift)
 
     def _shadow_frame(self, view: View, sun: Array, choice: TileChoice) -> ShadowFrame:
         """Return what the shadow map covers, and see to a map of that size."""

@@ -107,6 +107,7 @@ class RockPainter:
             self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
             view.position, frame.lean, frame.axes, frame.corner, frame.texel, *frame.heights,
         )  # fmt: skip
+        shadow.buffer.viewport = (0, 0, *frame.size)
         if len(points) * _TEXELS_A_POINT > frame.size[0] * frame.size[1]:
             dark = small_rocks.least(points, hit, frame.size[1], frame.size[0])
             shadow.texture.write(dark, viewport=(0, 0, *frame.size))
@@ -114,7 +115,6 @@ class RockPainter:
             # All of it: a driver clears a part far more slowly.
             shadow.buffer.clear(1.0)
             self._draw_points("small-rocks-shadow", points[hit])
-        shadow.buffer.viewport = (0, 0, *frame.size)
         self._draw_boxes("-shadow", box[rest], number[rest])
 
     def _draw_boxes(self, suffix: str, box: NDArray[np.float32], number: NDArray[np.int32]) -> None:

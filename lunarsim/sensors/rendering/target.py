@@ -16,28 +16,36 @@ _SPARE = 1.15
 
 @dataclass(frozen=True)
 class Target:
-    """What a picture of one size is drawn into: depth of the relief, its picture, the rocks."""
+    """What a picture of one size is drawn into.
+
+    Depth of the relief first, then its picture. The rocks come on top, before that depth or, where
+    the relief was drawn coarsely, before the mended one.
+    """
 
     depth: moderngl.Texture
+    mended: moderngl.Texture
     colours: tuple[moderngl.Texture, ...]
     depth_only: moderngl.Framebuffer
     picture: moderngl.Framebuffer
-    both: moderngl.Framebuffer
+    over: moderngl.Framebuffer
+    over_mended: moderngl.Framebuffer
 
     @classmethod
     def of(cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]) -> Target:
         """Make the textures of a picture; `parts` are the channels of its colour outputs."""
         size = (width, height)
-        depth = ctx.depth_texture(size)
+        depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
         depth.compare_func = ""
         plain(depth)
         colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
         return cls(
             depth,
+            mended,
             colours,
             ctx.framebuffer(depth_attachment=depth),
             ctx.framebuffer(list(colours)),
             ctx.framebuffer(list(colours), depth),
+            ctx.framebuffer(list(colours), mended),
         )
 
 

@@ -5,10 +5,10 @@ layout(std140) uniform Frame {
     vec4 intrinsics;          // fx, fy, cx, cy in pixels; the centre of the first pixel is (0, 0)
     vec2 image;               // width and height, pixels
     vec2 clip;                // nearest and farthest depth, m
-    vec4 eye;                 // camera, in the axes of the rocks
+    vec4 eye;                 // camera, in the axes of the rocks; over the zero of the relief's texture
     vec4 sunlight;            // unit vector towards the Sun, ENU; zero where it has set
     vec4 surface;             // albedo, radiance where no Sun shines, McEwen's share, posts in a metre
-    vec2 cells;               // cells that the texture of slopes holds
+    vec2 cells;               // cells that the relief's texture holds
     vec2 eye_cell;            // cell of the camera
     vec2 eye_in_cell;         // and its place in it
     vec2 lean;                // horizontal run of a sunray for each metre of rise

@@ -2,7 +2,7 @@ in ivec2 post;     // column and row in the tile
 in ivec4 tile;     // first column and row of the tile, last ones in it counted from there
 in ivec4 edges;    // level of detail of the western, eastern, southern and northern edge
 in mat4 placed;    // from (column and row in the tile, height in the texture) to clip coordinates
-uniform sampler2D heights_of_posts;
+uniform sampler2D corners;  // elevations of the corners of each cell, from the south-western on
 #ifdef HOLES
 out float hole;
 #endif
@@ -21,7 +21,7 @@ void main() {
     if (post.y == 0) at.x = snapped(post.x, edges.z);
     if (post.y == SIDE) at.x = snapped(post.x, edges.w);
     at = min(at, tile.zw);
-    float z = texelFetch(heights_of_posts, tile.xy + at, 0).r;
+    float z = texelFetch(corners, tile.xy + at, 0).r;
 #ifdef HOLES
     hole = isnan(z) ? 1.0 : 0.0;
     if (isnan(z)) z = 0.0;

@@ -1,8 +1,8 @@
 // One triangle that covers the picture.
 noperspective out vec2 pixel;
 noperspective out vec3 ray;
-flat out vec3 to_cells;      // place of the camera in its cell, posts in a metre
-flat out vec4 to_slopes;     // from cells about the camera's to the texture of slopes
+flat out vec4 to_cells;      // place of the camera in its cell, posts in a metre, its elevation
+flat out vec4 to_texture;    // from cells about the camera's to the texture of the relief
 flat out vec2 depth;         // window depth to inverse distance
 flat out Light light;
 
@@ -11,8 +11,8 @@ void main() {
     gl_Position = vec4(4.0 * corner - 1.0, 0.0, 1.0);
     pixel = 2.0 * corner;
     ray = pixel_ray(pixel * image);
-    to_cells = vec3(eye_in_cell, surface.w);
-    to_slopes = vec4(1.0, 1.0, eye_cell + 0.5) / cells.xyxy;
+    to_cells = vec4(eye_in_cell, surface.w, eye.w);
+    to_texture = vec4(1.0, 1.0, eye_cell + 0.5) / cells.xyxy;
     depth = vec2(1.0 / clip.x, (clip.y - clip.x) / (clip.x * clip.y));
     light = given_light();
 }
