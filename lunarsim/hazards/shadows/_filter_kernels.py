@@ -1,6 +1,8 @@
-"""Compiled part of the filter: a covariance less one outer product, in place."""
+"""Compiled part of the filter: a covariance less a product, in place."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from lunarsim._jit import kernel, prange
 
@@ -12,3 +14,46 @@ def subtract_outer(p, w):
         a = w[i]
         for j in range(w.size):
             p[i, j] -= a * w[j]
+
+
+@kernel(parallel=True)
+def subtract_product(p, product, states, place):
+    """Subtract rows (k, n) from rows `states` (k,) of the symmetric p, and from its columns.
+
+    `place` (n,) is where a state stands among `states`, or -1.
+    """
+    for k in prange(states.size):
+        p[states[k]] -= product[k]
+    # Each thread writes rows of its own; of two states that both changed, the later one's row
+    # takes over what stands in the earlier one's.
+    for i in prange(len(p)):
+        stop = states.size if place[i] < 0 else place[i]
+        for k in range(stop):
+            p[i, states[k]] = p[states[k], i]
+
+
+@kernel(parallel=True)
+def measured_rows(p, size, pose, by_pose, columns, by_rock):
+    """Return the products (2 m, size) of the pixels' Jacobians with the covariance p.
+
+    `by_pose` (m, 2, 6) and `by_rock` (m, 2, 2) are the only entries of the Jacobians that are not
+    0, at the states `pose` (6,) and `columns` (m, 2).
+    """
+    out = np.empty((2 * len(columns), size))
+    for k in prange(2 * len(columns)):
+        rock = k // 2
+        axis = k % 2
+        a0, a1, a2 = by_pose[rock, axis, 0], by_pose[rock, axis, 1], by_pose[rock, axis, 2]
+        a3, a4, a5 = by_pose[rock, axis, 3], by_pose[rock, axis, 4], by_pose[rock, axis, 5]
+        b0, b1 = by_rock[rock, axis, 0], by_rock[rock, axis, 1]
+        p0, p1, p2 = p[pose[0]], p[pose[1]], p[pose[2]]
+        p3, p4, p5 = p[pose[3]], p[pose[4]], p[pose[5]]
+        q0, q1 = p[columns[rock, 0]], p[columns[rock, 1]]
+        row = out[k]
+        for j in range(size):
+            row[j] = (
+                (a0 * p0[j] + a1 * p1[j] + a2 * p2[j])
+                + (a3 * p3[j] + a4 * p4[j] + a5 * p5[j])
+                + (b0 * q0[j] + b1 * q1[j])
+            )
+    return out

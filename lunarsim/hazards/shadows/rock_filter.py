@@ -17,13 +17,17 @@ from functools import lru_cache
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.blas import dtrsm
 from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.hazards.shadows._filter_kernels import subtract_outer
+from lunarsim.hazards.shadows._filter_kernels import (
+    measured_rows,
+    subtract_outer,
+    subtract_product,
+)
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
 from lunarsim.sensors.camera import Camera
@@ -34,6 +38,7 @@ Index = NDArray[np.int64]
 # What a pixel depends on: position and attitude.
 _POSE = np.array([0, 1, 2, 9, 10, 11])
 _BLOCK = 384
+_ROWS = 64
 # One thread for the small products of an update: more would wait for each other, and the bits must
 # not depend on how many there are.
 _BLAS = ThreadpoolController()
@@ -74,6 +79,12 @@ class RockFilter:
         Elevation of the plane on which rocks stand, m.
     capacity
         Rocks for which room is made at first; it grows as needed.
+    consider
+        Whether a measurement corrects the lander and the rocks that it is of, and no others: those
+        keep their estimates, while their correlations with the corrected states are kept up
+        (Schmidt's consider filter; Jazwinski 1970, section 8.4). The covariance stays that of the
+        errors; it is a little larger than the full update's, at a cost that grows with the number
+        of rocks and not with its square.
     """
 
     def __init__(
@@ -83,8 +94,10 @@ class RockFilter:
         *,
         ground: float = 0.0,
         capacity: int = 128,
+        consider: bool = False,
     ) -> None:
         self.inertial = inertial
+        self.consider = consider
         self.ground = float(ground)
         self.count = 0
         self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
@@ -181,8 +194,12 @@ class RockFilter:
         innovation = distance + height / down
         nis = innovation**2 / s
         if nis <= gate**2:
-            w = hp / np.sqrt(s)
-            self._apply(w[None, :], np.array([innovation / np.sqrt(s)]))
+            if self.consider:
+                gain = hp[:INERTIAL, None] / s
+                lander = np.arange(INERTIAL)
+                self._correct_some(lander, gain, hp[None], np.array([innovation]))
+            else:
+                self._correct_all(hp[None] / np.sqrt(s), np.array([innovation / np.sqrt(s)]))
         return nis
 
     # --- rocks ----------------------------------------------------------------------------
@@ -284,10 +301,7 @@ class RockFilter:
         size = INERTIAL + 2 * self.count
         a, b = sight.by_pose[index], sight.by_rock[index]
         columns = INERTIAL + 2 * np.asarray(index)[:, None] + np.arange(2)
-        hp = a.reshape(2 * m, 6) @ self._p[_POSE, :size]
-        east, north = self._p[columns[:, 0], :size], self._p[columns[:, 1], :size]
-        for axis in range(2):
-            hp[axis::2] += b[:, axis, :1] * east + b[:, axis, 1:] * north
+        hp = measured_rows(self._p, size, _POSE, a, columns, b)
         s = hp[:, _POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
@@ -298,16 +312,30 @@ class RockFilter:
         lower = np.linalg.cholesky(0.5 * (s + s.T))
         innovation = (pixel - sight.pixel[index]).ravel()
         white = solve_triangular(lower, innovation, lower=True, check_finite=False)
-        # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
-        w = dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T
-        self._apply(w, white)
+        # Correcting half of all states alone costs as much as correcting all of them.
+        if self.consider and 2 * m < self.count:
+            states = np.concatenate((np.arange(INERTIAL), columns.ravel()))
+            gain = cho_solve((lower, True), hp[:, states], check_finite=False).T
+            self._correct_some(states, gain, hp, innovation)
+        else:
+            # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
+            w = dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T
+            self._correct_all(w, white)
         return np.asarray(white)
 
-    def _apply(self, w: Array, innovation: Array) -> None:
-        """Correct by whitened rows: gain times innovation is w' y, the covariance loses w' w."""
+    def _correct_all(self, w: Array, white: Array) -> None:
+        """Correct by whitened rows (k, n): gain times innovation is w' y, P loses w' w."""
         w = np.ascontiguousarray(w)
-        correction = innovation @ w
         subtract_square(self.covariance, w)
+        correction = white @ w
+        self.inertial.correct(correction[:INERTIAL])
+        self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
+
+    def _correct_some(self, states: Index, gain: Array, hp: Array, innovation: Array) -> None:
+        """Correct the lander and some rocks by their gain (s, k), H P being (k, n)."""
+        subtract_rows(self.covariance, gain, hp, states)
+        correction = np.zeros(hp.shape[1])
+        correction[states] = gain @ innovation
         self.inertial.correct(correction[:INERTIAL])
         self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
 
@@ -436,6 +464,29 @@ def subtract_square(p: Array, w: Array) -> None:
             subtract(start)
     else:
         list(_threads(threads).map(subtract, starts))
+
+
+def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
+    """Subtract the gain (s, k) times H P (k, n) from rows `states` (s,) of the symmetric p (n, n).
+
+    In place, and from its columns too. Blocks of rows are shared among threads, and are the same
+    however many there are.
+    """
+    place = np.full(len(p), -1)
+    place[states] = np.arange(len(states))
+    product = np.empty((len(states), len(p)))
+
+    def multiply(start: int) -> None:
+        np.matmul(gain[start : start + _ROWS], hp, out=product[start : start + _ROWS])
+
+    starts = range(0, len(states), _ROWS)
+    threads = numba.get_num_threads()
+    if threads == 1 or len(starts) == 1:
+        for start in starts:
+            multiply(start)
+    else:
+        list(_threads(threads).map(multiply, starts))
+    subtract_product(p, product, states, place)
 
 
 @lru_cache(maxsize=1)
