@@ -71,7 +71,7 @@ def navigation_of(
     its first height, so that both stay in the estimated frame.
     """
     inertial, errors, offset = started(scenario, state, streams)
-    rocks = RockFilter(inertial, errors, ground=ground + offset[2], consider=True)
+    rocks = RockFilter(inertial, errors, ground=ground + offset[2])
     imu = Imu(streams.get("imu"), 1.0 / scenario.simulation.step_s)
     return FilteredNavigation(
         rocks, world, imu, altimeter=RadarAltimeter(), rng=streams.get("altimeter")

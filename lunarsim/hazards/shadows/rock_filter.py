@@ -79,12 +79,6 @@ class RockFilter:
         Elevation of the plane on which rocks stand, m.
     capacity
         Rocks for which room is made at first; it grows as needed.
-    consider
-        Whether a measurement corrects the lander and the rocks that it is of, and no others: those
-        keep their estimates, while their correlations with the corrected states are kept up
-        (Schmidt's consider filter; Jazwinski 1970, section 8.4). The covariance stays that of the
-        errors; it is a little larger than the full update's, at a cost that grows with the number
-        of rocks and not with its square.
     """
 
     def __init__(
@@ -94,16 +88,34 @@ class RockFilter:
         *,
         ground: float = 0.0,
         capacity: int = 128,
-        consider: bool = False,
     ) -> None:
         self.inertial = inertial
-        self.consider = consider
         self.ground = float(ground)
         self.count = 0
         self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
         self._p[:INERTIAL, :INERTIAL] = inertial.covariance(errors or InitialErrors())
         self._xy = np.zeros((capacity, 2))
         self._r = np.zeros((capacity, 2))
+        self._rests = np.zeros(capacity, bool)
+
+    def rest(self, rocks: NDArray[np.bool_]) -> None:
+        """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
+
+        Measurements of others correct neither their places nor their own covariance, while their
+        correlations with what is corrected are kept up, so that the covariance stays that of the
+        errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). An update then takes time
+        in proportion to the number of rocks, and not to its square.
+        """
+        self._rests[: self.count] = rocks
+
+    def _awake(self) -> Index | None:
+        """Return the states that measurements correct; None for all of them."""
+        rests = self._rests[: self.count]
+        # Correcting half of all states alone costs as much as correcting all of them.
+        if 2 * np.count_nonzero(rests) < self.count:
+            return None
+        places = INERTIAL + 2 * np.flatnonzero(~rests)[:, None] + np.arange(2)
+        return np.concatenate((np.arange(INERTIAL), places.ravel()))
 
     # --- the state ------------------------------------------------------------------------
 
@@ -194,12 +206,12 @@ class RockFilter:
         innovation = distance + height / down
         nis = innovation**2 / s
         if nis <= gate**2:
-            if self.consider:
-                gain = hp[:INERTIAL, None] / s
-                lander = np.arange(INERTIAL)
-                self._correct_some(lander, gain, hp[None], np.array([innovation]))
-            else:
+            awake = self._awake()
+            if awake is None:
                 self._correct_all(hp[None] / np.sqrt(s), np.array([innovation / np.sqrt(s)]))
+            else:
+                gain = hp[awake, None] / s
+                self._correct_some(awake, gain, hp[None], np.array([innovation]))
         return nis
 
     # --- rocks ----------------------------------------------------------------------------
@@ -283,15 +295,21 @@ class RockFilter:
         nis
             Of the 2 m pixel coordinates; chi-squared with 2 m degrees of freedom.
         """
+        self.update_radii(index, radius, radius_variance, radius_floor)
         if len(index) == 0:
             return 0.0
         with _BLAS.limit(limits=1, user_api="blas"):
             white = self._update_places(index, sight, pixel, pixel_covariance, common)
+        return float(white @ white)
+
+    def update_radii(
+        self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
+    ) -> None:
+        """Take in the radii alone of rocks seen, as `update_rocks` does."""
         r = self._r[index]
         gain = r[:, 1] / (r[:, 1] + radius_variance)
         self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
-        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], radius_floor * radius_variance)
-        return float(white @ white)
+        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
 
     def _update_places(
         self, index: Index, sight: Sight, pixel: Array, pixel_covariance: Array, common: float
@@ -312,11 +330,10 @@ class RockFilter:
         lower = np.linalg.cholesky(0.5 * (s + s.T))
         innovation = (pixel - sight.pixel[index]).ravel()
         white = solve_triangular(lower, innovation, lower=True, check_finite=False)
-        # Correcting half of all states alone costs as much as correcting all of them.
-        if self.consider and 2 * m < self.count:
-            states = np.concatenate((np.arange(INERTIAL), columns.ravel()))
-            gain = cho_solve((lower, True), hp[:, states], check_finite=False).T
-            self._correct_some(states, gain, hp, innovation)
+        awake = self._awake()
+        if awake is not None:
+            gain = cho_solve((lower, True), hp[:, awake], check_finite=False).T
+            self._correct_some(awake, gain, hp, innovation)
         else:
             # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
             w = dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T
@@ -380,6 +397,7 @@ class RockFilter:
         self.count += b
         self._xy[index] = xy
         self._r[index] = np.column_stack((radius, radius_variance))
+        self._rests[index] = False
         return index
 
     def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
@@ -393,6 +411,7 @@ class RockFilter:
         self._p[np.arange(old, new), np.arange(old, new)] = np.repeat(np.square(sigma), 2)
         self._xy[self.count : self.count + n] = xy
         self._r[self.count : self.count + n] = np.column_stack((radius, radius_variance))
+        self._rests[self.count : self.count + n] = False
         self.count += n
 
     def remove(self, index: Index) -> Index:
@@ -418,6 +437,7 @@ class RockFilter:
         self._p[:size, to] = self._p[:size, source]
         self._xy[holes] = self._xy[movers]
         self._r[holes] = self._r[movers]
+        self._rests[holes] = self._rests[movers]
         self.count = left
         return old
 
@@ -434,9 +454,9 @@ class RockFilter:
         size = INERTIAL + 2 * self.count
         grown[:size, :size] = self._p[:size, :size]
         self._p = grown
-        for name in ("_xy", "_r"):
+        for name in ("_xy", "_r", "_rests"):
             old = getattr(self, name)
-            more = np.zeros((capacity, 2))
+            more = np.zeros((capacity, *old.shape[1:]), old.dtype)
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
 

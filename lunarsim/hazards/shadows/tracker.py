@@ -52,11 +52,14 @@ class TrackerSettings:
         See `RockFilter.update_rocks`.
     common_pixels
         Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
+    rest_above
+        With more rocks than that, those out of view are left as they are, see `RockFilter.rest`.
     most_rocks
         Above this no rock is added.
     most_updates
-        Rocks that one image may correct. Those that have waited longest come first, so that the
-        cost of an image does not grow with the square of what is in view.
+        Rocks whose places one image may correct. Those that have waited longest come first, so
+        that the cost of an image does not grow with the square of what is in view. Radii, which
+        cost nothing, are corrected of all.
     """
 
     least_radius: float = 0.1
@@ -67,8 +70,9 @@ class TrackerSettings:
     radius_doubt: float = 0.15
     radius_floor: float = 0.25
     common_pixels: float = 0.2
+    rest_above: int = 800
     most_rocks: int = 2000
-    most_updates: int = 120
+    most_updates: int = 60
 
     def __post_init__(self) -> None:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
@@ -168,6 +172,7 @@ class RockTracker:
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
+        self.filter.rest(~view if self.filter.count > s.rest_above else np.zeros_like(view))
         covariance = self.filter.innovation_covariance(sight)[at]
         d, j, sure, close = associate(
             seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
@@ -178,7 +183,11 @@ class RockTracker:
         self.hits[rock] += 1
         use = np.flatnonzero(sure)
         use = use[self._agreeing(seen, sight, d[use], rock[use])]
-        turn = use[np.argsort(self._updated[rock[use]], kind="stable")[: s.most_updates]]
+        order = use[np.argsort(self._updated[rock[use]], kind="stable")]
+        turn, later = np.split(order, [s.most_updates])
+        self.filter.update_radii(
+            rock[later], seen.radius[d[later]], radius_variance[d[later]], s.radius_floor
+        )
         a, b = d[turn], rock[turn]
         self._updated[b] = time
         nis = self.filter.update_rocks(
