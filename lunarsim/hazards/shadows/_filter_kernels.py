@@ -25,11 +25,15 @@ def subtract_product(p, product, states, place):
     for k in prange(states.size):
         p[states[k]] -= product[k]
     # Each thread writes rows of its own; of two states that both changed, the later one's row
-    # takes over what stands in the earlier one's.
-    for i in prange(len(p)):
-        stop = states.size if place[i] < 0 else place[i]
-        for k in range(stop):
-            p[i, states[k]] = p[states[k], i]
+    # takes over what stands in the earlier one's. Eight rows at a time use whole cache lines.
+    for block in prange((len(p) + 7) // 8):
+        first = 8 * block
+        last = min(first + 8, len(p))
+        for k in range(states.size):
+            row = p[states[k]]
+            for i in range(first, last):
+                if place[i] < 0 or k < place[i]:
+                    p[i, states[k]] = row[i]
 
 
 @kernel(parallel=True)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
+
+from lunarsim.hazards.shadows.planar import largest_eigenvalue, squared_distance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -54,16 +58,14 @@ def associate(
     if d == 0 or t == 0:
         return none, none, np.zeros(0, bool), np.zeros(d, bool)
     spread = np.sqrt(
-        np.linalg.eigvalsh(predicted_covariance)[:, 1].max()
-        + np.linalg.eigvalsh(pixel_covariance)[:, 1]
+        largest_eigenvalue(predicted_covariance).max() + largest_eigenvalue(pixel_covariance)
     )
     near = cKDTree(predicted).query_ball_point(pixel, np.sqrt(gate) * spread)
-    many = np.array([len(n) for n in near])
-    i = np.repeat(np.arange(d), many)
-    j = np.fromiter((k for n in near for k in n), np.int64, int(many.sum()))
+    i = np.repeat(np.arange(d), [len(n) for n in near])
+    j = np.fromiter(chain.from_iterable(near), np.int64, i.size)
     offset = pixel[i] - predicted[j]
     s = pixel_covariance[i] + predicted_covariance[j]
-    distance = np.einsum("ni,ni->n", offset, np.linalg.solve(s, offset[:, :, None])[:, :, 0])
+    distance = squared_distance(offset, s)
     distance += (radius[i] - tracked_radius[j]) ** 2 / (radius_variance[i] + tracked_variance[j])
     inside = distance < gate
     i, j, distance = i[inside], j[inside], distance[inside]

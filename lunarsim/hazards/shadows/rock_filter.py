@@ -28,6 +28,7 @@ from lunarsim.hazards.shadows._filter_kernels import (
     subtract_outer,
     subtract_product,
 )
+from lunarsim.hazards.shadows.planar import inverse
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
 from lunarsim.sensors.camera import Camera
@@ -378,9 +379,9 @@ class RockFilter:
         """
         b = len(radius)
         sight = self.sight(camera, xy)
-        inverse = np.linalg.inv(sight.by_rock)
-        by_pose = -(inverse @ sight.by_pose).reshape(2 * b, 6)
-        own = inverse @ pixel_covariance @ np.swapaxes(inverse, 1, 2)
+        back = inverse(sight.by_rock)
+        by_pose = -(back @ sight.by_pose).reshape(2 * b, 6)
+        own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
             raise InputError("rocks", xy.tolist(), "points on the ground in front of the camera")
         self._reserve(self.count + b)

@@ -12,6 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.hazards.shadows.association import associate
 from lunarsim.hazards.shadows.detection_rates import DetectionRates
 from lunarsim.hazards.shadows.detector import Detections
+from lunarsim.hazards.shadows.planar import inverse, largest_eigenvalue, squared_distance
 from lunarsim.hazards.shadows.rock_filter import RockFilter, Sight
 from lunarsim.hazards.shadows.shadow_model import ShadowModel
 from lunarsim.sensors.camera import Camera
@@ -195,8 +196,9 @@ class RockTracker:
             s.common_pixels, s.radius_floor,
         )  # fmt: skip
         self._judge(rock, at, seen, d, camera, sun)
-        born = self._birth(~close, seen, camera, radius_variance)
-        self._keep_tentative(~close & ~born, seen, camera, radius_variance)
+        on_ground = _ground_covariance(seen, self.filter, camera)
+        born = self._birth(~close, seen, on_ground, camera, radius_variance)
+        self._keep_tentative(~close & ~born, seen, on_ground, radius_variance)
         self._merge()
         small = self.filter.radius < _SHRUNK * s.least_radius
         self._drop(np.flatnonzero(small | (self.existence < _GONE)))
@@ -218,8 +220,7 @@ class RockTracker:
             own, 1, 2
         )
         s = s + 0.5 * np.eye(2)
-        distance = np.einsum("ni,ni->n", off, np.linalg.solve(s, off[:, :, None])[:, :, 0])
-        return np.asarray(distance < _AGREEMENT)
+        return np.asarray(squared_distance(off, s) < _AGREEMENT)
 
     def _judge(
         self, hit: Index, view: Index, seen: Detections, d: Index, camera: Camera, sun: Array
@@ -268,10 +269,10 @@ class RockTracker:
         return np.asarray(seen.labels[v, u] > 0)
 
     def _keep_tentative(
-        self, vague: NDArray[np.bool_], seen: Detections, camera: Camera, variance: Array
+        self, vague: NDArray[np.bool_], seen: Detections, covariance: Array, variance: Array
     ) -> None:
         """Remember what was seen and not tracked: the map must not call it clear."""
-        covariance = _ground_covariance(seen, self.filter, camera)[vague]
+        covariance = covariance[vague]
         self.tentative = Tentative(
             seen.ground[vague],
             np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
@@ -281,13 +282,16 @@ class RockTracker:
         )
 
     def _birth(
-        self, fresh: NDArray[np.bool_], seen: Detections, camera: Camera, variance: Array
-    ) -> NDArray[np.bool_]:
-        """Add detections that belong to no rock; return which were added (d,)."""
+        self, fresh: NDArray[np.bool_], seen: Detections, covariance: Array, camera: Camera,
+        variance: Array,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Add detections that belong to no rock; return which were added (d,).
+
+        `covariance` is that of their places on the ground (d, 2, 2), m^2.
+        """
         s = self.settings
         # Where it is must be known to a fraction of the distance between rocks.
-        covariance = _ground_covariance(seen, self.filter, camera)
-        spread = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+        spread = np.sqrt(largest_eigenvalue(covariance))
         sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         if s.region is not None:
@@ -345,7 +349,7 @@ class RockTracker:
         self._drop(np.array([j for j, _ in parts]))
         fresh = np.zeros(len(seen), bool)
         fresh[born] = True
-        self._birth(fresh, seen, camera, variance)
+        self._birth(fresh, seen, _ground_covariance(seen, self.filter, camera), camera, variance)
 
     def _drop(self, index: Index) -> None:
         if len(index):
@@ -359,7 +363,7 @@ def _ground_covariance(seen: Detections, rocks: RockFilter, camera: Camera) -> A
     """Return the covariances of detections on the ground (n, 2, 2), m^2."""
     if len(seen) == 0:
         return np.empty((0, 2, 2))
-    back = np.linalg.inv(rocks.sight(camera, seen.ground).by_rock)
+    back = inverse(rocks.sight(camera, seen.ground).by_rock)
     return back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
 
 

@@ -1,0 +1,31 @@
+"""Closed forms for many symmetric or square matrices of two rows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def inverse(a: Array) -> Array:
+    """Return the inverses of matrices (n, 2, 2)."""
+    out = np.empty_like(a)
+    out[:, 0, 0], out[:, 1, 1] = a[:, 1, 1], a[:, 0, 0]
+    out[:, 0, 1], out[:, 1, 0] = -a[:, 0, 1], -a[:, 1, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(out / (a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0])[:, None, None])
+
+
+def largest_eigenvalue(a: Array) -> Array:
+    """Return the largest eigenvalues (n,) of symmetric matrices (n, 2, 2)."""
+    middle = 0.5 * (a[:, 0, 0] + a[:, 1, 1])
+    return np.asarray(middle + np.hypot(0.5 * (a[:, 0, 0] - a[:, 1, 1]), a[:, 0, 1]))
+
+
+def squared_distance(offset: Array, a: Array) -> Array:
+    """Return the squared Mahalanobis lengths (n,) of vectors (n, 2) for covariances (n, 2, 2)."""
+    x, y = offset.T
+    determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
+    square = a[:, 1, 1] * x * x - (a[:, 0, 1] + a[:, 1, 0]) * x * y + a[:, 0, 0] * y * y
+    return np.asarray(square / determinant)
