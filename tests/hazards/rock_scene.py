@@ -45,6 +45,8 @@ class Flight:
         )
         self.filter = RockFilter(start, ERRORS, capacity=4)
         self.pixel_sigma = 0.8
+        self.seen = rocks  # by the last image
+        self.resting: np.random.Generator | None = None  # draws which rocks an image leaves alone
         self.time = 0.0
 
     def advance(self, samples=10, step=0.01):
@@ -103,7 +105,14 @@ class Flight:
             return None
         sight = self.filter.sight(camera)
         index = np.arange(len(pixel))
-        return self.filter.update_rocks(index, sight, pixel, covariance, radius, variance)
+        if self.resting is not None:
+            rests = self.resting.random(len(pixel)) < 0.7
+            self.filter.rest(rests)
+            index = np.flatnonzero(~rests)
+        self.seen = len(index)
+        return self.filter.update_rocks(
+            index, sight, pixel[index], covariance[index], radius[index], variance[index]
+        )
 
     def range(self, sigma=1.0):
         """Take in an altimeter reading; return the NIS."""

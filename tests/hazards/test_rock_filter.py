@@ -9,9 +9,11 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.stats import chi2
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.hazards.shadows.rock_filter import RockFilter, subtract_square
+from lunarsim.hazards.shadows import planar
+from lunarsim.hazards.shadows.rock_filter import RockFilter, subtract_rows, subtract_square
 from lunarsim.navigation.inertial import InertialState
 from tests.hazards.rock_scene import GRAVITY, Flight
+from tests.reference.shadows import consider_update
 
 
 def fly(flight, seconds, images=True):
@@ -20,7 +22,7 @@ def fly(flight, seconds, images=True):
     for k in range(int(10 * seconds)):
         flight.advance()
         if images:
-            nis.append((flight.image(), 2 * len(flight.xy)))
+            nis.append((flight.image(), 2 * flight.seen))
         if k % 2 == 0:
             nis.append((flight.range(), 1))
     return [(value, size) for value, size in nis if value is not None]
@@ -131,13 +133,56 @@ def test_births_carry_the_full_cross_covariance():
     assert sample / np.outer(scale, scale) == pytest.approx(correlation, abs=0.12)
 
 
-def test_nees_and_nis_are_consistent_over_fifty_flights():
+@pytest.mark.parametrize("seed", range(6))
+def test_rocks_that_rest_are_considered(seed):
+    """Images and ranges against Joseph's form, in which the gains of resting rocks are 0."""
+    rng = np.random.default_rng(seed)
+    flight = Flight(rng, rocks=9)
+    flight.advance()
+    flight.image()
+    f = flight.filter
+    for _ in range(3):
+        flight.advance()
+        rests = rng.permutation(9) < rng.integers(5, 9)
+        f.rest(rests)
+        camera = flight.camera()
+        sight = f.sight(camera)
+        pixel, covariance, radius, variance = flight.look(camera)
+        index = np.flatnonzero(~rests)
+        h = np.zeros((2 * len(index), 33))
+        for k, j in enumerate(index):
+            h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
+            h[2 * k : 2 * k + 2, 15 + 2 * j : 17 + 2 * j] = sight.by_rock[j]
+        r = flight.pixel_sigma**2 * np.eye(len(h))
+        states = np.concatenate((np.arange(15), (15 + 2 * index[:, None] + [0, 1]).ravel()))
+        gain, expected = consider_update(f.covariance, h, r, states)
+        moved = gain @ (pixel[index] - sight.pixel[index]).ravel()
+        before = f.xy.copy()
+        f.update_rocks(
+            index, sight, pixel[index], covariance[index], radius[index], variance[index]
+        )
+        assert f.covariance == pytest.approx(expected, rel=1e-7, abs=1e-11)
+        assert (f.xy - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
+        assert np.array_equal(f.xy[rests], before[rests])
+        before, p = f.xy.copy(), f.covariance.copy()
+        flight.range()
+        assert np.array_equal(f.xy[rests], before[rests])
+        assert np.array_equal(f.covariance, f.covariance.T)
+        resting = 15 + 2 * np.flatnonzero(rests)[:, None] + np.arange(2)
+        own = np.ix_(resting.ravel(), resting.ravel())
+        assert np.array_equal(f.covariance[own], p[own])
+
+
+@pytest.mark.parametrize("resting", [False, True], ids=["all corrected", "some at rest"])
+def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
     flights, seconds = 50, 12.0
     nees = np.empty(flights)
     lander = np.empty(flights)
     nis, size = 0.0, 0
     for k in range(flights):
         flight = Flight(np.random.default_rng(100 + k), rocks=8)
+        if resting:
+            flight.resting = np.random.default_rng(k)
         for value, degrees in fly(flight, seconds):
             nis += value
             size += degrees
@@ -149,13 +194,16 @@ def test_nees_and_nis_are_consistent_over_fifty_flights():
         assert low <= total <= high, (total, degrees, low, high)
 
 
-def test_covariance_stays_sound_over_ten_thousand_updates():
+@pytest.mark.parametrize("resting", [False, True], ids=["all corrected", "some at rest"])
+def test_covariance_stays_sound_over_ten_thousand_updates(resting):
     flight = Flight(np.random.default_rng(5), rocks=6)
     flight.advance()
     flight.image()
     camera = flight.camera()
     f = flight.filter
-    for _ in range(5000):
+    for k in range(5000):
+        if resting:
+            f.rest(np.roll([True, True, True, True, False, False], k // 7))
         pixel, covariance, radius, variance = flight.look(camera)
         f.update_rocks(np.arange(6), f.sight(camera), pixel, covariance, radius, variance)
         flight.range()
@@ -212,6 +260,7 @@ def test_a_wrong_altitude_changes_nothing(reading):
 def test_covariance_update_is_the_same_on_any_number_of_threads():
     rng = np.random.default_rng(3)
     w = rng.standard_normal((40, 1000))
+    states = rng.permutation(1000)[:300]
     before = numba.get_num_threads()
     results = []
     try:
@@ -219,8 +268,27 @@ def test_covariance_update_is_the_same_on_any_number_of_threads():
             numba.set_num_threads(threads)
             p = 1e4 * np.eye(1000)
             subtract_square(p, w)
-            results.append(p)
+            some = 1e4 * np.eye(1000)
+            subtract_rows(some, w[:, states].T, w, states)
+            results.append((p, some))
     finally:
         numba.set_num_threads(before)
-    assert np.array_equal(*results)
-    assert np.allclose(results[0], 1e4 * np.eye(1000) - w.T @ w, atol=1e-9)
+    (p, some), (other, some_other) = results
+    expected = 1e4 * np.eye(1000) - w.T @ w
+    assert np.array_equal(p, other)
+    assert np.array_equal(some, some_other)
+    assert np.allclose(p, expected, atol=1e-9)
+    rest = np.setdiff1d(np.arange(1000), states)
+    expected[np.ix_(rest, rest)] = 1e4 * np.eye(len(rest))
+    assert np.allclose(some, expected, atol=1e-9)
+    assert np.array_equal(some, some.T)
+
+
+def test_closed_forms_of_two_rows():
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((500, 2, 2))
+    square, offset = root @ np.swapaxes(root, 1, 2) + 0.01 * np.eye(2), rng.normal(size=(500, 2))
+    assert planar.inverse(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
+    assert planar.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
+    distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
+    assert planar.squared_distance(offset, square) == pytest.approx(distance)

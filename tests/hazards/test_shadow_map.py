@@ -165,6 +165,32 @@ def test_most_rocks_is_a_limit():
     assert len(tracker.tentative.xy) > 0
 
 
+def test_rocks_out_of_view_rest_in_large_maps():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    high, low = (1.0, 0.0, 70.0), (1.0, 0.0, 20.0)  # the camera looks at the middle
+    moved = {}
+    for above in (0, 1000):
+        tracker = follow(terrain, [high] * 6, tracker_at(high, rest_above=above))
+        before = tracker.filter.xy.copy()
+        follow(terrain, [low] * 2, tracker)
+        away = np.array([(np.abs(tracker.filter.xy - xy).max(1) > 0.0).all() for xy in before])
+        moved[above] = away.mean()
+    assert moved[0] < 0.3
+    assert moved[1000] > 0.9
+
+
+def test_radii_of_all_rocks_seen_are_corrected():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    path = [(0.0, 0.0, 60.0)] * 8
+    few, all_of_them = (
+        follow(terrain, path, tracker_at(path[0], most_updates=n)) for n in (1, 1000)
+    )
+    assert few.filter.count == all_of_them.filter.count > 20
+    assert few.filter.radius_variance == pytest.approx(all_of_them.filter.radius_variance, rel=0.05)
+    own = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
+    assert np.median(own[0]) > 2.0 * np.median(own[1])
+
+
 # --- probabilities ------------------------------------------------------------------------
 
 

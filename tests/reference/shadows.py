@@ -49,3 +49,16 @@ def inertial(state, angle, velocity, step, gravity):
         v = v + step * a
         turn = turn * Rotation.from_rotvec(w)
     return r, v, turn.as_quat()
+
+
+def consider_update(p, h, r, states):
+    """Return gain and covariance after a measurement that corrects `states` alone (Joseph's form).
+
+    `h` (m, n) and `r` (m, m) are the measurement's Jacobian and covariance.
+    """
+    gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+    left = np.ones(len(p), bool)
+    left[states] = False
+    gain[left] = 0.0
+    keep = np.eye(len(p)) - gain @ h
+    return gain, keep @ p @ keep.T + gain @ r @ gain.T
