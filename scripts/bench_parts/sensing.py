@@ -7,6 +7,7 @@ import time
 import numba
 
 from bench_parts.common import median_ms, square
+from bench_parts.plain_renderer import PlainRenderer
 
 
 def terrain() -> None:
@@ -59,13 +60,16 @@ def render() -> None:
             view = View(position, axes, 554.3, 554.3, 319.5, 239.5, 640, 480)
             ms = median_ms(lambda r=renderer, v=view: r.render(v, light), 15)
             took[count, altitude] = ms
+            plain = PlainRenderer(gl_context(), terrain)
+            peer = median_ms(lambda p=plain, v=view: p.render(v, light.direction), 7)
             truth = median_ms(lambda r=renderer, v=view: r.render(v, light, truth=True), 5)
             rays = view.rays().reshape(-1, 3)
             cast = median_ms(lambda t=terrain, p=position, d=rays: t.cast(p, d, normals=False), 5)
             print(
                 f"  {len(terrain.rocks):6d} rocks, {altitude:3.0f} m: {1e3 / ms:5.1f} frames/s "
                 f"({ms:.1f} ms); with range, normal and identity {truth:.1f} ms; "
-                f"casting a ray a pixel, without shadows: {cast / ms:.2f} of a frame"
+                f"casting a ray a pixel, without shadows: {cast / ms:.2f} of a frame; a plain "
+                f"renderer with instanced cubes: {peer / ms:.2f} of a frame"
             )
         print(f"    buffers made in {1e3 * made:.0f} ms")
     for altitude in (100.0, 600.0):

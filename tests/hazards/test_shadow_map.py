@@ -170,7 +170,7 @@ def test_rocks_out_of_view_rest_in_large_maps():
     high, low = (1.0, 0.0, 70.0), (1.0, 0.0, 20.0)  # the camera looks at the middle
     moved = {}
     for above in (0, 1000):
-        tracker = follow(terrain, [high] * 6, tracker_at(high, rest_above=above))
+        tracker = follow(terrain, [high] * 6, tracker_at(high, large=above))
         before = tracker.filter.xy.copy()
         follow(terrain, [low] * 2, tracker)
         away = np.array([(np.abs(tracker.filter.xy - xy).max(1) > 0.0).all() for xy in before])

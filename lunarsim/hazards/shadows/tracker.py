@@ -53,8 +53,9 @@ class TrackerSettings:
         See `RockFilter.update_rocks`.
     common_pixels
         Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
-    rest_above
-        With more rocks than that, those out of view are left as they are, see `RockFilter.rest`.
+    large
+        With more rocks than that, time is saved: those out of view are left as they are, see
+        `RockFilter.rest`, and one image corrects half of `most_updates`.
     most_rocks
         Above this no rock is added.
     most_updates
@@ -71,9 +72,9 @@ class TrackerSettings:
     radius_doubt: float = 0.15
     radius_floor: float = 0.25
     common_pixels: float = 0.2
-    rest_above: int = 800
+    large: int = 1200
     most_rocks: int = 2000
-    most_updates: int = 60
+    most_updates: int = 120
 
     def __post_init__(self) -> None:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
@@ -173,7 +174,8 @@ class RockTracker:
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
-        self.filter.rest(~view if self.filter.count > s.rest_above else np.zeros_like(view))
+        large = self.filter.count > s.large
+        self.filter.rest(~view & large)
         covariance = self.filter.innovation_covariance(sight)[at]
         d, j, sure, close = associate(
             seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
@@ -185,7 +187,7 @@ class RockTracker:
         use = np.flatnonzero(sure)
         use = use[self._agreeing(seen, sight, d[use], rock[use])]
         order = use[np.argsort(self._updated[rock[use]], kind="stable")]
-        turn, later = np.split(order, [s.most_updates])
+        turn, later = np.split(order, [s.most_updates // 2 if large else s.most_updates])
         self.filter.update_radii(
             rock[later], seen.radius[d[later]], radius_variance[d[later]], s.radius_floor
         )
