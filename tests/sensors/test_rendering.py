@@ -106,6 +106,21 @@ def test_shadows_are_those_that_rays_to_the_sun_find(rocky, elevation):
     assert np.mean(wrong[~edge]) < (1e-3 if elevation < 10.0 else 2e-4)
 
 
+@pytest.mark.parametrize("elevation", [4.0, 8.0])
+def test_light_does_not_leak_through_ridges(elevation):
+    """Rough relief at several levels of detail, most of it in the shadow of ridges."""
+    rng = np.random.default_rng(3)
+    grid = Grid.centred((0.0, 0.0), 300.0, 0.5)
+    terrain = Terrain(fractal_relief(grid, rng, hurst=0.9, rms_slope=np.radians(9.0)))
+    view = look(300.0, 0.3, 2.0)
+    light = Light(1.0, np.radians(elevation))
+    lit = lit_by_rays(terrain, view, light)
+    wrong = (renderer_of(terrain).render(view, light).radiance > 0.0) != lit
+    dark = ~ndimage.maximum_filter(lit, 3)
+    assert dark.mean() > 0.1
+    assert wrong[dark].mean() < 0.015
+
+
 @pytest.mark.parametrize("turn", [0.0, 1.5, np.pi])
 @pytest.mark.parametrize("tilt", [0.9, 1.2, 1.4])
 def test_shadows_reach_as_far_as_the_ground_in_view(turn, tilt):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import moderngl
@@ -58,6 +59,21 @@ _UNITS = {
 ROCK_KINDS = ("half-sphere", "cube", "hull")
 
 
+def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
+    """Return the name of the program that shades the relief.
+
+    Parameters
+    ----------
+    coarse
+        Whether the relief was drawn coarsely.
+    leaks
+        Whether relief is in the shadow map, so that light may leak through its ridges.
+    truth
+        Whether range, normal and identity are drawn too.
+    """
+    return "shade" + "-coarse" * coarse + "-leaks" * leaks + "-truth" * truth
+
+
 @lru_cache(maxsize=2)
 def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
     """Return all programs; terrains of one context share them."""
@@ -74,10 +90,11 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
     }
     lit = ("frame", "light", "given_light")
     for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
-        for name, coarse in (("shade", ()), ("shade-coarse", ("COARSE",))):
-            programs[name + suffix] = ctx.program(
+        for coarse, leaks in product((False, True), repeat=2):
+            kind = (("COARSE",) if coarse else ()) + (("LEAKS",) if leaks else ())
+            programs[shade_name(coarse=coarse, leaks=leaks, truth=bool(truth))] = ctx.program(
                 shader(*lit, "screen_vertex"),
-                shader("light", "paint", "shade_fragment", defines=(*truth, *coarse)),
+                shader("light", "paint", "shade_fragment", defines=(*truth, *kind)),
             )
         programs[f"small-rocks{suffix}"] = ctx.program(
             shader(*lit, "small_rock_vertex", defines=truth),

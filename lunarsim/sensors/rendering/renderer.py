@@ -23,6 +23,7 @@ from lunarsim.sensors.rendering.programs import (
     DEPTHS,
     SHADOW,
     build_programs,
+    shade_name,
 )
 from lunarsim.sensors.rendering.relief_painter import ReliefPainter
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
@@ -117,20 +118,22 @@ class Renderer:
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
+            leaks = False
             if frame is not None:
-                self._draw_shadows(view, sun, frame, choice.shadow_level)
+                leaks = self._draw_shadows(view, sun, frame, choice.shadow_level)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
             matrix = _camera_matrix(view, *clip)
             self._ground.draw("relief", matrix, view.position, choice.shown, choice.level)
             coarse = bool(choice.level[choice.shown].any())
             over = target.over_mended if coarse else target.over
-            self._shade(target, over, coarse, truth)
+            name = shade_name(coarse=coarse, leaks=leaks, truth=truth)
+            self._shade(target, over, coarse, name)
             over.use()
             self._rocks.draw(view, clip[0], truth)
             return read_image(target, view, truth)
 
-    def _shade(self, target: Target, over: moderngl.Framebuffer, coarse: bool, truth: bool) -> None:
+    def _shade(self, target: Target, over: moderngl.Framebuffer, coarse: bool, name: str) -> None:
         """Shade the relief; mend its depth where it was drawn coarsely."""
         if coarse:
             over.use()
@@ -141,7 +144,6 @@ class Renderer:
             target.picture.clear()
             self._ctx.disable(moderngl.DEPTH_TEST)
         target.depth.use(DEPTHS)
-        name = "shade" + ("-coarse" if coarse else "") + ("-truth" if truth else "")
         if name not in self._screens:
             self._screens[name] = self._ctx.vertex_array(self._programs[name], [])
         self._screens[name].render(moderngl.TRIANGLES, vertices=3)
@@ -199,8 +201,8 @@ class Renderer:
 
     def _draw_shadows(
         self, view: View, sun: Array, frame: ShadowFrame, level: NDArray[np.int64]
-    ) -> None:
-        """Draw the shadow map."""
+    ) -> bool:
+        """Draw the shadow map; return whether relief is in it."""
         shadow = self._shadow
         assert shadow is not None
         shadow.buffer.use()
@@ -215,6 +217,7 @@ class Renderer:
         self._ground.draw("relief-shadow", frame.matrix(), view.position, shades, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         shadow.texture.use(SHADOW)
+        return bool(shades.any())
 
     def _target(self, width: int, height: int, truth: bool) -> Target:
         key = (width, height, truth)
