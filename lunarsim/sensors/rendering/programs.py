@@ -67,7 +67,7 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
     coarse
         Whether the relief was drawn coarsely.
     leaks
-        Whether relief is in the shadow map, so that light may leak through its ridges.
+        Whether light may leak through ridges in the shadow map.
     truth
         Whether range, normal and identity are drawn too.
     """

@@ -39,6 +39,9 @@ Array = NDArray[np.float64]
 # this share of a pixel.
 _RANGE_ERROR = 4e-4
 _SHADOW_ERROR = 0.5
+# Ridges may be narrower than a texel of the shadow map where posts are no farther apart than this
+# many of them.
+_NARROW = 4.0
 
 
 class Renderer:
@@ -202,7 +205,7 @@ class Renderer:
     def _draw_shadows(
         self, view: View, sun: Array, frame: ShadowFrame, level: NDArray[np.int64]
     ) -> bool:
-        """Draw the shadow map; return whether relief is in it."""
+        """Draw the shadow map; return whether light may leak through ridges in it."""
         shadow = self._shadow
         assert shadow is not None
         shadow.buffer.use()
@@ -217,7 +220,7 @@ class Renderer:
         self._ground.draw("relief-shadow", frame.matrix(), view.position, shades, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         shadow.texture.use(SHADOW)
-        return bool(shades.any())
+        return bool(shades.any()) and self._relief.grid.posting < _NARROW * frame.texel
 
     def _target(self, width: int, height: int, truth: bool) -> Target:
         key = (width, height, truth)
