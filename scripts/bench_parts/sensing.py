@@ -82,8 +82,8 @@ def render() -> None:
     plain = PlainRenderer(gl_context(), terrain)
     peer = median_ms(lambda: plain.render(view, light.direction), 9)
     print(
-        f"  256 x 256 posts and {len(terrain.rocks)} cubes, 100 m: {ours:.1f} ms; the plain renderer "
-        f"{peer:.1f} ms, {peer / ours:.2f} times as long"
+        f"  256 x 256 posts and {len(terrain.rocks)} cubes, 100 m: {ours:.1f} ms; the plain "
+        f"renderer {peer:.1f} ms, {peer / ours:.2f} times as long"
     )
 
 
