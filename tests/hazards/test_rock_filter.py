@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.hazards.shadows import planar
-from lunarsim.hazards.shadows.rock_filter import RockFilter, subtract_rows, subtract_square
+from lunarsim.hazards.shadows.covariance_update import subtract_rows, subtract_square
+from lunarsim.hazards.shadows.rock_filter import RockFilter
 from lunarsim.navigation.inertial import InertialState
 from tests.hazards.rock_scene import GRAVITY, Flight
 from tests.reference.shadows import consider_update

@@ -10,11 +10,8 @@ one update, which equals the sequential one.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_solve, solve_triangular
@@ -23,11 +20,8 @@ from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.hazards.shadows._filter_kernels import (
-    measured_rows,
-    subtract_outer,
-    subtract_product,
-)
+from lunarsim.hazards.shadows._filter_kernels import measured_rows
+from lunarsim.hazards.shadows.covariance_update import subtract_rows, subtract_square
 from lunarsim.hazards.shadows.planar import inverse
 from lunarsim.navigation.estimate import Estimate
 from lunarsim.navigation.inertial import INERTIAL, InertialState, InitialErrors
@@ -38,8 +32,6 @@ Index = NDArray[np.int64]
 
 # What a pixel depends on: position and attitude.
 _POSE = np.array([0, 1, 2, 9, 10, 11])
-_BLOCK = 384
-_ROWS = 64
 # One thread for the small products of an update: more would wait for each other, and the bits must
 # not depend on how many there are.
 _BLAS = ThreadpoolController()
@@ -460,56 +452,3 @@ class RockFilter:
             more = np.zeros((capacity, *old.shape[1:]), old.dtype)
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
-
-
-def subtract_square(p: Array, w: Array) -> None:
-    """Subtract w' w (n, n) from the symmetric p in place, w being (m, n).
-
-    Block by block above the diagonal: the products then stay in the cache. Blocks are shared among
-    threads, and are the same however many there are.
-    """
-    if len(w) == 1:
-        subtract_outer(p, w[0])
-        return
-    n = len(p)
-
-    def subtract(start: int) -> None:
-        stop = min(start + _BLOCK, n)
-        p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
-        p[stop:, start:stop] = p[start:stop, stop:].T
-
-    starts = range(0, n, _BLOCK)
-    threads = numba.get_num_threads()
-    if threads == 1 or len(starts) == 1:
-        for start in starts:
-            subtract(start)
-    else:
-        list(_threads(threads).map(subtract, starts))
-
-
-def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
-    """Subtract the gain (s, k) times H P (k, n) from rows `states` (s,) of the symmetric p (n, n).
-
-    In place, and from its columns too. Blocks of rows are shared among threads, and are the same
-    however many there are.
-    """
-    place = np.full(len(p), -1)
-    place[states] = np.arange(len(states))
-    product = np.empty((len(states), len(p)))
-
-    def multiply(start: int) -> None:
-        np.matmul(gain[start : start + _ROWS], hp, out=product[start : start + _ROWS])
-
-    starts = range(0, len(states), _ROWS)
-    threads = numba.get_num_threads()
-    if threads == 1 or len(starts) == 1:
-        for start in starts:
-            multiply(start)
-    else:
-        list(_threads(threads).map(multiply, starts))
-    subtract_product(p, product, states, place)
-
-
-@lru_cache(maxsize=1)
-def _threads(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count)
