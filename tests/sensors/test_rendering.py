@@ -242,7 +242,7 @@ def test_coarse_relief_moves_nothing_by_more_than_its_bound(rocky):
 
 @pytest.mark.parametrize(
     ("distance", "tilt", "share"),
-    [(100.0, 0.2, 3e-4), (600.0, 0.2, 1e-3), (300.0, 1.2, 1.5e-3)],
+    [(100.0, 0.2, 5e-5), (600.0, 0.2, 6e-4), (300.0, 1.2, 1e-3)],
     ids=["near", "far", "slant"],
 )
 @pytest.mark.parametrize("elevation", [10.0, 20.0, 45.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
@@ -34,13 +35,7 @@ def subtract_square(p: Array, w: Array) -> None:
         p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
         p[stop:, start:stop] = p[start:stop, stop:].T
 
-    starts = range(0, n, _BLOCK)
-    threads = numba.get_num_threads()
-    if threads == 1 or len(starts) == 1:
-        for start in starts:
-            subtract(start)
-    else:
-        list(_threads(threads).map(subtract, starts))
+    _share(subtract, range(0, n, _BLOCK))
 
 
 def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
@@ -56,14 +51,18 @@ def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
     def multiply(start: int) -> None:
         np.matmul(gain[start : start + _ROWS], hp, out=product[start : start + _ROWS])
 
-    starts = range(0, len(states), _ROWS)
+    _share(multiply, range(0, len(states), _ROWS))
+    subtract_product(p, product, states, place)
+
+
+def _share(job: Callable[[int], None], starts: range) -> None:
+    """Run a job for each start, on as many threads as kernels use."""
     threads = numba.get_num_threads()
     if threads == 1 or len(starts) == 1:
         for start in starts:
-            multiply(start)
+            job(start)
     else:
-        list(_threads(threads).map(multiply, starts))
-    subtract_product(p, product, states, place)
+        list(_threads(threads).map(job, starts))
 
 
 @lru_cache(maxsize=1)
