@@ -73,10 +73,10 @@ _FLIGHT = click.option(
 )  # fmt: skip
 def fly(scenario: Path, policy: str, seed: int, flight: int, out: Path | None) -> None:
     """Fly one descent of SCENARIO (a TOML file) and print how it ended."""
-    from lunarsim.campaign.compare import check_folder, check_request  # noqa: PLC0415
-    from lunarsim.rng import flight_seed  # noqa: PLC0415
-    from lunarsim.scenario import Scenario  # noqa: PLC0415
-    from lunarsim.simulation import Simulation  # noqa: PLC0415
+    from lunarsim.campaign.compare import check_folder, check_request
+    from lunarsim.rng import flight_seed
+    from lunarsim.scenario import Scenario
+    from lunarsim.simulation import Simulation
 
     check_request([policy], 1, 1)
     if out is not None:
@@ -96,7 +96,7 @@ def fly(scenario: Path, policy: str, seed: int, flight: int, out: Path | None) -
             f"{decision['to'][1]:.1f}) m: {decision['reason']}"
         )
     if out is not None:
-        from lunarsim.viz import draw_flight  # noqa: PLC0415
+        from lunarsim.viz import draw_flight
 
         record.save(out)
         draw_flight(simulation, record, out)
@@ -151,8 +151,8 @@ def compare(
     touchdown speeds and tilt; precision and recall of the hazard map (cells with p > 0.5 against
     the exact map); and wall-clock time a flight.
     """
-    from lunarsim.campaign.compare import compare as run  # noqa: PLC0415
-    from lunarsim.scenario import Scenario  # noqa: PLC0415
+    from lunarsim.campaign.compare import compare as run
+    from lunarsim.scenario import Scenario
 
     loaded = Scenario.load(scenario)
     names = [name.strip() for name in policies.split(",") if name.strip()]
@@ -220,8 +220,8 @@ def render(
     flight: int, out: Path, truth: Path | None,
 ) -> None:  # fmt: skip
     """Take a picture of SCENARIO's ground with its camera."""
-    from lunarsim.scenario import Scenario  # noqa: PLC0415
-    from lunarsim.simulation.picture import take_picture  # noqa: PLC0415
+    from lunarsim.scenario import Scenario
+    from lunarsim.simulation.picture import take_picture
 
     info = take_picture(
         Scenario.load(scenario),
@@ -249,7 +249,7 @@ def terrain() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 def info(file: Path) -> None:
     """Print what a terrain model FILE (GeoTIFF, PDS .IMG) says of itself."""
-    from lunarsim.terrain import read_info  # noqa: PLC0415
+    from lunarsim.world.terrain.dtm import read_info
 
     found = read_info(file)
     table = Table(show_header=False, box=None)
@@ -281,10 +281,10 @@ def info(file: Path) -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.")
 def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
     """Draw the ground of SCENARIO: shaded relief, slopes, rocks."""
-    from lunarsim.rng import Streams, flight_seed  # noqa: PLC0415
-    from lunarsim.scenario import Scenario  # noqa: PLC0415
-    from lunarsim.simulation.build import build_world  # noqa: PLC0415
-    from lunarsim.viz.terrain import draw_terrain  # noqa: PLC0415
+    from lunarsim.rng import Streams, flight_seed
+    from lunarsim.scenario import Scenario
+    from lunarsim.simulation.build import build_world
+    from lunarsim.viz.terrain import draw_terrain
 
     loaded = Scenario.load(scenario)
     check_output("out", out, ".png")
@@ -305,10 +305,10 @@ def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file (.nc).")
 def truth(scenario: Path, seed: int, flight: int, posting: float, size: float, out: Path) -> None:
     """Write true maps of SCENARIO's ground: elevation, slope, rocks, exact safety, shadow."""
-    from lunarsim.rng import Streams, flight_seed  # noqa: PLC0415
-    from lunarsim.scenario import Scenario  # noqa: PLC0415
-    from lunarsim.simulation.build import build_world, lander_of  # noqa: PLC0415
-    from lunarsim.simulation.products import TruthProducts, survey_grid  # noqa: PLC0415
+    from lunarsim.rng import Streams, flight_seed
+    from lunarsim.scenario import Scenario
+    from lunarsim.simulation.build import build_world, lander_of
+    from lunarsim.world.truth_products import TruthProducts, survey_grid
 
     loaded = Scenario.load(scenario)
     check_output("out", out, ".nc")
@@ -323,7 +323,7 @@ def truth(scenario: Path, seed: int, flight: int, posting: float, size: float, o
 
 
 def _table(result: Any) -> Table:
-    from lunarsim.campaign import summarise  # noqa: PLC0415
+    from lunarsim.evaluation.statistics import summarise
 
     table = Table(title=None)
     headings = (

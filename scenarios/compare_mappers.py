@@ -23,16 +23,16 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from lunarsim.evaluation.reliability import frequencies, reliability
 from lunarsim.grid import Grid
-from lunarsim.hazards.gaussian_dem import fuse, gaussian_dem
-from lunarsim.hazards.quadtree import QuadtreeMapper, SiteSelector
-from lunarsim.hazards.quadtree.mapper import rasterised
-from lunarsim.hazards.reliability import frequencies, reliability
-from lunarsim.hazards.safety import exact_safety, plane_stochastic_safety, stochastic_safety
-from lunarsim.navigation.estimate import Estimate
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.hazards.gaussian_dem import fuse, gaussian_dem
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSelector
+from lunarsim.onboard.hazards.quadtree.mapper import rasterised
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rng import flight_seed
+from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.lidar import LidarScan
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.build_quadtree import settings_of
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show

@@ -13,9 +13,9 @@ import click
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.rocks.laws import golombek_number
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.picture import take_picture
-from lunarsim.terrain import golombek_number
 
 HERE = Path(__file__).parent
 DATA = HERE / "data"
@@ -136,11 +136,13 @@ def draw_shadow_crops(out: Path) -> str:
     """
     from lunarsim.frames import sensor_axes
     from lunarsim.grid import Grid
-    from lunarsim.light import Light
-    from lunarsim.sensors.rendering import Renderer, View
-    from lunarsim.terrain import Heightfield, RockField, Terrain
-    from lunarsim.terrain.shapes import CUBE, ELLIPSOID
+    from lunarsim.models.pinhole import View
+    from lunarsim.rocks.field import RockField
+    from lunarsim.rocks.shapes import CUBE, ELLIPSOID
+    from lunarsim.sensors.rendering import Renderer
     from lunarsim.viz.style import new_figure, save
+    from lunarsim.world.light import Light
+    from lunarsim.world.terrain import Heightfield, Terrain
 
     shapes = {"cube": (CUBE, 2.0), "half sphere": (ELLIPSOID, 1.0), "ellipsoid": (ELLIPSOID, 0.6)}
     suns = (5.0, 10.0, 20.0, 45.0)

@@ -27,11 +27,11 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.hazards.gaussian_dem import gaussian_dem
-from lunarsim.hazards.logistic import Logistic
-from lunarsim.hazards.reliability import calibration_error, frequencies, reliability
-from lunarsim.hazards.safety import bounded_safety, stochastic_safety
-from lunarsim.hazards.safety.calibration import COUNT, features
+from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
+from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem
+from lunarsim.safety import bounded_safety, stochastic_safety
+from lunarsim.safety.calibration import COUNT, features
+from lunarsim.safety.logistic import Logistic
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 # Cells this far apart are judged: neighbours say the same.

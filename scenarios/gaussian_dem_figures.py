@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import ListedColormap
 
-from lunarsim.hazards.reliability import calibration_error, frequencies
+from lunarsim.evaluation.reliability import calibration_error, frequencies
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 
 _VIEW = 10.0  # side of the segment that the paper shows, m

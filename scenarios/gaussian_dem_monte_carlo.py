@@ -23,10 +23,10 @@ from rich.table import Table
 from scipy import fft, ndimage
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
 from lunarsim.grid import Grid
-from lunarsim.hazards.gaussian_dem import GaussianDem, gaussian_dem
-from lunarsim.hazards.reliability import calibration_error, frequencies, reliability
-from lunarsim.hazards.safety import (
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, gaussian_dem
+from lunarsim.safety import (
     exact_safety,
     plane_stochastic_safety,
     safe_sites,

@@ -42,10 +42,11 @@ from rich.progress import track
 from rich.table import Table
 from scipy.special import ndtr
 
+from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.grid import Grid
-from lunarsim.hazards.gaussian_dem import conventional_dem, gaussian_dem
-from lunarsim.hazards.reliability import calibration_error, reliability
-from lunarsim.hazards.safety import (
+from lunarsim.onboard.hazards.gaussian_dem import conventional_dem, gaussian_dem
+from lunarsim.rocks.field import RockField
+from lunarsim.safety import (
     alhat_safety,
     bounded_safety,
     conservative_safety,
@@ -53,7 +54,8 @@ from lunarsim.hazards.safety import (
     plane_stochastic_safety,
     stochastic_safety,
 )
-from lunarsim.terrain import Heightfield, RockField, Terrain, load_dtm, place_rocks
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain.dtm import load_dtm
 
 DATA = Path(__file__).parent / "data"
 METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`

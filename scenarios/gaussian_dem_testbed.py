@@ -9,11 +9,12 @@ import numpy as np
 
 from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
-from lunarsim.hazards.safety import exact_safety
-from lunarsim.sensors import FlashLidar
-from lunarsim.terrain import Heightfield, Terrain, place_rocks
-from lunarsim.vehicle import Lander, State
+from lunarsim.models.lander import Lander
+from lunarsim.safety import exact_safety
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
 from lunarsim.world import World
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 
 LANDER = Lander()
 RANGES, ANGLES = (200.0, 500.0, 1000.0), (0.0, 30.0, 60.0)

@@ -19,12 +19,12 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.truth_mesh import TruthMesh, truth_hazards
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.grid import Grid
-from lunarsim.guidance.jerk_limited import site_cost
-from lunarsim.hazards.quadtree import STATUS, InterestMap, Selection
-from lunarsim.hazards.quadtree.truth import TruthMesh, truth_hazards
-from lunarsim.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.onboard.guidance.jerk_limited import site_cost
+from lunarsim.onboard.hazards.quadtree import STATUS, InterestMap, Selection
+from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

@@ -21,9 +21,9 @@ from rich.table import Table
 from scipy.stats import t as student
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
+from lunarsim.evaluation.reliability import reliability
 from lunarsim.grid import Grid
-from lunarsim.hazards.reliability import reliability
-from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES, classify
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from lunarsim.hazards.reliability import frequencies
-from lunarsim.hazards.shadows import cover_probability
-from lunarsim.hazards.shadows.classification import RELIABILITY_EDGES
+from lunarsim.evaluation.classification import RELIABILITY_EDGES
+from lunarsim.evaluation.reliability import frequencies
+from lunarsim.onboard.hazards.shadows import cover_probability
 from lunarsim.viz.style import COLOURS, map_axes, new_figure, save
 
 PATHS = ("nominal", "modified")

@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.hazards.logistic import Logistic
-from lunarsim.hazards.quadtree.calibration import features
-from lunarsim.hazards.reliability import EDGES, calibration_error, frequencies, reliability
+from lunarsim.evaluation.reliability import EDGES, calibration_error, frequencies, reliability
+from lunarsim.onboard.hazards.quadtree.calibration import features
 from lunarsim.rng import flight_seed
+from lunarsim.safety.logistic import Logistic
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz.style import COLOURS, new_figure, save

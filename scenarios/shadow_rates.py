@@ -27,13 +27,16 @@ from scipy.spatial import cKDTree
 
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
-from lunarsim.hazards.shadows import ShadowModel, detect_rocks
-from lunarsim.light import Light
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import sample_diameters
 from lunarsim.sensors.camera import Camera
-from lunarsim.sensors.gimbal import gimbal_mount
-from lunarsim.terrain import Heightfield, RockModel, Terrain, place_rocks, sample_diameters
 from lunarsim.vehicle import State
 from lunarsim.world import World
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 
 EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
 FIELD = 160.0

@@ -21,8 +21,8 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from lunarsim.hazards.shadows import Detections, detect_rocks
-from lunarsim.hazards.shadows.direction import mean_direction, shadow_directions
+from lunarsim.onboard.perception.detector import Detections, detect_rocks
+from lunarsim.onboard.perception.direction import mean_direction, shadow_directions
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.viz.style import COLOURS, new_figure, save

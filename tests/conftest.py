@@ -9,9 +9,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from lunarsim.grid import Grid
+from lunarsim.rocks.field import RockField
+from lunarsim.rocks.shapes import shape_table
 from lunarsim.scenario import Scenario
-from lunarsim.terrain import Heightfield, RockField, Terrain
-from lunarsim.terrain.shapes import shape_table
+from lunarsim.world.terrain import Heightfield, Terrain
 
 # The first example of a test may compile a kernel.
 settings.register_profile(

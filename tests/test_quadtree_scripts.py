@@ -8,8 +8,8 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from lunarsim.hazards.logistic import Logistic
-from lunarsim.hazards.quadtree.calibration import COUNT
+from lunarsim.onboard.hazards.quadtree.calibration import COUNT
+from lunarsim.safety.logistic import Logistic
 from tests.conftest import ROOT
 from tests.simulation.test_quadtree_flight import scenario
 

@@ -6,8 +6,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunarsim.guidance.policies import Observation
-from lunarsim.hazards import HazardMap
+from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.policies import Observation
 
 FloatArray = NDArray[np.float32]
 

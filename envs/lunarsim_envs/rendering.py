@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from lunarsim.guidance.policies import Observation
+from lunarsim.onboard.policies import Observation
 from lunarsim.simulation import Simulation
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunarsim.guidance.policies import Decision, Observation
+from lunarsim.onboard.policies import Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.observations import FloatArray, encode, observation_space, shrink

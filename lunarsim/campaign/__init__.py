@@ -1,7 +1,5 @@
 """Campaigns: many flights, their execution, results and statistics."""
 
 from lunarsim.campaign.compare import CompareResult, compare
-from lunarsim.campaign.evaluate import evaluate
-from lunarsim.campaign.statistics import Proportion, summarise
 
-__all__ = ["CompareResult", "Proportion", "compare", "evaluate", "summarise"]
+__all__ = ["CompareResult", "compare"]

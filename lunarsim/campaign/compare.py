@@ -18,13 +18,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import lunarsim
-from lunarsim.campaign.evaluate import evaluate
 from lunarsim.campaign.pool import outcomes
 from lunarsim.errors import InputError, suggestion
-from lunarsim.guidance.policies.library import policy_names
+from lunarsim.evaluation.outcome import evaluate
+from lunarsim.onboard.policies.library import policy_names
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation, Truth, build_world, lander_of
+from lunarsim.simulation import Simulation, build_world, lander_of
+from lunarsim.world.truth import Truth
 
 Progress = Callable[[int], None]
 

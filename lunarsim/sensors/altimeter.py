@@ -8,27 +8,9 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
+from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
-
-
-@dataclass(frozen=True)
-class AltimeterReading:
-    """One reading.
-
-    Attributes
-    ----------
-    time
-        s.
-    range
-        Slant range, m; NaN without a return.
-    sigma
-        Standard deviation, m; NaN without a return.
-    """
-
-    time: float
-    range: float
-    sigma: float
 
 
 @dataclass(frozen=True)

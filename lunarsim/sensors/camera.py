@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
-from lunarsim.sensors.rendering import Image, View, renderer_of
-from lunarsim.vehicle.state import Pose, State
+from lunarsim.models.camera import CameraModel
+from lunarsim.models.pinhole import View
+from lunarsim.sensors.rendered_image import RenderedImage
+from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
-# Body z points up through the lander: a camera that looks straight down, its x along body -y.
-_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # Steps of the shutter whose mean is the blurred picture.
 _MOST_STEPS = 48
 # Electrons from which on Poisson's law is taken as a normal one: its skewness is then below 0.06.
@@ -27,7 +27,7 @@ _FEW = 300.0
 
 
 @dataclass(frozen=True)
-class Photograph:
+class Exposure:
     """One exposure.
 
     Attributes
@@ -42,27 +42,15 @@ class Photograph:
 
     time: float
     counts: NDArray[np.unsignedinteger[Any]]
-    truth: Image | None = None
+    truth: RenderedImage | None = None
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A framing camera fixed to the lander.
+class Camera(CameraModel):
+    """A framing camera fixed to the lander: geometry (see `CameraModel`), shutter and detector.
 
     Attributes
     ----------
-    width, height
-        Pixels.
-    fx, fy
-        Focal lengths, pixels.
-    cx, cy
-        Principal point, pixels, the centre of the first pixel being (0, 0); left out: the middle.
-    distortion
-        Brown-Conrady k1, k2, p1, p2, k3 as OpenCV orders them.
-    offset
-        Position on the body (3,), m.
-    mount
-        Rotation (3, 3), sensor to body; left out: straight down, image up along body x.
     exposure
         s.
     sensitivity
@@ -81,15 +69,6 @@ class Camera:
         Of the converter, 1 to 16, full scale at the full well.
     """
 
-    width: int = 640
-    height: int = 480
-    fx: float = 554.3
-    fy: float = 554.3
-    cx: float | None = None
-    cy: float | None = None
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mount: Array = field(default_factory=_DOWN.copy)
     exposure: float = 2e-3
     sensitivity: float = 5e7
     blur_sigma: float = 0.6
@@ -100,9 +79,8 @@ class Camera:
     bits: int = 8
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise InputError("camera.pixels", (self.width, self.height), "at least 1 x 1")
-        for name in ("fx", "fy", "exposure", "sensitivity", "full_well"):
+        super().__post_init__()
+        for name in ("exposure", "sensitivity", "full_well"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
         for name in ("blur_sigma", "read_noise"):
@@ -110,13 +88,6 @@ class Camera:
                 raise InputError(f"camera.{name}", getattr(self, name), "0 or a positive number")
         if not (isinstance(self.bits, int) and 1 <= self.bits <= 16):
             raise InputError("camera.bits", self.bits, "a whole number from 1 to 16")
-        mount = np.asarray(self.mount, dtype=np.float64)
-        if mount.shape != (3, 3) or not np.allclose(mount @ mount.T, np.eye(3), atol=1e-6):
-            raise InputError("camera.mount", self.mount, "a rotation matrix (3, 3)")
-        if self.cx is None:
-            object.__setattr__(self, "cx", 0.5 * (self.width - 1))
-        if self.cy is None:
-            object.__setattr__(self, "cy", 0.5 * (self.height - 1))
 
     @classmethod
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
@@ -127,20 +98,9 @@ class Camera:
         return cls(width, height, focal, focal, **more)  # type: ignore[arg-type]
 
     @property
-    def matrix(self) -> Array:
-        """Intrinsic matrix (3, 3), as OpenCV's."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
-    def view(self, pose: Pose) -> View:
-        """Return what the pin-hole sees from a state or an estimate, distortion left out."""
-        assert self.cx is not None
-        assert self.cy is not None
-        rotation = quat_to_matrix(pose.attitude)
-        position = pose.position + rotation @ np.asarray(self.offset)
-        return View(
-            position, rotation @ self.mount, self.fx, self.fy, self.cx, self.cy,
-            self.width, self.height,
-        )  # fmt: skip
+    def model(self) -> CameraModel:
+        """The geometry alone, as it goes with every picture."""
+        return CameraModel(**{f.name: getattr(self, f.name) for f in fields(CameraModel)})
 
     def expose(
         self,
@@ -150,7 +110,7 @@ class Camera:
         rng: np.random.Generator,
         *,
         truth: bool = False,
-    ) -> Photograph:
+    ) -> Exposure:
         """Take a picture.
 
         Parameters
@@ -170,6 +130,8 @@ class Camera:
         RenderingError
             Where OpenGL is missing.
         """
+        from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
+
         renderer = renderer_of(world.terrain)
         view = self._drawn(self.view(state))
         image = renderer.render(view, world.light)
@@ -188,22 +150,13 @@ class Camera:
             assert image.normal is not None
             assert image.identity is not None
             identity = self._distort(image.identity.astype(np.float64), cv2.INTER_NEAREST)
-            kept = Image(
+            kept = RenderedImage(
                 self._distort(image.radiance, cv2.INTER_NEAREST),
                 self._distort(image.range, cv2.INTER_NEAREST),
                 self._distort(image.normal, cv2.INTER_NEAREST),
                 identity.astype(np.int32),
             )
-        return Photograph(time, self._detect(radiance, rng), kept)
-
-    @property
-    def tangents(self) -> tuple[Array, Array]:
-        """Tangents of each pixel's line of sight, right and down (height, width), undistorted."""
-        assert self.cx is not None
-        assert self.cy is not None
-        return _tangents(
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, tuple(self.distortion)
-        )
+        return Exposure(time, self._detect(radiance, rng), kept)
 
     @cached_property
     def _border(self) -> int:
@@ -288,25 +241,3 @@ class Camera:
         narrow: NDArray[np.unsignedinteger[Any]]
         narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
         return narrow
-
-
-# A gimballed camera is a new object for every picture: what its optics cost is kept here.
-@lru_cache(maxsize=8)
-def _tangents(
-    width: int,
-    height: int,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    distortion: tuple[float, ...],
-) -> tuple[Array, Array]:
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    if not any(distortion):
-        return (u - cx) / fx, (v - cy) / fy
-    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-    ideal = cv2.undistortPoints(pixels, matrix, np.array(distortion), criteria=stop)
-    ideal = ideal.reshape(height, width, 2)
-    return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])

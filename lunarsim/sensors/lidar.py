@@ -10,58 +10,13 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
+from lunarsim.messages.measurements import LidarScan
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
 _REFERENCE_RANGE = 500.0
-
-
-@dataclass(frozen=True)
-class LidarScan:
-    """One flash or one raster.
-
-    Attributes
-    ----------
-    time
-        Of the flash, or of the first ray, s.
-    range
-        Measured range of each pixel (rows * cols,), m; NaN for no return.
-    direction
-        Unit vectors of the pixels, sensor frame (rows * cols, 3).
-    mount
-        Rotation (3, 3), sensor to body, read from the gimbal.
-    sigma
-        Standard deviation of each range (rows * cols,), m.
-    incidence
-        Angle between each ray and the surface normal (rows * cols,), rad; NaN for no return.
-    shape
-        Rows and columns of the detector or raster.
-    delay
-        Time of each ray after `time` (rows * cols,), s; None for a flash.
-    """
-
-    time: float
-    range: Array
-    direction: Array
-    mount: Array
-    sigma: Array
-    incidence: Array
-    shape: tuple[int, int]
-    delay: Array | None = None
-
-    def points(self, position: Array, attitude: Array) -> Array:
-        """Return the returns (rows * cols, 3) in ENU; NaN for no return.
-
-        Parameters
-        ----------
-        position, attitude
-            Pose of the lander, (3,) and (4,), or of each ray, (n, 3) and (n, 4).
-        """
-        rotation = quat_to_matrix(attitude) @ self.mount
-        rays = np.einsum("...ij,...j->...i", rotation, self.direction)
-        return np.asarray(position + self.range[:, None] * rays)
 
 
 @dataclass(frozen=True)

@@ -8,30 +8,30 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.guidance.divert import DivertLimits
-from lunarsim.hazards.gaussian_dem import GaussianDemMapper
-from lunarsim.light import Light
-from lunarsim.navigation.error_model import ErrorBudget
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.divert import DivertLimits
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.rng import Streams
+from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.rocks.laws import sample_diameters
 from lunarsim.scenario import Scenario, TerrainSection
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.terrain import (
+from lunarsim.sensors.navigation_fix import ErrorBudget
+from lunarsim.vehicle import Dynamics
+from lunarsim.world import World
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import (
     CraterLaw,
     Heightfield,
-    RockField,
-    RockModel,
     Terrain,
     add_craters,
     add_detail,
     fractal_relief,
     hazard_field,
-    load_dtm,
     place_rocks,
-    sample_diameters,
 )
-from lunarsim.vehicle import Dynamics, Lander
-from lunarsim.world import World
+from lunarsim.world.terrain.dtm import load_dtm
 
 # Procedural relief is the same ground for all flights of a scenario; only rocks are redrawn.
 _RELIEF_SEED = 20260101

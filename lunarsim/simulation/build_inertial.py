@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.navigation.inertial import InertialState, InitialErrors
+from lunarsim.onboard.navigation.inertial import InertialState, InitialErrors
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle import State

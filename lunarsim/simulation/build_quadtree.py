@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.hazards.quadtree import InterestMap, QuadtreeMapper, SiteSettings
-from lunarsim.navigation.lidar_inertial import LidarInertialFilter
-from lunarsim.navigation.prior_map import PriorMap, survey
+from lunarsim.messages.prior_map import PriorMap
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.quadtree import InterestMap, QuadtreeMapper, SiteSettings
+from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import build
 from lunarsim.simulation.build_inertial import started
 from lunarsim.simulation.filtered_navigation import FilteredNavigation
-from lunarsim.vehicle import Lander, State
+from lunarsim.vehicle import State
 from lunarsim.world import World
+from lunarsim.world.survey import survey
 
 
 def prior_map_of(scenario: Scenario, world: World, streams: Streams) -> PriorMap:

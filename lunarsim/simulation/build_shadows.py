@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim.hazards.shadows import (
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.shadows import (
     HazardPrior,
     ProbabilityMap,
-    RockFilter,
     RockTracker,
     ShadowMapper,
-    ShadowModel,
     TrackerSettings,
 )
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rng import Streams
+from lunarsim.rocks.field import RockModel
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.altimeter import RadarAltimeter
 from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import build
 from lunarsim.simulation.build_inertial import started
 from lunarsim.simulation.filtered_navigation import FilteredNavigation
-from lunarsim.terrain import RockModel
-from lunarsim.vehicle import Lander, State
+from lunarsim.vehicle import State
 from lunarsim.world import World
 
 

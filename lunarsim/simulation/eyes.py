@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.hazards.gaussian_dem import GaussianDemMapper
-from lunarsim.hazards.hazard_map import HazardMap
-from lunarsim.hazards.quadtree import QuadtreeMapper
-from lunarsim.hazards.shadows import RockFilter, ShadowMapper, Shot
-from lunarsim.navigation.error_model import NavigationErrorModel
-from lunarsim.navigation.estimate import Estimate, Navigation
-from lunarsim.navigation.lidar_inertial import LidarInertialFilter
-from lunarsim.sensors.gimbal import gimbal_mount
-from lunarsim.sensors.lidar import LidarScan
+from lunarsim.messages.measurements import LidarScan, Picture
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
+from lunarsim.onboard.hazards.shadows import ShadowMapper
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.sensors.navigation_fix import NavigationErrorModel
 from lunarsim.simulation import build
 from lunarsim.simulation.build_quadtree import (
     lidar_inertial_of,
@@ -166,7 +167,7 @@ class CameraEyes:
         mount = gimbal_mount(sim.estimate.attitude, sim.site - sim.estimate.position, limit)
         camera = replace(self._camera, mount=mount)
         photo = camera.expose(sim.world, sim.state, sim.time, self._rng)
-        self.mapper.update(Shot(sim.time, photo.counts, camera), sim.estimate)
+        self.mapper.update(Picture(sim.time, photo.counts, camera.model), sim.estimate)
         # What the picture told of the lander counts at once.
         sim.estimate = self.navigation.update(sim.state, sim.time)
         if not self._seen:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
-from lunarsim.hazards.shadows.rock_filter import RockFilter
-from lunarsim.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.sensors.altimeter import RadarAltimeter
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle.state import State

@@ -27,7 +27,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from lunarsim.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.vehicle.touchdown import Verdict
 
 Array = NDArray[np.float64]

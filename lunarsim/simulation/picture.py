@@ -12,7 +12,7 @@ from lunarsim.errors import InputError, check_output
 from lunarsim.frames import matrix_to_quat, sensor_axes
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.camera import Camera, Photograph
+from lunarsim.sensors.camera import Camera, Exposure
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.simulation.build import build_world, camera_of
 from lunarsim.vehicle import State
@@ -116,7 +116,7 @@ def take_picture(
     )
 
 
-def _save_truth(photo: Photograph, path: Path) -> None:
+def _save_truth(photo: Exposure, path: Path) -> None:
     assert photo.truth is not None
     t = photo.truth
     assert t.range is not None

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.guidance.policies.contract import Candidates, Decision
-from lunarsim.navigation.estimate import Estimate
-from lunarsim.sensors.lidar import LidarScan
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies.contract import Candidates, Decision
 from lunarsim.simulation.flight import COLUMNS
 from lunarsim.vehicle.state import State
 

@@ -9,27 +9,28 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_rotate
-from lunarsim.guidance.apollo import ApolloGuidance
-from lunarsim.guidance.attitude import thrust_to_command
-from lunarsim.guidance.divert import DivertCost, divert_cost
-from lunarsim.guidance.law import Target
-from lunarsim.guidance.policies.contract import Candidates, Decision, Observation, RetargetingPolicy
-from lunarsim.guidance.policies.library import TRUTH_ORACLE, make_policy
-from lunarsim.guidance.policies.oracle import TruthOracle
-from lunarsim.guidance.sites import candidate_sites
-from lunarsim.guidance.vertical import VerticalDescent
-from lunarsim.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.navigation.estimate import Estimate
+from lunarsim.messages.commands import Command
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.control.thrust import thrust_to_command
+from lunarsim.onboard.guidance.apollo import ApolloGuidance
+from lunarsim.onboard.guidance.divert import DivertCost, divert_cost
+from lunarsim.onboard.guidance.law import Target
+from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies.candidates import candidate_sites
+from lunarsim.onboard.policies.contract import Candidates, Decision, Observation, RetargetingPolicy
+from lunarsim.onboard.policies.library import TRUTH_ORACLE, make_policy
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.lidar import LidarScan
 from lunarsim.simulation import build
 from lunarsim.simulation.eyes import eyes_of
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.oracle import TruthOracle
 from lunarsim.simulation.recorder import Recorder
-from lunarsim.simulation.truth import Truth
-from lunarsim.vehicle import Command, State, Verdict, judge_touchdown, pad_contacts
+from lunarsim.vehicle import State, Verdict, judge_touchdown, pad_contacts
 from lunarsim.world import World
+from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 

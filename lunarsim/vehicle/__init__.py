@@ -1,7 +1,6 @@
 """The lander: geometry and masses, propulsion, rigid-body motion, touchdown."""
 
-from lunarsim.vehicle.dynamics import AttitudeMode, Command, Dynamics
-from lunarsim.vehicle.lander import Lander
+from lunarsim.vehicle.dynamics import AttitudeMode, Dynamics
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
     Ground,
@@ -14,10 +13,8 @@ from lunarsim.vehicle.touchdown import (
 
 __all__ = [
     "AttitudeMode",
-    "Command",
     "Dynamics",
     "Ground",
-    "Lander",
     "State",
     "Touchdown",
     "Verdict",

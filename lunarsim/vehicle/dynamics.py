@@ -9,27 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.messages.commands import Command
+from lunarsim.models.lander import Lander
 from lunarsim.vehicle import _kernels as k
-from lunarsim.vehicle.lander import Lander
 from lunarsim.vehicle.state import State
 
 AttitudeMode = Literal["slerp", "pd"]
-
-
-@dataclass(frozen=True)
-class Command:
-    """What guidance asks of the vehicle for one control cycle.
-
-    Attributes
-    ----------
-    thrust
-        Thrust, N; 0 shuts the engine down, other values are held in the throttle range.
-    attitude
-        Wanted attitude, quaternion, body to ENU (4,).
-    """
-
-    thrust: float
-    attitude: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,26 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-
-class Pose(Protocol):
-    """Where the lander is: a `State` or an `Estimate`."""
-
-    @property
-    def position(self) -> Array:
-        """ENU (3,), m."""
-        ...
-
-    @property
-    def attitude(self) -> Array:
-        """Quaternion, body to ENU (4,)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
-from lunarsim.vehicle.lander import Lander
+from lunarsim.models.lander import Lander
 from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]

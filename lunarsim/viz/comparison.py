@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.campaign.statistics import summarise
+from lunarsim.evaluation.statistics import summarise
 from lunarsim.scenario import Scenario
 from lunarsim.viz.style import new_figure, policy_colour, save
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from lunarsim.frames import quat_to_matrix
-from lunarsim.hazards.shadows import RockFilter
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.simulation.eyes import CameraEyes, FlashEyes, SweepEyes
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.simulation import Simulation

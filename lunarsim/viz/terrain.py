@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.collections import EllipseCollection
 
 from lunarsim.grid import Grid
-from lunarsim.terrain import Terrain
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
+from lunarsim.world.terrain import Terrain
 
 _MOST_POSTS = 1200
 

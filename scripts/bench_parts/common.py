@@ -43,14 +43,9 @@ def square(slope_deg: float, count: int, posting: float, side: float, seed: int 
     import numpy as np
 
     from lunarsim.grid import Grid
-    from lunarsim.terrain import (
-        RockModel,
-        Terrain,
-        fractal_relief,
-        golombek_number,
-        place_rocks,
-        sample_diameters,
-    )
+    from lunarsim.rocks.field import RockModel
+    from lunarsim.rocks.laws import golombek_number, sample_diameters
+    from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 
     rng = np.random.default_rng(seed)
     grid = Grid.centred((0.0, 0.0), side, posting)

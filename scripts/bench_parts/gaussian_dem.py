@@ -12,8 +12,9 @@ def gaussian_dem() -> None:
 
     from lunarsim.frames import sensor_axes
     from lunarsim.grid import Grid
-    from lunarsim.hazards.gaussian_dem import gaussian_dem as build
-    from lunarsim.hazards.safety import (
+    from lunarsim.models.lander import Lander
+    from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as build
+    from lunarsim.safety import (
         alhat_safety,
         bounded_safety,
         conservative_safety,
@@ -21,11 +22,11 @@ def gaussian_dem() -> None:
         safe_sites,
         stochastic_safety,
     )
-    from lunarsim.sensors import FlashLidar
-    from lunarsim.terrain import Heightfield, Terrain, fractal_relief, place_rocks
+    from lunarsim.sensors.lidar import FlashLidar
     from lunarsim.triangulation import delaunay, delaunay_of_image
-    from lunarsim.vehicle import Lander, State
+    from lunarsim.vehicle import State
     from lunarsim.world import World
+    from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 
     lander = Lander()
     plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))

@@ -14,7 +14,7 @@ def quadtree() -> None:
     from scipy.spatial import cKDTree
     from scipy.stats import binned_statistic_2d
 
-    from lunarsim.hazards.quadtree import QuadtreeMap, SiteSelector
+    from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 
     rng = np.random.default_rng(0)
 
@@ -111,7 +111,7 @@ def quadtree() -> None:
 
 def lidar_inertial() -> None:
     """Scans fitted to a prior map, and the search for the place before the first fit."""
-    from lunarsim.navigation import lidar_inertial as navigation
+    from lunarsim.onboard.navigation import lidar_inertial as navigation
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation

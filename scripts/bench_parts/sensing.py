@@ -15,7 +15,9 @@ def terrain() -> None:
     import numpy as np
 
     from lunarsim.grid import Grid
-    from lunarsim.terrain import Heightfield, RockModel, place_rocks, sample_diameters
+    from lunarsim.rocks.field import RockModel
+    from lunarsim.rocks.laws import sample_diameters
+    from lunarsim.world.terrain import Heightfield, place_rocks
 
     square(4.0, 1000, 1.0, 64.0)
     began = time.perf_counter()
@@ -42,9 +44,10 @@ def render() -> None:
     import numpy as np
 
     from lunarsim.frames import sensor_axes
-    from lunarsim.light import Light
-    from lunarsim.sensors.rendering import View, renderer_of
+    from lunarsim.models.pinhole import View
+    from lunarsim.sensors.rendering import renderer_of
     from lunarsim.sensors.rendering.context import gl_context
+    from lunarsim.world.light import Light
 
     print(f"  {gl_context().info['GL_RENDERER']}")
     light = Light(1.5708, np.radians(20.0))
@@ -91,7 +94,8 @@ def _small_square_of_cubes(count: int):
     import numpy as np
 
     from lunarsim.grid import Grid
-    from lunarsim.terrain import RockModel, Terrain, fractal_relief, place_rocks
+    from lunarsim.rocks.field import RockModel
+    from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 
     rng = np.random.default_rng(0)
     grid = Grid.centred((0.0, 0.0), 256.0, 1.0)
@@ -106,8 +110,8 @@ def lidar() -> None:
 
     from lunarsim.frames import sensor_axes
     from lunarsim.grid import Grid
-    from lunarsim.sensors import FlashLidar
-    from lunarsim.terrain import Heightfield, Terrain, fractal_relief, place_rocks
+    from lunarsim.sensors.lidar import FlashLidar
+    from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 
     try:
         from embreex import rtcore_scene

@@ -13,10 +13,10 @@ def _rock_filter(count, seed=0):
 
     import numpy as np
 
-    from lunarsim.hazards.shadows import RockFilter
-    from lunarsim.navigation.inertial import InertialState
-    from lunarsim.sensors import Camera
-    from lunarsim.sensors.gimbal import gimbal_mount
+    from lunarsim.models.gimbal import gimbal_mount
+    from lunarsim.onboard.navigation.inertial import InertialState
+    from lunarsim.onboard.navigation.rock_filter import RockFilter
+    from lunarsim.sensors.camera import Camera
 
     rng = np.random.default_rng(seed)
     position = np.array([-20.0, 10.0, 80.0])
@@ -37,15 +37,17 @@ def shadows() -> None:
 
     from lunarsim.frames import direction_from_angles
     from lunarsim.grid import Grid
-    from lunarsim.hazards.shadows import ProbabilityMap, RockTracker, ShadowModel, detect_rocks
-    from lunarsim.hazards.shadows.association import associate
-    from lunarsim.light import Light
+    from lunarsim.onboard.hazards.shadows import ProbabilityMap, RockTracker
+    from lunarsim.onboard.hazards.shadows.association import associate
+    from lunarsim.onboard.perception.detector import detect_rocks
+    from lunarsim.onboard.perception.shadow_model import ShadowModel
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
-    from lunarsim.sensors import Camera
+    from lunarsim.sensors.camera import Camera
     from lunarsim.simulation import Simulation
     from lunarsim.vehicle import State
     from lunarsim.world import World
+    from lunarsim.world.light import Light
 
     elevation = np.radians(20.0)
     model = ShadowModel(elevation)

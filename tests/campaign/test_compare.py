@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lunarsim.campaign import Proportion, compare, summarise
+from lunarsim.campaign import compare
 from lunarsim.errors import InputError
+from lunarsim.evaluation.statistics import Proportion, summarise
 from lunarsim.scenario import Scenario
 
 

@@ -8,7 +8,8 @@ from itertools import combinations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.vehicle import Lander, support_planes
+from lunarsim.models.lander import Lander
+from lunarsim.vehicle import support_planes
 
 
 def leg_cells(lander: Lander, posting: float, samples: int = 20000) -> list[tuple]:

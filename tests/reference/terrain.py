@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from lunarsim.terrain import Terrain
-from lunarsim.terrain.shapes import shape_table
+from lunarsim.rocks.shapes import shape_table
+from lunarsim.world.terrain import Terrain
 
 
 def elevation(terrain: Terrain, x: float, y: float) -> float:

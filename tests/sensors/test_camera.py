@@ -10,11 +10,12 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.light import Light
-from lunarsim.sensors import Camera
-from lunarsim.terrain import RockField, Terrain
+from lunarsim.rocks.field import RockField
+from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.world import World
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import Terrain
 from tests.conftest import flat_terrain
 
 GROUND = flat_terrain(400.0, 4.0)

@@ -5,7 +5,9 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector
-from lunarsim.sensors import Imu, InertialErrors, RadarAltimeter
+from lunarsim.models.inertial_unit import InertialErrors
+from lunarsim.sensors.altimeter import RadarAltimeter
+from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from tests.conftest import flat_terrain, sloped_terrain

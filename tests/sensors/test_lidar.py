@@ -5,7 +5,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix, sensor_axes
-from lunarsim.sensors import FlashLidar
+from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from tests.conftest import flat_terrain, sloped_terrain

@@ -14,18 +14,13 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
-from lunarsim.light import Light
-from lunarsim.sensors import Camera
-from lunarsim.sensors.rendering import Renderer, View, renderer_of
-from lunarsim.terrain import (
-    Heightfield,
-    RockField,
-    RockModel,
-    Terrain,
-    fractal_relief,
-    place_rocks,
-)
-from lunarsim.terrain.shapes import CUBE
+from lunarsim.models.pinhole import View
+from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.rocks.shapes import CUBE
+from lunarsim.sensors.camera import Camera
+from lunarsim.sensors.rendering import Renderer, renderer_of
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 from tests.conftest import flat_terrain
 
 
@@ -291,7 +286,7 @@ import gc, resource, sys
 import numpy as np
 from lunarsim.sensors.rendering import Renderer, View, renderer_of
 from lunarsim.frames import sensor_axes
-from lunarsim.light import Light
+from lunarsim.world.light import Light
 from tests.conftest import flat_terrain
 
 def resident():

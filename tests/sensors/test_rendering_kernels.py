@@ -10,7 +10,7 @@ from lunarsim.grid import Grid
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
 from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.sensors.rendering.relief_tiles import ReliefTiles
-from lunarsim.terrain import fractal_relief
+from lunarsim.world.terrain import fractal_relief
 from tests.reference import rendering as plain
 
 

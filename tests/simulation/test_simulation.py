@@ -10,7 +10,7 @@ import xarray as xr
 from rasterio.transform import from_origin
 
 from lunarsim.errors import InputError
-from lunarsim.guidance.policies import Decision
+from lunarsim.onboard.policies import Decision
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_angle, quat_to_matrix
-from lunarsim.vehicle import Command, Dynamics, Lander, State
+from lunarsim.messages.commands import Command
+from lunarsim.models.lander import Lander
+from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle import _kernels as kernels
 
 G = 1.622

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsim.frames import attitude_from_thrust
-from lunarsim.terrain import RockField, Terrain
-from lunarsim.vehicle import Lander, State, judge_touchdown, support_planes
+from lunarsim.models.lander import Lander
+from lunarsim.rocks.field import RockField
+from lunarsim.vehicle import State, judge_touchdown, support_planes
+from lunarsim.world.terrain import Terrain
 from tests.conftest import flat_terrain, sloped_terrain
 
 G = 1.622

@@ -1,6 +1,6 @@
 """Rendering of terrain through OpenGL: radiance, range, normal and identity of every pixel."""
 
+from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.renderer import Renderer, renderer_of
-from lunarsim.sensors.rendering.view import Image, View
 
-__all__ = ["Image", "Renderer", "View", "renderer_of"]
+__all__ = ["RenderedImage", "Renderer", "renderer_of"]

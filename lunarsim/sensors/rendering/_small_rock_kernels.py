@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel, prange
-from lunarsim.terrain._rock_kernels import rock_hit, rock_normal
+from lunarsim.rocks._kernels import rock_hit, rock_normal
 
 MOST = 16  # pixels that a small rock's box holds
 

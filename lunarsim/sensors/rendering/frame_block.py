@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.light import Light
+from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
-from lunarsim.sensors.rendering.view import View
+from lunarsim.world.light import Light
 
 # As in frame.glsl; fields of two keep whole groups of four, as std140 asks.
 FRAME = np.dtype(

@@ -10,9 +10,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.rocks.shapes import CUBE, shape_table
 from lunarsim.sensors.rendering.context import shader
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, level_mesh
-from lunarsim.terrain.shapes import CUBE, shape_table
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
-from lunarsim.terrain import Heightfield
+from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
-from lunarsim.terrain import Heightfield
+from lunarsim.world.terrain import Heightfield
 
 SIDE = 32
 LEVELS = 6

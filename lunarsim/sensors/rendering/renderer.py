@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, RenderingError
-from lunarsim.light import Light
+from lunarsim.models.pinhole import View
+from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.context import gl_context
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
 from lunarsim.sensors.rendering.programs import (
@@ -30,8 +31,8 @@ from lunarsim.sensors.rendering.relief_tiles import TileChoice
 from lunarsim.sensors.rendering.rock_painter import RockPainter
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap, Target, read_image
-from lunarsim.sensors.rendering.view import Image, View
-from lunarsim.terrain import Terrain
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ class Renderer:
 
     def render(
         self, view: View, light: Light, *, truth: bool = False, shadows: bool = True
-    ) -> Image:
+    ) -> RenderedImage:
         """Draw the terrain.
 
         Parameters

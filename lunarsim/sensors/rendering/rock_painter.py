@@ -9,14 +9,14 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.models.pinhole import View
+from lunarsim.rocks.shapes import CUBE, ELLIPSOID, shape_table
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
 from lunarsim.sensors.rendering.programs import ROCK_KINDS, ROCKS, float_texture
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
-from lunarsim.sensors.rendering.view import View
-from lunarsim.terrain import Terrain
-from lunarsim.terrain.shapes import CUBE, ELLIPSOID, shape_table
+from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
 

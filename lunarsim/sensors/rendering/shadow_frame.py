@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
-from lunarsim.sensors.rendering.view import View
 
 Array = NDArray[np.float64]
 

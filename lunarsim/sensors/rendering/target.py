@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from lunarsim.models.pinhole import View
+from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.programs import plain
-from lunarsim.sensors.rendering.view import Image, View
 
 # Sizes change a little from picture to picture; a map has this much room for it on each side.
 _SPARE = 1.15
@@ -72,12 +73,12 @@ class ShadowMap:
         return fits and width * height < int(_SPARE**3 * (size[0] + 80) * (size[1] + 64))
 
 
-def read_image(target: Target, view: View, truth: bool) -> Image:
+def read_image(target: Target, view: View, truth: bool) -> RenderedImage:
     """Return the picture that has been drawn."""
     shape = (view.height, view.width)
     first = np.frombuffer(target.colours[0].read(), np.float32)
     if not truth:
-        return Image(first.reshape(shape))
+        return RenderedImage(first.reshape(shape))
     first = first.reshape(*shape, 4)
     second = np.frombuffer(target.colours[1].read(), np.float32).reshape(*shape, 2)
     identity = second[..., 1].astype(np.int32) - 2
@@ -85,4 +86,4 @@ def read_image(target: Target, view: View, truth: bool) -> Image:
     normal = first[..., 1:].copy()
     normal[sky] = np.nan
     distance = np.where(sky, np.float32(np.nan), second[..., 0])
-    return Image(np.ascontiguousarray(first[..., 0]), distance, normal, identity)
+    return RenderedImage(np.ascontiguousarray(first[..., 0]), distance, normal, identity)

@@ -1,0 +1,1 @@
+"""What judges: maps against the truth, probabilities against frequencies, flights and campaigns."""

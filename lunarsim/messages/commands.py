@@ -1,0 +1,24 @@
+"""What the onboard computer asks of the vehicle and its sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Command:
+    """What guidance asks of the vehicle for one control cycle.
+
+    Attributes
+    ----------
+    thrust
+        Thrust, N; 0 shuts the engine down, other values are held in the throttle range.
+    attitude
+        Wanted attitude, quaternion, body to ENU (4,).
+    """
+
+    thrust: float
+    attitude: NDArray[np.float64]

@@ -1,0 +1,95 @@
+"""What sensors tell the onboard computer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.models.camera import CameraModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AltimeterReading:
+    """One reading.
+
+    Attributes
+    ----------
+    time
+        s.
+    range
+        Slant range, m; NaN without a return.
+    sigma
+        Standard deviation, m; NaN without a return.
+    """
+
+    time: float
+    range: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class LidarScan:
+    """One flash of a LiDAR.
+
+    Attributes
+    ----------
+    time
+        Of the flash, s.
+    range
+        Measured range of each pixel (rows * cols,), m; NaN for no return.
+    direction
+        Unit vectors of the pixels, sensor frame (rows * cols, 3).
+    mount
+        Rotation (3, 3), sensor to body, read from the gimbal.
+    sigma
+        Standard deviation of each range (rows * cols,), m.
+    incidence
+        Angle between each ray and the surface normal (rows * cols,), rad; NaN for no return.
+    shape
+        Rows and columns of the detector.
+    """
+
+    time: float
+    range: Array
+    direction: Array
+    mount: Array
+    sigma: Array
+    incidence: Array
+    shape: tuple[int, int]
+
+    def points(self, position: Array, attitude: Array) -> Array:
+        """Return the returns (rows * cols, 3) in ENU; NaN for no return.
+
+        Parameters
+        ----------
+        position, attitude
+            Pose of the lander, (3,) and (4,).
+        """
+        rotation = quat_to_matrix(attitude) @ self.mount
+        rays = np.einsum("...ij,...j->...i", rotation, self.direction)
+        return np.asarray(position + self.range[:, None] * rays)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture with the camera that took it.
+
+    Attributes
+    ----------
+    time
+        Middle of the exposure, s.
+    counts
+        What the detector's converter gives (height, width): uint8 up to 8 bits, else uint16.
+    camera
+        Its geometry, with the mount as the gimbal's encoders tell.
+    """
+
+    time: float
+    counts: NDArray[np.unsignedinteger[Any]]
+    camera: CameraModel

@@ -1,0 +1,112 @@
+"""A camera as both sides know it: pixels, optics, mount; no light, no detector noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
+from lunarsim.models.pinhole import View
+from lunarsim.models.pose import Pose
+
+Array = NDArray[np.float64]
+
+# Body z points up through the lander: a camera that looks straight down, its x along body -y.
+_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Geometry of a framing camera on a lander.
+
+    Attributes
+    ----------
+    width, height
+        Pixels.
+    fx, fy
+        Focal lengths, pixels.
+    cx, cy
+        Principal point, pixels, the centre of the first pixel being (0, 0); left out: the middle.
+    distortion
+        Brown-Conrady k1, k2, p1, p2, k3 as OpenCV orders them.
+    offset
+        Position on the body (3,), m.
+    mount
+        Rotation (3, 3), sensor to body; left out: straight down, image up along body x.
+    """
+
+    width: int = 640
+    height: int = 480
+    fx: float = 554.3
+    fy: float = 554.3
+    cx: float | None = None
+    cy: float | None = None
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount: Array = field(default_factory=_DOWN.copy)
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError("camera.pixels", (self.width, self.height), "at least 1 x 1")
+        for name in ("fx", "fy"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
+        mount = np.asarray(self.mount, dtype=np.float64)
+        if mount.shape != (3, 3) or not np.allclose(mount @ mount.T, np.eye(3), atol=1e-6):
+            raise InputError("camera.mount", self.mount, "a rotation matrix (3, 3)")
+        if self.cx is None:
+            object.__setattr__(self, "cx", 0.5 * (self.width - 1))
+        if self.cy is None:
+            object.__setattr__(self, "cy", 0.5 * (self.height - 1))
+
+    @property
+    def matrix(self) -> Array:
+        """Intrinsic matrix (3, 3), as OpenCV's."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def view(self, pose: Pose) -> View:
+        """Return what the pin-hole sees from a state or an estimate, distortion left out."""
+        assert self.cx is not None
+        assert self.cy is not None
+        rotation = quat_to_matrix(pose.attitude)
+        position = pose.position + rotation @ np.asarray(self.offset)
+        return View(
+            position, rotation @ self.mount, self.fx, self.fy, self.cx, self.cy,
+            self.width, self.height,
+        )  # fmt: skip
+
+    @property
+    def tangents(self) -> tuple[Array, Array]:
+        """Tangents of each pixel's line of sight, right and down (height, width), undistorted."""
+        assert self.cx is not None
+        assert self.cy is not None
+        return _tangents(
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy, tuple(self.distortion)
+        )
+
+
+# A gimballed camera is a new object for every picture: what its optics cost is kept here.
+@lru_cache(maxsize=8)
+def _tangents(
+    width: int,
+    height: int,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    distortion: tuple[float, ...],
+) -> tuple[Array, Array]:
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    if not any(distortion):
+        return (u - cx) / fx, (v - cy) / fy
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    ideal = cv2.undistortPoints(pixels, matrix, np.array(distortion), criteria=stop)
+    ideal = ideal.reshape(height, width, 2)
+    return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])

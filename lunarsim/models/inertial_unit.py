@@ -1,0 +1,48 @@
+"""Error figures of inertial measurement units, known to the unit and to what navigates by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lunarsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class InertialErrors:
+    """Error model of one triad; u is rad for gyroscopes and m/s for accelerometers.
+
+    Attributes
+    ----------
+    bias
+        Of one power-on, 1 sigma an axis, u/s.
+    random_walk
+        White noise on the rate, u/sqrt(s): angle or velocity random walk, N of an Allan plot.
+    bias_walk
+        Random walk of the bias, u/s per sqrt(s): rate random walk, K of an Allan plot.
+    scale_factor
+        Relative, 1 sigma an axis.
+    misalignment
+        Of each axis towards each of the others, 1 sigma, rad.
+    quantum
+        Least increment, u; 0: none. What is not yet a whole quantum is kept for the next sample.
+    """
+
+    bias: float = 0.0
+    random_walk: float = 0.0
+    bias_walk: float = 0.0
+    scale_factor: float = 0.0
+    misalignment: float = 0.0
+    quantum: float = 0.0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"imu.{f.name}", value, "0 or a positive number")
+
+
+# A tactical unit: 1 deg/h, 0.1 deg/sqrt(h), 100 ppm; 300 micro-g, 0.05 m/s/sqrt(h), 200 ppm.
+GYROSCOPES = InertialErrors(4.8e-6, 2.9e-5, 1e-7, 1e-4, 1e-4, 1e-6)
+ACCELEROMETERS = InertialErrors(2.9e-3, 8e-4, 1e-5, 2e-4, 1e-4, 1e-4)

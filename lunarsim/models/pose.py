@@ -1,0 +1,24 @@
+"""Where a lander is, as far as sensor models care."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Pose(Protocol):
+    """Position and attitude: of the true state or of an estimate."""
+
+    @property
+    def position(self) -> Array:
+        """ENU (3,), m."""
+        ...
+
+    @property
+    def attitude(self) -> Array:
+        """Quaternion, body to ENU (4,)."""
+        ...

@@ -1,0 +1,1 @@
+"""From a wanted thrust acceleration to throttle, attitude and torque."""

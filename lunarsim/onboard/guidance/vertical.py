@@ -1,0 +1,62 @@
+"""The last metres: straight down at a constant speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.onboard.guidance.law import Target
+from lunarsim.onboard.navigation.estimate import Estimate
+
+
+@dataclass(frozen=True)
+class VerticalDescent:
+    """Hold the descent speed and stay above the target (section IV.B of the shadow EKF paper).
+
+    Attributes
+    ----------
+    gravity
+        Downward acceleration, m/s^2.
+    speed
+        Descent speed, m/s.
+    frequency, damping
+        Of the horizontal position loop, rad/s.
+    speed_gain
+        Of the vertical speed loop, 1/s.
+    lean, lean_low
+        Greatest lean of the thrust from the vertical at `lean_height` above the ground and
+        more, and at the ground, rad: the lander must arrive upright.
+    lean_height
+        m.
+    """
+
+    gravity: float
+    speed: float = 2.0
+    frequency: float = 0.6
+    damping: float = 1.1
+    speed_gain: float = 1.5
+    lean: float = np.deg2rad(12.0)
+    lean_low: float = np.deg2rad(2.0)
+    lean_height: float = 8.0
+
+    def command(self, estimate: Estimate, target: Target, time: float) -> NDArray[np.float64]:
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        The target's position is that of the centre of mass on the ground.
+        """
+        offset = estimate.position[:2] - target.position[:2]
+        sideways = (
+            -(self.frequency**2) * offset
+            - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
+        )
+        up = self.gravity + self.speed_gain * (-self.speed - float(estimate.velocity[2]))
+        up = max(up, 0.3 * self.gravity)
+        height = float(estimate.position[2] - target.position[2])
+        share = min(max(height / self.lean_height, 0.0), 1.0)
+        limit = up * np.tan(self.lean_low + share * (self.lean - self.lean_low))
+        size = float(np.hypot(*sideways))
+        if size > limit:
+            sideways *= limit / size
+        return np.array([sideways[0], sideways[1], up])

@@ -1,0 +1,22 @@
+"""Gaussian digital elevation map: mean and variance of the elevation in every cell.
+
+Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomous Safe Landing".
+"""
+
+from lunarsim.onboard.hazards.gaussian_dem.conventional import ConventionalDem, conventional_dem
+from lunarsim.onboard.hazards.gaussian_dem.fit import FieldFit, fit_hyperparameters
+from lunarsim.onboard.hazards.gaussian_dem.full import full_regression
+from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
+
+__all__ = [
+    "ConventionalDem",
+    "FieldFit",
+    "GaussianDem",
+    "GaussianDemMapper",
+    "conventional_dem",
+    "fit_hyperparameters",
+    "full_regression",
+    "fuse",
+    "gaussian_dem",
+]

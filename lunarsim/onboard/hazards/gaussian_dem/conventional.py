@@ -1,0 +1,80 @@
+"""The conventional DEM: bilinear splatting, holes filled by their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
+
+
+@dataclass(frozen=True)
+class ConventionalDem:
+    """Elevations on a grid.
+
+    Attributes
+    ----------
+    grid
+        Places the cells; values belong to cell centres.
+    elevation
+        Elevation (rows, cols), m; no holes.
+    weight
+        Sum of the weights of the samples in each cell (rows, cols); 0 where a hole was filled.
+    """
+
+    grid: Grid
+    elevation: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+def check_points(points: ArrayLike) -> NDArray[np.float64]:
+    """Return the finite points (n, 3), or raise ValueError.
+
+    Raises
+    ------
+    ValueError
+        If the array is not (n, 3) or holds infinities.
+    """
+    cloud = np.ascontiguousarray(points, dtype=np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ValueError(f"points has shape {cloud.shape}: must be (n, 3), east, north, up")
+    if np.isinf(cloud).any():
+        raise ValueError("points holds infinities: mark rays without a return by NaN")
+    return cloud[np.isfinite(cloud).all(axis=1)]
+
+
+def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
+    """Build a DEM from a point cloud (Eqs. 1 and 2 of the Gaussian DEM paper).
+
+    Each sample is spread over the four nearest cell centres with bilinear weights, which
+    accumulate; cells without a sample take the mean of their known neighbours, repeatedly.
+
+    Parameters
+    ----------
+    points
+        East, north, up (n, 3), m; rows with NaN are left out, points off the grid too.
+    grid
+        The cells.
+
+    Raises
+    ------
+    ValueError
+        If the array is not (n, 3), holds infinities, or no point falls on the grid.
+    """
+    cloud = check_points(points)
+    base = base_height(cloud)
+    height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
+    if not weight.any():
+        raise ValueError(f"points: none of the {len(cloud)} falls on the grid")
+    with np.errstate(invalid="ignore"):
+        z = np.where(weight > 0.0, base + height.astype(np.float64) / weight, np.nan)
+    k.fill_holes(z)
+    return ConventionalDem(grid, z.astype(np.float32), weight)
+
+
+def base_height(cloud: NDArray[np.float64]) -> float:
+    """Return a height (m) near the cloud's, so that sums of heights above it stay small."""
+    return float(cloud[len(cloud) // 2, 2]) if len(cloud) else 0.0

@@ -1,0 +1,118 @@
+"""Hyper-parameters of the random field from the point cloud itself, by its variogram."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import curve_fit
+from scipy.spatial import cKDTree
+
+from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
+
+Array = NDArray[np.float64]
+
+_BINS = 24
+
+
+@dataclass(frozen=True)
+class FieldFit:
+    """Fitted hyper-parameters.
+
+    Attributes
+    ----------
+    sigma_f, length_scale
+        m. On lags much shorter than the length scale only their combination `growth` is known.
+    growth
+        sigma_f^2 / length_scale: how fast the variogram rises from the origin, m.
+    lag, variogram
+        Centres of the lag bins (n,), m, and half the mean squared difference there (n,), m^2.
+    seconds
+        Wall-clock cost of the fit.
+    """
+
+    sigma_f: float
+    length_scale: float
+    growth: float
+    lag: Array
+    variogram: Array
+    seconds: float
+
+
+def fit_hyperparameters(
+    points: ArrayLike,
+    sigma_eps: float,
+    rng: np.random.Generator,
+    *,
+    largest_lag: float = 10.0,
+    pairs: int = 200_000,
+) -> FieldFit:
+    """Fit the absolute exponential kernel to the variogram of a point cloud.
+
+    The variogram of the model is ``sigma_f^2 (1 - exp(-d / length)) + sigma_eps^2``. Pairs are
+    drawn at random; their squared differences are averaged in bins of lag and the model is fitted
+    to the bins, each weighted by its relative error.
+
+    Parameters
+    ----------
+    points
+        East, north, up (n, 3), m; at least 100.
+    sigma_eps
+        Standard deviation of a sample, m; held.
+    rng
+        Draws the pairs.
+    largest_lag
+        Longest lag used, m.
+    pairs
+        Number of pairs drawn.
+
+    Raises
+    ------
+    ValueError
+        If there are too few points, or none lie within the largest lag of each other.
+    """
+    began = time.perf_counter()
+    cloud = check_points(points)
+    if len(cloud) < 100:
+        raise ValueError(f"points: {len(cloud)} are too few for a variogram, at least 100")
+    # Partners at a random direction and a lag even in its logarithm: every bin gets its share.
+    first = rng.integers(0, len(cloud), pairs)
+    low = 0.02 * largest_lag
+    lag = low * (largest_lag / low) ** rng.random(pairs)
+    angle = 2.0 * np.pi * rng.random(pairs)
+    aim = cloud[first, :2] + lag[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
+    _, second = cKDTree(cloud[:, :2]).query(aim)
+    distance = np.linalg.norm(cloud[first, :2] - cloud[second, :2], axis=1)
+    use = (distance > 0.0) & (distance <= largest_lag)
+    if not use.any():
+        raise ValueError(f"largest_lag = {largest_lag}: no two points are that close")
+    square = 0.5 * (cloud[first, 2] - cloud[second, 2])[use] ** 2
+    edges = np.geomspace(distance[use].min(), largest_lag, _BINS + 1)
+    index = np.clip(np.searchsorted(edges, distance[use]) - 1, 0, _BINS - 1)
+    count = np.bincount(index, minlength=_BINS)
+    filled = count >= 30
+    centre = np.bincount(index, weights=distance[use], minlength=_BINS)[filled] / count[filled]
+    height = np.bincount(index, weights=square, minlength=_BINS)[filled] / count[filled]
+
+    def model(d: Array, log_sigma: float, log_length: float) -> Array:
+        rise = np.exp(2.0 * log_sigma) * -np.expm1(-d / np.exp(log_length))
+        return np.asarray(rise + sigma_eps**2)
+
+    top = max(float(height.max() - sigma_eps**2), 1e-8)
+    start = (0.5 * np.log(top), np.log(0.3 * largest_lag))
+    spread = height / np.sqrt(count[filled]) + 1e-12
+    (log_sigma, log_length), _ = curve_fit(
+        model,
+        centre,
+        height,
+        p0=start,
+        sigma=spread,
+        bounds=([np.log(1e-5), np.log(1e-3)], [np.log(1e3), np.log(1e4)]),
+        max_nfev=2000,
+    )
+    sigma_f, length = float(np.exp(log_sigma)), float(np.exp(log_length))
+    return FieldFit(
+        sigma_f, length, sigma_f**2 / length, centre, height, time.perf_counter() - began
+    )

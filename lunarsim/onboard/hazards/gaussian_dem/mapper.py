@@ -1,0 +1,74 @@
+"""The Gaussian DEM mapper: LiDAR scans in, `HazardMap` out."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.safety import plane_stochastic_safety, stochastic_safety
+
+
+class GaussianDemMapper:
+    """Fuses flash LiDAR scans into a Gaussian DEM and judges landing safety on it.
+
+    Parameters
+    ----------
+    grid
+        The cells of the map, in the estimated ENU frame.
+    lander
+        Geometry and limits.
+    sigma_f, length_scale
+        Hyper-parameters of the random field, m.
+    safety
+        ``"level"``: the conservative test of Eqs. 15 to 17. ``"planes"``: through the real
+        support planes, which keeps safe sites on relief.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        lander: Lander,
+        *,
+        sigma_f: float = 0.5,
+        length_scale: float = 30.0,
+        safety: Literal["level", "planes"] = "level",
+    ) -> None:
+        self.grid = grid
+        self.lander = lander
+        self.sigma_f = sigma_f
+        self.length_scale = length_scale
+        self.safety = safety
+        self.dem: GaussianDem | None = None
+        self._map = HazardMap.unobserved(grid)
+
+    def update(self, measurement: LidarScan, estimate: Estimate) -> None:
+        """Add a scan taken at the estimated pose; a scan without returns changes nothing."""
+        points = measurement.points(estimate.position, estimate.attitude)
+        if not np.isfinite(points).all(axis=1).any():
+            return
+        scan = gaussian_dem(
+            points,
+            self.grid,
+            sigma_f=self.sigma_f,
+            length_scale=self.length_scale,
+            sigma_eps=max(float(np.nanmedian(measurement.sigma)), 1e-4),
+            image_shape=measurement.shape,
+        )
+        self.dem = scan if self.dem is None else fuse(self.dem, scan)
+        seen = np.where(self.dem.observed, self.dem.mean, np.float32(np.nan))
+        judge = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
+        safety = judge(seen, self.dem.variance, self.grid, self.lander)
+        self._map = HazardMap(
+            self.grid, safety.p_safe, safety.observed, self.dem.mean, self.dem.variance
+        )
+
+    def hazard_map(self) -> HazardMap:
+        """Return the map as it stands."""
+        return self._map

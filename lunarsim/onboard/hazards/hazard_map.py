@@ -1,0 +1,102 @@
+"""The product that all mappers share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.navigation.estimate import Estimate
+
+FloatMap = NDArray[np.float32]
+BoolMap = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class HazardMap:
+    """Where it is safe to land, as far as the lander has seen.
+
+    Attributes
+    ----------
+    grid
+        Places the cells in the estimated ENU frame.
+    p_safe
+        Probability that a lander centred on the cell lands safely (rows, cols), in [0, 1];
+        0 where not observed.
+    observed
+        True where the whole footprint has been seen (rows, cols).
+    elevation
+        Mean elevation (rows, cols), m; NaN where unknown; None if the mapper knows none.
+    variance
+        Variance of the elevation (rows, cols), m^2, or None.
+    """
+
+    grid: Grid
+    p_safe: FloatMap
+    observed: BoolMap
+    elevation: FloatMap | None = None
+    variance: FloatMap | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("p_safe", "observed", "elevation", "variance"):
+            layer = getattr(self, name)
+            if layer is not None and layer.shape != self.grid.shape:
+                raise ValueError(f"{name} has shape {layer.shape}, the grid {self.grid.shape}")
+
+    @classmethod
+    def unobserved(cls, grid: Grid) -> HazardMap:
+        """Return the map before anything was seen."""
+        return cls(
+            grid,
+            np.zeros(grid.shape, np.float32),
+            np.zeros(grid.shape, np.bool_),
+            np.full(grid.shape, np.nan, np.float32),
+            None,
+        )
+
+    def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return p_safe (...,) of the cells that hold points (..., 2); 0 off the map."""
+        row, col = self.grid.cell(xy)
+        inside = self.grid.contains(xy)
+        p = self.p_safe[
+            np.clip(row, 0, self.grid.rows - 1), np.clip(col, 0, self.grid.cols - 1)
+        ].astype(np.float64)
+        return np.where(inside, p, 0.0)
+
+    def elevation_at(self, xy: ArrayLike) -> float:
+        """Return the mean elevation (m) of the cell under a point (2,); NaN where unknown."""
+        if self.elevation is None or not bool(self.grid.contains(xy)):
+            return float("nan")
+        row, col = self.grid.cell(xy)
+        return float(self.elevation[int(row), int(col)])
+
+    def dispersed(self, sigma: float) -> FloatMap:
+        """Return the probability of landing safely when *aiming* at each cell (rows, cols).
+
+        The touchdown error is Gaussian with standard deviation `sigma` (m) an axis: p_safe is
+        averaged with that weight, as the ALHAT programme does. Unobserved ground counts as
+        unsafe.
+        """
+        p = np.where(self.observed, self.p_safe, np.float32(0.0))
+        if sigma <= 0.0:
+            return p
+        smooth = ndimage.gaussian_filter(
+            p, sigma / self.grid.posting, mode="constant", cval=0.0, truncate=3.0
+        )
+        return np.where(self.observed, smooth, np.float32(0.0)).astype(np.float32)
+
+
+class HazardMapper(Protocol):
+    """Anything that draws a `HazardMap` from measurements."""
+
+    def update(self, measurement: Any, estimate: Estimate) -> None:
+        """Take in one measurement made at the estimated pose."""
+        ...
+
+    def hazard_map(self) -> HazardMap:
+        """Return the map as it stands."""
+        ...

@@ -1,0 +1,22 @@
+"""Quadtree map and the selection of landing sites on it.
+
+Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Resolution
+SLAM-Refined Map".
+"""
+
+from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapper
+from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
+from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, Site, SiteSelector
+from lunarsim.onboard.hazards.quadtree.tree import Inserted, QuadtreeMap
+
+__all__ = [
+    "STATUS",
+    "Inserted",
+    "InterestMap",
+    "QuadtreeMap",
+    "QuadtreeMapper",
+    "Selection",
+    "Site",
+    "SiteSelector",
+    "SiteSettings",
+]

@@ -1,0 +1,211 @@
+"""The quadtree mapper: LiDAR scans in, ranked sites and a `HazardMap` out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.quadtree.calibration import features, measured
+from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
+from lunarsim.onboard.hazards.quadtree.sites import Selection, SiteSelector
+from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.safety.logistic import Logistic
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class _Held:
+    """A scan whose place is too uncertain yet, and the pose it was taken at as known now."""
+
+    scan: LidarScan
+    time: float
+    position: Array
+    attitude: Array
+
+
+class QuadtreeMapper:
+    """Keeps a quadtree of scans and judges landing sites on it.
+
+    Parameters
+    ----------
+    grid
+        Cells of the hazard map, estimated ENU frame; the quadtree covers them.
+    settings
+        Tolerances, weights, sizes of cells.
+    elevation
+        Level from which the quadtree counts heights, m.
+    least, split_count
+        Of the quadtree.
+    interest
+        Left out: 1 everywhere.
+    model
+        Turns slope, roughness and exceptions into a probability; left out: the calibrated one.
+    hold_sigma
+        Scans whose ground is uncertain by more than this in any direction (1 sigma, m) wait until
+        navigation knows better, and are then placed anew. Infinite: taken as they come, so that
+        what was seen before the first lock is smeared by the drift, as in the paper.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        settings: SiteSettings | None = None,
+        *,
+        elevation: float = 0.0,
+        least: float = 0.1,
+        split_count: int = 8,
+        interest: InterestMap | None = None,
+        model: Logistic | None = None,
+        hold_sigma: float = 0.5,
+    ) -> None:
+        self.grid = grid
+        west, east, south, north = grid.extent
+        centre = (0.5 * (west + east), 0.5 * (south + north), elevation)
+        self.map = QuadtreeMap(
+            centre, max(east - west, north - south), least, split_count=split_count
+        )
+        self.selector = SiteSelector(self.map, settings, interest, thorough=True)
+        self.selection: Selection | None = None
+        self._model = model
+        self._hold_sigma = hold_sigma
+        self._held: list[_Held] = []
+        self._judged = -1
+        self._drawn: HazardMap | None = HazardMap.unobserved(grid)
+
+    @property
+    def held(self) -> int:
+        """Scans that wait for a better estimate."""
+        return len(self._held)
+
+    def update(self, measurement: LidarScan, estimate: Estimate) -> None:
+        """Add a scan taken at the estimated pose, or hold it; without returns nothing changes."""
+        seen = np.isfinite(measurement.range)
+        if not seen.any():
+            return
+        if ground_sigma(measurement, estimate) > self._hold_sigma:
+            self._held.append(
+                _Held(measurement, estimate.time, estimate.position, estimate.attitude)
+            )
+            return
+        for held in self._held:
+            self.map.insert(held.scan.points(held.position, held.attitude))
+        self._held.clear()
+        self.map.insert(measurement.points(estimate.position, estimate.attitude))
+
+    def correct(self, before: Estimate, after: Estimate) -> None:
+        """Move the scans held by what navigation has just learnt of pose and velocity."""
+        turn = quat_multiply(after.attitude, quat_conjugate(before.attitude))
+        faster = after.velocity - before.velocity
+        for held in self._held:
+            held.position = (
+                after.position
+                + quat_rotate(turn, held.position - before.position)
+                - faster * (before.time - held.time)
+            )
+            held.attitude = quat_multiply(turn, held.attitude)
+
+    def select(self) -> Selection:
+        """Return all sites as they stand."""
+        if self.selection is None or self._judged != self.map.version:
+            self._judged = self.map.version
+            self.selection = self.selector.update()
+            self._drawn = None
+        return self.selection
+
+    def hazard_map(self) -> HazardMap:
+        """Return the map as it stands."""
+        self.select()
+        return self.last_map()
+
+    def last_map(self) -> HazardMap:
+        """Return the map as it was when sites were last judged."""
+        if self._drawn is None:
+            assert self.selection is not None
+            self._drawn = self._draw(self.selection)
+        return self._drawn
+
+    def _draw(self, selection: Selection) -> HazardMap:
+        """Return the sites' probabilities on the grid: each cell has that of the site under it.
+
+        Where no site passes the limits of the mission all are 0: there is nothing to aim at.
+        """
+        s = self.selector.settings
+        known = np.isfinite(selection.roughness)
+        p = np.zeros(len(known))
+        if not selection.ranked:
+            return self._on_grid(selection, p, known)
+        model = self._model or measured()
+        p[known] = model.probability(
+            features(
+                selection.slope[known] / s.slope_limit,
+                selection.roughness[known] / s.roughness_limit,
+                selection.ratio[known],
+                selection.near[known],
+            )
+        )
+        return self._on_grid(selection, p, known)
+
+    def _on_grid(self, selection: Selection, p: Array, known: NDArray[np.bool_]) -> HazardMap:
+        """Return probability, whether it is known, and elevation of the sites (n,) as rasters."""
+        g, xy = self.grid, selection.position[:, :2]
+        size = self.map.sizes(selection.nodes)
+        if len(size) == 0:
+            return HazardMap.unobserved(g)
+        return HazardMap(
+            g,
+            rasterised(g, xy, size, p, 0.0).astype(np.float32),
+            rasterised(g, xy, size, known, 0.0) > 0.0,
+            rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
+        )
+
+
+def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float) -> Array:
+    """Return the value of the cell under each centre of a grid (rows, cols).
+
+    Parameters
+    ----------
+    grid
+        The raster.
+    xy, size
+        Centres (n, 2) and sides (n,) of square cells that do not overlap, m.
+    value
+        Of each cell (n,).
+    fill
+        Where there is none.
+    """
+    out = np.full(grid.shape, fill)
+    value = np.asarray(value, dtype=np.float64)
+    for side in np.unique(size):
+        # Cells of one size make a raster of their own: look up instead of filling.
+        mine = np.flatnonzero(size == side)
+        corner = xy[mine[0]] - 0.5 * side
+        col0, row0 = np.rint((xy[mine] - 0.5 * side - corner) / side).astype(np.int64).T
+        cols = np.floor((grid.x - corner[0]) / side + 1e-9).astype(np.int64)
+        rows = np.floor((grid.y - corner[1]) / side + 1e-9).astype(np.int64)
+        west, south = min(col0.min(), cols.min()), min(row0.min(), rows.min())
+        shape = (max(row0.max(), rows.max()) - south + 1, max(col0.max(), cols.max()) - west + 1)
+        index = np.full(shape, -1, np.int64)
+        index[row0 - south, col0 - west] = mine
+        under = index[np.ix_(rows - south, cols - west)]
+        out[under >= 0] = value[under[under >= 0]]
+    return out
+
+
+def ground_sigma(scan: LidarScan, estimate: Estimate) -> float:
+    """Return the greatest standard deviation (m) of where the middle of a scan lies."""
+    points = scan.points(estimate.position, estimate.attitude)
+    x, y, z = np.nanmean(points, axis=0) - estimate.position
+    # A small turn phi (ENU) moves the point by phi x rho.
+    by_turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    jacobian = np.hstack((np.eye(3), by_turn))
+    keep = np.r_[0:3, 6:9]
+    covariance = jacobian @ estimate.covariance[np.ix_(keep, keep)] @ jacobian.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

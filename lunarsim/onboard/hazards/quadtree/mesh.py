@@ -1,0 +1,123 @@
+"""Triangular mesh of coarse cells: the local ground plane at any point (Eqs. 1-3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.onboard.hazards.quadtree import _site_kernels as k
+from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
+from lunarsim.triangulation._kernels import hilbert_keys, insert_all
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class GroundMesh:
+    """Delaunay triangulation of the centres of the smallest cells within a band of sizes.
+
+    A cell is a node when each of its quarters holds enough points: one that was seen from one
+    side only would lend its middle the elevation of its edge. Which triangulation comes out where
+    nodes are cocircular depends on the nodes alone, not on the order in which they were found.
+
+    Parameters
+    ----------
+    quadtree
+        The map.
+    smallest, largest
+        Band of cell sizes, m.
+    density
+        Least number of points on a square metre.
+    """
+
+    def __init__(
+        self, quadtree: QuadtreeMap, smallest: float, largest: float, density: float
+    ) -> None:
+        self._map = quadtree
+        self._band = (smallest, largest)
+        self._density = density
+        self._bits = quadtree.depths + 1
+        # Buckets as large as the largest cells: a triangle touches few of them.
+        self._bucket = 2 << (quadtree.depths - quadtree.depth_of(largest))
+        self._wide = (2 << quadtree.depths) // self._bucket
+        self.nodes: Nodes = np.zeros(0, np.int32)
+        self.xy: IntArray = np.zeros((0, 2), np.int64)
+        self.z: Array = np.zeros(0)
+        self.triangles: IntArray = np.zeros((0, 3), np.int64)
+        self.normals: Array = np.zeros((0, 3))
+        self._index()
+
+    def update(self, since: int) -> IntArray:
+        """Follow the map; return the outlines (n, 4) of triangles that came, went or moved.
+
+        Outlines are west, east, south and north in half sides of the least cells.
+        """
+        if not len(self._map.band(*self._band, since=since)):
+            return np.zeros((0, 4), np.int64)
+        tree = self._map.tree
+        nodes = self._map.band(*self._band)
+        nodes = nodes[k.mesh_nodes(tree, nodes, self._density)]
+        nodes = np.sort(nodes)
+        z = tree.sums[nodes, 2] / tree.count[nodes]
+        before = (self.nodes, self.xy, self.z, self.triangles)
+        if not np.array_equal(nodes, self.nodes):
+            size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
+            self.xy = np.stack(
+                ((2 * tree.column[nodes] + 1) * size, (2 * tree.row[nodes] + 1) * size), axis=-1
+            )
+            self.triangles = self._triangulate()
+            self.nodes = nodes
+        self.z = z
+        metre = self._map.least / 2.0
+        x, y = metre * self.xy[:, 0], metre * self.xy[:, 1]
+        self.normals = k.normals(x, y, z, self.triangles)
+        self._index()
+        return self._changed(*before)
+
+    def normals_of(self, nodes: Nodes) -> Array:
+        """Return the ground's unit normals (n, 3) at the centres of cells; NaN off the mesh."""
+        tree = self._map.tree
+        size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
+        x, y = (2 * tree.column[nodes] + 1) * size, (2 * tree.row[nodes] + 1) * size
+        return np.asarray(k.normals_at(x, y, self.arrays))
+
+    def _triangulate(self) -> IntArray:
+        """Triangulate the nodes, in an order that depends on their places alone."""
+        if len(self.xy) < 3:
+            return np.zeros((0, 3), np.int64)
+        order = np.argsort(hilbert_keys(self.xy, self._bits), kind="stable")
+        return np.asarray(insert_all(self.xy, order), dtype=np.int64)
+
+    def _index(self) -> None:
+        px, py = np.ascontiguousarray(self.xy.T)
+        start, index = k.list_triangles(px, py, self.triangles, self._bucket, self._wide)
+        self.arrays = (
+            px, py, self.triangles, self.normals, self._bucket, self._wide, start, index,
+        )  # fmt: skip
+
+    def _changed(self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray) -> IntArray:
+        """Return the outlines of triangles of before or now that the other lacks."""
+        everyone = np.union1d(nodes, self.nodes)
+        old = _keys(np.searchsorted(everyone, nodes), triangles, len(everyone))
+        new = _keys(np.searchsorted(everyone, self.nodes), self.triangles, len(everyone))
+        gone = ~np.isin(old, new)
+        come = ~np.isin(new, old)
+        height = np.full(len(everyone), np.nan)
+        height[np.searchsorted(everyone, nodes)] = z
+        moved = height[np.searchsorted(everyone, self.nodes)] != self.z
+        come |= moved[self.triangles].any(axis=1)
+        return np.concatenate(
+            (_outlines(xy, triangles[gone]), _outlines(self.xy, self.triangles[come]))
+        )
+
+
+def _keys(index: IntArray, triangles: IntArray, count: int) -> IntArray:
+    """Return a number a triangle that does not depend on where its corners are counted from."""
+    corners = np.sort(index[triangles], axis=1)
+    return np.asarray((corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2])
+
+
+def _outlines(xy: IntArray, triangles: IntArray) -> IntArray:
+    corners = xy[triangles]
+    low, high = corners.min(axis=1, initial=2**40), corners.max(axis=1, initial=-1)
+    return np.stack((low[:, 0], high[:, 0], low[:, 1], high[:, 1]), axis=-1).reshape(-1, 4)

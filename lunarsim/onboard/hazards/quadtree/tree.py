@@ -1,0 +1,235 @@
+"""Variable-resolution map: a quadtree of measured points (quadtree paper, section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.quadtree import _tree_kernels as k
+
+Array = NDArray[np.float64]
+Nodes = NDArray[np.int32]
+
+# float32 coordinates resolve 1/16,777,216 of the side; deeper trees would fall below it.
+_DEEPEST = 16
+
+
+@dataclass(frozen=True)
+class Inserted:
+    """What became of a batch of points.
+
+    Attributes
+    ----------
+    added, outside, missing
+        Points taken in, outside the map, and with a coordinate that is no number.
+    """
+
+    added: int
+    outside: int
+    missing: int
+
+
+class QuadtreeMap:
+    """A square that divides where measurements are dense.
+
+    A cell whose points number `split_count` or more has four children, down to the least size.
+    Count, mean and variance of the elevation are kept at every level, and every cell knows the
+    batch that last reached it, so that users of the map can ask for what has changed.
+
+    Parameters
+    ----------
+    centre
+        Middle of the square (2,) or (3,), ENU, m; a third number is the elevation from which
+        heights are counted inside, so that float32 resolves them.
+    side
+        Least side of the square, m; it becomes a power of two times `least`.
+    least
+        Side of the least cells, m.
+    split_count
+        Points at which a cell divides.
+    """
+
+    def __init__(
+        self, centre: ArrayLike, side: float, least: float = 0.1, *, split_count: int = 8
+    ) -> None:
+        if not (np.isfinite(least) and least > 0.0):
+            raise InputError("quadtree.least_m", least, "a positive length in metres")
+        if not (np.isfinite(side) and side >= least):
+            raise InputError("quadtree.side_m", side, f"at least one cell of {least} m")
+        if split_count < 2:
+            raise InputError("quadtree.split_count", split_count, "2 or more")
+        depths = max(1, int(np.ceil(np.log2(side / least) - 1e-9)))
+        if depths > _DEEPEST:
+            raise InputError(
+                "quadtree.least_m", least, f"at least {side / 2**_DEEPEST:g} m for {side:g} m"
+            )
+        middle = np.zeros(3)
+        given = np.asarray(centre, dtype=np.float64)
+        middle[: given.size] = given
+        if not np.isfinite(middle).all():
+            raise InputError("quadtree.centre", middle.tolist(), "finite coordinates")
+        self.centre = middle
+        self.least = float(least)
+        self.depths = depths
+        self.side = least * 2.0**depths
+        self.split_count = int(split_count)
+        self.version = 0
+        self._points = 0
+        self._used = (1, 0)
+        capacity = 1024
+        self.tree = k.Tree(
+            0.5 * self.side,
+            depths,
+            np.empty((0, 3), np.float32),
+            np.full(capacity, -1, np.int32),
+            np.zeros(capacity, np.int8),
+            np.zeros(capacity, np.int32),
+            np.zeros(capacity, np.int32),
+            np.zeros(capacity, np.int32),
+            np.zeros((capacity, k.SUMS)),
+            np.zeros(capacity, np.int32),
+            np.full(capacity, -1, np.int32),
+            *(np.empty(capacity, np.int32) for _ in range(3)),
+        )
+
+    # --- taking in ------------------------------------------------------------------------
+
+    def insert(self, points: ArrayLike) -> Inserted:
+        """Add points (n, 3), ENU, m; those off the map or with NaN are counted and left out."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError("quadtree.points", points.shape, "an array of shape (n, 3)")
+        t = self.tree
+        xyz, key, outside, missing = k.place(points, self.centre, t.half, self.depths)
+        base = self._points
+        if len(xyz):
+            self._make_room(points=base + len(xyz))
+            self.tree.xyz[base : base + len(xyz)] = xyz
+            self._points += len(xyz)
+            at = 0
+            while True:
+                self.version += 1
+                at, *used = k.insert(
+                    self.tree, key, base, at, self._used, self.split_count, self.version
+                )
+                self._used = (used[0], used[1])
+                if at == len(key):
+                    break
+                self._make_room(nodes=2 * len(self.tree.child), runs=2 * len(self.tree.start))
+        return Inserted(len(xyz), int(outside), int(missing))
+
+    def _make_room(self, *, points: int = 0, nodes: int = 0, runs: int = 0) -> None:
+        """Enlarge arrays to hold what is asked for; points grow by half so that few are copied."""
+        t = self.tree
+        if points > len(t.xyz):
+            grown = np.empty((max(points, len(t.xyz) * 3 // 2), 3), np.float32)
+            grown[: self._points] = t.xyz[: self._points]
+            t = t._replace(xyz=grown)
+        if nodes > len(t.child):
+            t = _with_room(t, _NODE_ARRAYS, nodes, self._used[0])
+        if runs > len(t.start):
+            t = _with_room(t, _RUN_ARRAYS, runs, self._used[1])
+        self.tree = t
+
+    # --- size -----------------------------------------------------------------------------
+
+    @property
+    def count(self) -> int:
+        """Points in the map."""
+        return self._points
+
+    @property
+    def cells(self) -> int:
+        """Cells of all sizes."""
+        return self._used[0]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory in use, bytes; the arrays keep room for up to twice as many."""
+        nodes = sum(int(getattr(self.tree, name)[:1].nbytes) for name in _NODE_ARRAYS)
+        return 12 * self._points + nodes * self._used[0] + 12 * self._used[1]
+
+    @property
+    def points(self) -> Array:
+        """All points in the order of their coming, sorted within a batch (n, 3), ENU, m."""
+        return np.asarray(self.tree.xyz[: self._points] + self.centre)
+
+    # --- cells ----------------------------------------------------------------------------
+
+    def depth_of(self, size: float) -> int:
+        """Return the depth of the largest cells that are no larger than `size` (m)."""
+        return int(np.clip(np.ceil(np.log2(self.side / size) - 1e-9), 0, self.depths))
+
+    def band(self, smallest: float, largest: float, *, since: int = 0) -> Nodes:
+        """Return the smallest cells within a band of sizes (Figure 3), along the Z-order curve.
+
+        Parameters
+        ----------
+        smallest, largest
+            Sides of the cells, m.
+        since
+            Only cells that got points after this version of the map.
+        """
+        low, high = self.depth_of(smallest), self.depth_of(largest)
+        return np.asarray(k.band(self.tree, low, high, since))
+
+    def cell_at(self, xy: ArrayLike, smallest: float = 0.0, largest: float = np.inf) -> int:
+        """Return the smallest cell within a band of sizes that holds a point (2,); -1 for none."""
+        low = self.depth_of(smallest) if smallest > 0.0 else self.depths
+        high = self.depth_of(largest) if np.isfinite(largest) else 0
+        x, y = np.asarray(xy, dtype=np.float64)[:2] - self.centre[:2]
+        return int(k.node_at(self.tree, x, y, low, high))
+
+    def points_in(self, west: float, east: float, south: float, north: float) -> Array:
+        """Return the points (n, 3) in a closed rectangle, ENU, m."""
+        cx, cy = self.centre[:2]
+        index = k.points_in(self.tree, west - cx, east - cx, south - cy, north - cy)
+        return np.asarray(self.tree.xyz[index] + self.centre)
+
+    def centres(self, nodes: Nodes) -> Array:
+        """Return the centres (n, 2) of cells, ENU, m."""
+        size = self.sizes(nodes)
+        t = self.tree
+        east = (t.column[nodes] + 0.5) * size - t.half
+        north = (t.row[nodes] + 0.5) * size - t.half
+        return np.stack((east, north), axis=-1) + self.centre[:2]
+
+    def sizes(self, nodes: Nodes) -> Array:
+        """Return the sides of cells (n,), m."""
+        return np.asarray(self.side / 2.0 ** self.tree.depth[nodes])
+
+    def number(self, nodes: Nodes) -> NDArray[np.int32]:
+        """Return how many points cells hold (n,)."""
+        return np.asarray(self.tree.count[nodes])
+
+    def elevation(self, nodes: Nodes) -> Array:
+        """Return the mean elevation of the points in cells (n,), m; NaN in empty ones."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self.tree.sums[nodes, 2] / self.tree.count[nodes]
+        return np.asarray(mean + self.centre[2])
+
+    def variance(self, nodes: Nodes) -> Array:
+        """Return the variance of the points' elevations in cells (n,), m^2; NaN in empty ones."""
+        count = self.tree.count[nodes]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self.tree.sums[nodes, 2] / count
+            return np.asarray(np.maximum(self.tree.sums[nodes, 8] / count - mean**2, 0.0))
+
+
+_NODE_ARRAYS = ("child", "depth", "column", "row", "count", "sums", "stamp", "head")
+_RUN_ARRAYS = ("start", "length", "following")
+
+
+def _with_room(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
+    arrays: dict[str, Any] = {name: _enlarged(getattr(tree, name), size, used) for name in names}
+    return tree._replace(**arrays)
+
+
+def _enlarged(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:
+    out = np.empty((size, *array.shape[1:]), array.dtype)
+    out[:used] = array[:used]
+    return out

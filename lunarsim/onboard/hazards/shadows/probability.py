@@ -1,0 +1,61 @@
+"""How probable it is that a rock covers a place (shadow EKF paper, Eqs. 16-22)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
+
+Array = NDArray[np.float64]
+Form = Literal["rice", "gaussian"]
+
+_RAYLEIGH_MEAN = np.sqrt(0.5 * np.pi)
+_RAYLEIGH_VARIANCE = 2.0 - 0.5 * np.pi
+
+
+def cover_probability(
+    distance: ArrayLike,
+    location_sigma: ArrayLike,
+    radius: ArrayLike,
+    radius_sigma: ArrayLike,
+    form: Form = "rice",
+) -> Array:
+    """Return the probability that rocks cover points at given distances from their estimates.
+
+    Parameters
+    ----------
+    distance
+        From the estimated centre (n, m), m.
+    location_sigma
+        Standard deviation of the centre an axis (n,), m.
+    radius, radius_sigma
+        Estimated radius and its standard deviation (n,), m.
+    form
+        "rice": the distance to the true centre has Rice's distribution, the radius a normal one;
+        exact for a round rock with equal errors an axis. "gaussian": the paper's Eqs. 17-21: the
+        error of the centre, a Rayleigh variable, is replaced by a normal one of its mean and
+        variance and added to the radius, as if the rock were always displaced towards the
+        point; cut at 0.
+
+    Returns
+    -------
+    p
+        (n, m).
+    """
+    d = np.asarray(distance, dtype=np.float64)
+    sigma, mean, spread = (
+        np.maximum(np.atleast_1d(np.asarray(v, dtype=np.float64)), least)
+        for v, least in ((location_sigma, 1e-4), (radius, 0.0), (radius_sigma, 1e-4))
+    )
+    if form == "rice":
+        return np.asarray(
+            kernels.rice_profiles(d, sigma, mean, spread, kernels._NODE, kernels._WEIGHT)
+        )
+    mu = (mean + _RAYLEIGH_MEAN * sigma)[:, None]
+    s = np.sqrt(spread**2 + _RAYLEIGH_VARIANCE * sigma**2)[:, None]
+    below = ndtr(-mu / s)
+    return np.asarray(1.0 - (ndtr((d - mu) / s) - below) / (1.0 - below))

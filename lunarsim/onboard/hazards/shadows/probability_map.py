@@ -1,0 +1,243 @@
+"""The map of the probability of hazard (shadow EKF paper, Eqs. 12-23)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.models.camera import CameraModel
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
+from lunarsim.onboard.hazards.shadows.probability import Form, cover_probability
+from lunarsim.onboard.hazards.shadows.tracker import RockTracker
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.laws import golombek_cover, golombek_exponent, golombek_number
+
+Array = NDArray[np.float64]
+
+# What has been seen is remembered for squares of this side, m.
+_BLOCK = 0.5
+# The quality of a look is evaluated at every so many of them.
+_COARSE = 8
+_SIZES = 24
+_DISTANCES = 65
+# A rock's reach ends where its probability is below this.
+_TAIL = 3.9
+
+
+@dataclass(frozen=True)
+class HazardPrior:
+    """Rocks that are expected before any is seen.
+
+    Attributes
+    ----------
+    cover
+        Share k of the ground under rocks of any size (Golombek).
+    least_diameter
+        Of a rock that is a hazard, m.
+    largest_diameter
+        m.
+    """
+
+    cover: float = 0.05
+    least_diameter: float = 0.3
+    largest_diameter: float = 4.0
+
+    def __post_init__(self) -> None:
+        golombek_cover(1.0, self.cover)  # refuses a cover that is no fraction
+        if not 0.0 < self.least_diameter < self.largest_diameter:
+            raise InputError(
+                "prior.least_diameter", self.least_diameter,
+                f"more than 0, less than {self.largest_diameter} m",
+            )  # fmt: skip
+
+
+class ProbabilityMap:
+    """Probability of hazard over a grid, from tracked rocks and from what each place was seen with.
+
+    Eq. 23 adds three probabilities, and a sum over rocks can exceed 1. Here the events are taken
+    as independent and the probability that none happens is multiplied up, which is a proper
+    probability, never above the sum, and equal to it where both are small.
+
+    Parameters
+    ----------
+    grid
+        Places the cells.
+    prior
+        Rocks that are expected.
+    model, rates
+        What rocks look like, and how often they are missed.
+    ground
+        Elevation of the plane, m.
+    form
+        Of `cover_probability`.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        model: ShadowModel,
+        prior: HazardPrior | None = None,
+        rates: DetectionRates | None = None,
+        *,
+        ground: float = 0.0,
+        form: Form = "rice",
+    ) -> None:
+        self.grid = grid
+        self.model = model
+        self.prior = prior or HazardPrior()
+        self.rates = rates or DetectionRates()
+        self.ground = float(ground)
+        self.form: Form = form
+        every = max(1, round(_BLOCK / grid.posting))
+        self._blocks = Grid(
+            grid.x0 + 0.5 * (every - 1) * grid.posting, grid.y0 + 0.5 * (every - 1) * grid.posting,
+            every * grid.posting, -(-grid.rows // every), -(-grid.cols // every),
+        )  # fmt: skip
+        self._every = every
+        # Pixels of q for a metre of radius: all that matters about the best view of a place.
+        self._sharpness = np.zeros(self._blocks.shape)
+        edges = np.geomspace(self.prior.least_diameter, self.prior.largest_diameter, _SIZES + 1)
+        self._sizes = np.sqrt(edges[1:] * edges[:-1])
+        cover = golombek_cover(edges, self.prior.cover)
+        self._cover = cover[:-1] - cover[1:]
+        self._cover[-1] += cover[-1]
+        number = golombek_number(edges, self.prior.cover)
+        self._number = number[:-1] - number[1:]
+
+    # --- what has been seen ---------------------------------------------------------------
+
+    def see(self, camera: CameraModel, view: View, sun: Array, seen: Detections) -> None:
+        """Note with what sharpness each place is in view.
+
+        Only the sharpest look counts: what a shadow detector misses once it will often miss again
+        from nearly the same place, so looks are not multiplied. Ground in the dark is not seen,
+        be it in the shadow of a rock or of the terrain: a rock there would not show.
+        """
+        b = self._blocks
+        x = b.x0 + _COARSE * b.posting * np.arange(-(-b.cols // _COARSE) + 1)
+        y = b.y0 + _COARSE * b.posting * np.arange(-(-b.rows // _COARSE) + 1)
+        xx, yy = np.meshgrid(x, y)
+        away = np.stack((xx, yy), -1) - view.position[:2]
+        level = np.hypot(away[..., 0], away[..., 1])
+        drop = self.ground - view.position[2]
+        if drop >= 0.0:
+            return
+        azimuth = np.arctan2(-away[..., 0], -away[..., 1]) - np.arctan2(sun[0], sun[1])
+        pixel = np.hypot(level, drop) / np.sqrt(view.fx * view.fy)
+        q = self.model.visible_pixels(1.0, azimuth, np.arctan2(-drop, level), pixel)
+        kernels.mark_seen(
+            self._sharpness, b.x0, b.y0, b.posting, q, _COARSE, view.position, view.axes,
+            view.fx, view.fy, view.cx, view.cy, drop, seen.labels,
+        )  # fmt: skip
+
+    def _residual(self, footprint: float) -> Array:
+        """Return the probability that a rock not tracked is there (rows, cols).
+
+        Eqs. 13-15 in one: each size by the share of the ground under it and by the rate at which
+        it is missed, which is 1 below the resolution. For a footprint of a given radius (m) the
+        number of rocks whose outline reaches into it counts.
+        """
+        table = np.linspace(0.0, max(float(self._sharpness.max()), 1e-6), 513)
+        missed = self.rates.false_negative(0.5 * self._sizes * table[:, None])
+        if footprint > 0.0:
+            area = np.pi * (footprint + 0.5 * self._sizes) ** 2
+            p = -np.expm1(-(missed * self._number * area).sum(1))
+        else:
+            p = (missed * self._cover).sum(1)
+        coarse = np.interp(self._sharpness, table, p)
+        fine = np.repeat(np.repeat(coarse, self._every, 0), self._every, 1)
+        return fine[: self.grid.rows, : self.grid.cols]
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """Whether a rock of the least hazardous size could have been seen (rows, cols)."""
+        q = 0.5 * self.prior.least_diameter * self._sharpness
+        fine = self.rates.false_negative(q) < 0.5
+        fine = np.repeat(np.repeat(fine, self._every, 0), self._every, 1)
+        return fine[: self.grid.rows, : self.grid.cols]
+
+    # --- the map --------------------------------------------------------------------------
+
+    def probability(self, tracker: RockTracker, footprint: float = 0.0) -> NDArray[np.float32]:
+        """Return the probability of hazard (rows, cols).
+
+        Parameters
+        ----------
+        tracker
+            The rocks.
+        footprint
+            0 for that of a point to be under a rock (the paper's); else the radius, m, of a disc
+            into which a rock must not reach.
+        """
+        clear = 1.0 - self._residual(footprint)
+        f, vague = tracker.filter, tracker.tentative
+        own = np.sqrt(0.5 * np.trace(f.relative_covariance(), axis1=1, axis2=2))
+        self._paint(clear, footprint, f.xy, own, f.radius, f.radius_variance, tracker.existence)
+        self._paint(
+            clear, footprint, vague.xy, vague.sigma, vague.radius, vague.radius_variance,
+            vague.existence,
+        )  # fmt: skip
+        return (1.0 - clear).astype(np.float32)
+
+    def _paint(
+        self,
+        clear: Array,
+        footprint: float,
+        xy: Array,
+        sigma: Array,
+        radius: Array,
+        variance: Array,
+        existence: Array,
+    ) -> None:
+        """Multiply the probability that cells are clear (rows, cols) by that of each rock."""
+        model = self.model
+        # Rocks are no discs, and the filter's errors shrink as if every look were a new draw of
+        # the shape: what many looks do not average out is put back here.
+        variance = variance + (model.radius_sigma * radius) ** 2
+        sigma = np.hypot(sigma, model.centre_sigma * radius)
+        # Small rocks are the more numerous, so a rock is likelier to be smaller than it looks
+        # than larger: Golombek's dN/dr has the logarithmic slope -2 q - 2 / r.
+        slope = 2.0 * golombek_exponent(self.prior.cover) + 2.0 / np.maximum(radius, 0.05)
+        radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
+        # A rock counts by the probability that it is large enough to matter.
+        large = ndtr((radius - 0.5 * self.prior.least_diameter) / np.sqrt(variance))
+        at = np.flatnonzero(large * existence > 1e-4)
+        if at.size == 0:
+            return
+        outline, rough = model.outline
+        r, sigma = radius[at], sigma[at]
+        spread = np.sqrt(outline**2 * variance[at] + (r * rough) ** 2)
+        mean = outline * r + footprint
+        reach = mean + 1.5 * sigma + _TAIL * np.hypot(sigma, spread)
+        distance = np.linspace(0.0, 1.0, _DISTANCES) * reach[:, None]
+        profile = cover_probability(distance, sigma, mean, spread, self.form)
+        kernels.paint(
+            clear, self.grid.x0, self.grid.y0, self.grid.posting, xy[at], reach, profile,
+            (existence * large)[at],
+        )  # fmt: skip
+
+    def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
+        """Return the map for a lander whose footprint has the given radius (m)."""
+        p = self.probability(tracker, footprint)
+        observed = self.observed
+        # The footprint must lie on the map and have been seen.
+        edge = int(np.ceil(footprint / self.grid.posting))
+        whole = np.zeros_like(observed)
+        if 2 * edge < min(self.grid.shape):
+            whole[edge : self.grid.rows - edge, edge : self.grid.cols - edge] = True
+        observed = observed & whole
+        return HazardMap(
+            self.grid,
+            np.where(observed, np.float32(1.0) - p, np.float32(0.0)),
+            observed,
+            np.full(self.grid.shape, self.ground, np.float32),
+        )

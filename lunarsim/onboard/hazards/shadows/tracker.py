@@ -1,0 +1,381 @@
+"""From detections to tracked rocks: association, birth, merging, splitting, pruning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from lunarsim.errors import InputError
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.hazards.shadows.association import associate
+from lunarsim.onboard.navigation.planar import inverse, largest_eigenvalue, squared_distance
+from lunarsim.onboard.navigation.rock_filter import RockFilter, Sight
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# A second look at the same shadow is no independent one: what it may add to the odds.
+_MOST_EVIDENCE = 3.0
+_MISS = 0.6
+_GONE = 0.05
+# A rock that turns out smaller than this share of the least radius is let go.
+_SHRUNK = 0.85
+# Chi-squared with 2 degrees of freedom at 99.7 %.
+_AGREEMENT = 11.6
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """When rocks come, go, join and part.
+
+    Attributes
+    ----------
+    least_radius
+        Smaller ones are not tracked, m.
+    region
+        West, east, south, north limits of where rocks are tracked, m; None: everywhere.
+    birth_q
+        Least q of a detection that begins a rock.
+    birth_sigma
+        Greatest standard deviation of its place on the ground, m; for large rocks a third of the
+        radius.
+    radius_wander
+        Share by which the measured radius changes in a second as the view turns.
+    radius_doubt
+        Standard deviation of a measured radius, a share of it, beyond the detector's.
+    radius_floor
+        See `RockFilter.update_rocks`.
+    common_pixels
+        Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
+    large
+        With more rocks than that, time is saved: those out of view are left as they are, see
+        `RockFilter.rest`, and one image corrects half of `most_updates`.
+    most_rocks
+        Above this no rock is added.
+    most_updates
+        Rocks whose places one image may correct. Those that have waited longest come first, so
+        that the cost of an image does not grow with the square of what is in view. Radii, which
+        cost nothing, are corrected of all.
+    """
+
+    least_radius: float = 0.1
+    region: tuple[float, float, float, float] | None = None
+    birth_q: float = 2.4
+    birth_sigma: float = 0.25
+    radius_wander: float = 0.02
+    radius_doubt: float = 0.15
+    radius_floor: float = 0.25
+    common_pixels: float = 0.2
+    large: int = 1200
+    most_rocks: int = 2000
+    most_updates: int = 120
+
+    def __post_init__(self) -> None:
+        for name in ("least_radius", "radius_wander", "radius_doubt"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
+
+
+@dataclass(frozen=True)
+class Tentative:
+    """Detections of the last image that belong to no rock and are too vague to begin one.
+
+    Attributes
+    ----------
+    xy
+        Centres (n, 2), m.
+    sigma
+        Of the centres, the root of the mean variance of the two axes (n,), m.
+    radius, radius_variance
+        m (n,), m^2.
+    existence
+        Probability that each is a rock (n,).
+    """
+
+    xy: Array
+    sigma: Array
+    radius: Array
+    radius_variance: Array
+    existence: Array
+
+    @classmethod
+    def none(cls) -> Tentative:
+        """Return no detections."""
+        empty = np.empty(0)
+        return cls(np.empty((0, 2)), empty, empty, empty, empty)
+
+
+class RockTracker:
+    """The rocks of one filter, with the probability that each is one.
+
+    Parameters
+    ----------
+    rocks
+        The filter; the tracker alone adds and removes its rocks.
+    model, rates
+        What rocks look like, and how often they are missed or made up.
+    settings
+        See `TrackerSettings`.
+    """
+
+    def __init__(
+        self,
+        rocks: RockFilter,
+        model: ShadowModel,
+        rates: DetectionRates | None = None,
+        settings: TrackerSettings | None = None,
+    ) -> None:
+        self.filter = rocks
+        self.model = model
+        self.rates = rates or DetectionRates()
+        self.settings = settings or TrackerSettings()
+        self.existence = np.empty(0)
+        self.hits = np.empty(0, np.int64)
+        self.tentative = Tentative.none()
+        self._updated = np.empty(0)
+        self._time: float | None = None
+
+    def add_known(
+        self, xy: ArrayLike, sigma: ArrayLike, radius: ArrayLike, radius_sigma: ArrayLike
+    ) -> None:
+        """Begin with rocks known beforehand, as from orbit.
+
+        Parameters
+        ----------
+        xy, sigma
+            Centres (n, 2) and their standard deviation an axis (n,), m.
+        radius, radius_sigma
+            m (n,).
+        """
+        xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+        n = len(xy)
+        arrays = [np.broadcast_to(np.asarray(v, float), n) for v in (sigma, radius, radius_sigma)]
+        if not all(np.isfinite(a).all() and (a > 0.0).all() for a in arrays):
+            raise InputError("rocks.known", "sigma or radius", "positive numbers")
+        self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
+        self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
+        self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
+        self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
+
+    def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> float:
+        """Take in the detections of one image; return the filter's squared innovation."""
+        s = self.settings
+        if self._time is not None:
+            self.filter.widen(s.radius_wander, max(time - self._time, 0.0))
+        self._time = time
+        radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
+        self._split(seen, camera, radius_variance)
+        sight = self.filter.sight(camera)
+        view = _in_view(sight, camera)
+        at = np.flatnonzero(view)
+        large = self.filter.count > s.large
+        self.filter.rest(~view & large)
+        covariance = self.filter.innovation_covariance(sight)[at]
+        d, j, sure, close = associate(
+            seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
+            sight.pixel[at], covariance,
+            self.filter.radius[at], self.filter.radius_variance[at],
+        )  # fmt: skip
+        rock = at[j]
+        self.hits[rock] += 1
+        use = np.flatnonzero(sure)
+        use = use[self._agreeing(seen, sight, d[use], rock[use])]
+        order = use[np.argsort(self._updated[rock[use]], kind="stable")]
+        turn, later = np.split(order, [s.most_updates // 2 if large else s.most_updates])
+        self.filter.update_radii(
+            rock[later], seen.radius[d[later]], radius_variance[d[later]], s.radius_floor
+        )
+        a, b = d[turn], rock[turn]
+        self._updated[b] = time
+        nis = self.filter.update_rocks(
+            b, sight, seen.pixel[a], seen.pixel_covariance[a], seen.radius[a], radius_variance[a],
+            s.common_pixels, s.radius_floor,
+        )  # fmt: skip
+        self._judge(rock, at, seen, d, camera, sun)
+        on_ground = _ground_covariance(seen, self.filter, camera)
+        born = self._birth(~close, seen, on_ground, camera, radius_variance)
+        self._keep_tentative(~close & ~born, seen, on_ground, radius_variance)
+        self._merge()
+        small = self.filter.radius < _SHRUNK * s.least_radius
+        self._drop(np.flatnonzero(small | (self.existence < _GONE)))
+        return nis
+
+    def _agreeing(self, seen: Detections, sight: Sight, d: Index, rock: Index) -> NDArray[np.bool_]:
+        """Return which pairs (p,) are off by what most pairs are off by.
+
+        An error of the lander's pose moves all rocks of an image together, so a wrong pair shows
+        against the others even where its own gate is wide.
+        """
+        if len(d) < 4:
+            return np.ones(len(d), bool)
+        off = seen.pixel[d] - sight.pixel[rock]
+        off = off - np.median(off, axis=0)
+        own = sight.by_rock[rock]
+        # Rocks' errors less what they share with the lander's position.
+        s = seen.pixel_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
+            own, 1, 2
+        )
+        s = s + 0.5 * np.eye(2)
+        return np.asarray(squared_distance(off, s) < _AGREEMENT)
+
+    def _judge(
+        self, hit: Index, view: Index, seen: Detections, d: Index, camera: CameraModel, sun: Array
+    ) -> None:
+        """Change the odds that each rock in view is one, by Bayes."""
+        odds = self.existence / (1.0 - self.existence)
+        false = self.rates.false_positive(seen.q[d])
+        odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MOST_EVIDENCE)
+        lost = np.setdiff1d(view, hit)
+        azimuth, depression, pixel = self._aspect(lost, camera, sun)
+        miss = self.rates.false_negative(
+            self.model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
+        )
+        # A rock whose shadow runs into another's is no missing rock.
+        miss[self._in_the_dark(lost, azimuth, depression, seen, camera, sun)] = 1.0
+        odds[lost] *= np.clip(miss, _MISS, 1.0)
+        self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
+
+    def _aspect(self, index: Index, camera: CameraModel, sun: Array) -> tuple[Array, Array, Array]:
+        """Return azimuth from the Sun's, depression (rad) and pixel (m) of rocks (n,)."""
+        s = self.filter.inertial
+        away = s.position[None, :2] - self.filter.xy[index]
+        height = s.position[2] - self.filter.ground
+        level = np.hypot(away[:, 0], away[:, 1])
+        azimuth = np.arctan2(away[:, 0], away[:, 1]) - np.arctan2(sun[0], sun[1])
+        pixel = np.hypot(level, height) / np.sqrt(camera.fx * camera.fy)
+        return azimuth, np.arctan2(height, level), pixel
+
+    def _in_the_dark(
+        self,
+        index: Index,
+        azimuth: Array,
+        depression: Array,
+        seen: Detections,
+        camera: CameraModel,
+        sun: Array,
+    ) -> NDArray[np.bool_]:
+        """Return whether the image is dark where the patch of each rock (n,) should be."""
+        unit = self.model.patch(azimuth, depression)
+        s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
+        offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
+        middle = self.filter.xy[index] + self.filter.radius[index, None] * offset
+        u, v = np.rint(self.filter.sight(camera, middle).pixel).T
+        u = np.clip(u, 0, camera.width - 1).astype(int)
+        v = np.clip(v, 0, camera.height - 1).astype(int)
+        return np.asarray(seen.labels[v, u] > 0)
+
+    def _keep_tentative(
+        self, vague: NDArray[np.bool_], seen: Detections, covariance: Array, variance: Array
+    ) -> None:
+        """Remember what was seen and not tracked: the map must not call it clear."""
+        covariance = covariance[vague]
+        self.tentative = Tentative(
+            seen.ground[vague],
+            np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
+            seen.radius[vague],
+            variance[vague],
+            1.0 - self.rates.false_positive(seen.q[vague]),
+        )
+
+    def _birth(
+        self, fresh: NDArray[np.bool_], seen: Detections, covariance: Array, camera: CameraModel,
+        variance: Array,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Add detections that belong to no rock; return which were added (d,).
+
+        `covariance` is that of their places on the ground (d, 2, 2), m^2.
+        """
+        s = self.settings
+        # Where it is must be known to a fraction of the distance between rocks.
+        spread = np.sqrt(largest_eigenvalue(covariance))
+        sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
+        fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
+        if s.region is not None:
+            west, east, south, north = s.region
+            x, y = seen.ground.T
+            fresh = fresh & (x >= west) & (x <= east) & (y >= south) & (y <= north)
+        new = np.flatnonzero(fresh)[: max(s.most_rocks - self.filter.count, 0)]
+        born = np.zeros(len(seen), bool)
+        born[new] = True
+        if new.size == 0:
+            return born
+        self.filter.add(
+            camera, seen.ground[new], seen.pixel_covariance[new], seen.radius[new], variance[new]
+        )
+        real = 1.0 - self.rates.false_positive(seen.q[new])
+        self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
+        self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
+        now = -np.inf if self._time is None else self._time
+        self._updated = np.concatenate((self._updated, np.full(new.size, now)))
+        return born
+
+    def _merge(self) -> None:
+        """Drop the less seen of two rocks of which one's centre lies in the other."""
+        f = self.filter
+        if f.count < 2:
+            return
+        pairs = cKDTree(f.xy).query_pairs(float(f.radius.max()), output_type="ndarray")
+        if len(pairs) == 0:
+            return
+        a, b = pairs.T
+        gap = np.hypot(*(f.xy[a] - f.xy[b]).T)
+        double = gap < 0.7 * np.maximum(f.radius[a], f.radius[b])
+        a, b = a[double], b[double]
+        first = (self.hits[a] > self.hits[b]) | (
+            (self.hits[a] == self.hits[b]) & (f.radius[a] >= f.radius[b])
+        )
+        kept, dropped = np.where(first, a, b), np.where(first, b, a)
+        # A chain of doubles keeps its first link.
+        dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
+        self._drop(dropped)
+
+    def _split(self, seen: Detections, camera: CameraModel, variance: Array) -> None:
+        """Replace a rock by the smaller ones into which a sharper image resolves it."""
+        f = self.filter
+        if f.count == 0 or len(seen) < 2:
+            return
+        inside = cKDTree(seen.ground).query_ball_point(f.xy, np.maximum(f.radius, 1e-3))
+        parts = [
+            (j, np.array(k)) for j, k in enumerate(inside)
+            if len(k) >= 2 and (seen.radius[k] < 0.6 * f.radius[j]).all()
+        ]  # fmt: skip
+        if not parts:
+            return
+        born = np.unique(np.concatenate([k for _, k in parts]))
+        self._drop(np.array([j for j, _ in parts]))
+        fresh = np.zeros(len(seen), bool)
+        fresh[born] = True
+        self._birth(fresh, seen, _ground_covariance(seen, self.filter, camera), camera, variance)
+
+    def _drop(self, index: Index) -> None:
+        if len(index):
+            keep = self.filter.remove(index)
+            self.existence = self.existence[keep]
+            self.hits = self.hits[keep]
+            self._updated = self._updated[keep]
+
+
+def _ground_covariance(seen: Detections, rocks: RockFilter, camera: CameraModel) -> Array:
+    """Return the covariances of detections on the ground (n, 2, 2), m^2."""
+    if len(seen) == 0:
+        return np.empty((0, 2, 2))
+    back = inverse(rocks.sight(camera, seen.ground).by_rock)
+    return back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
+
+
+def _in_view(sight: Sight, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:
+    u, v = sight.pixel.T
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            (sight.depth > 0.0)
+            & (u > margin)
+            & (u < camera.width - 1 - margin)
+            & (v > margin)
+            & (v < camera.height - 1 - margin)
+        )

@@ -1,0 +1,173 @@
+"""Strap-down inertial navigation with its error state (shadow EKF paper, Eqs. 1-8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
+from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, InertialErrors
+from lunarsim.onboard.navigation import _inertial_kernels as kernels
+from lunarsim.onboard.navigation.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+# Where the errors lie in the error state, Eq. 1.
+POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
+ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
+INERTIAL = 15
+
+
+@dataclass(frozen=True)
+class InitialErrors:
+    """Standard deviations at the start, each an axis.
+
+    Attributes
+    ----------
+    position, velocity
+        m, m/s.
+    attitude
+        rad.
+    """
+
+    position: float = 5.0
+    velocity: float = 0.1
+    attitude: float = np.deg2rad(0.05)
+
+    def __post_init__(self) -> None:
+        for name in ("position", "velocity", "attitude"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"navigation.{name}", value, "a positive number")
+
+
+class InertialState:
+    """Position, velocity, attitude and biases, carried by inertial samples.
+
+    Parameters
+    ----------
+    position, velocity, attitude
+        Estimate at the start: ENU (3,) and (3,), quaternion body to ENU (4,).
+    gravity
+        Downward acceleration, m/s^2.
+    step
+        Time between inertial samples, s.
+    gyroscopes, accelerometers
+        Error models of the unit.
+    """
+
+    def __init__(
+        self,
+        position: Array,
+        velocity: Array,
+        attitude: Array,
+        gravity: float,
+        *,
+        step: float = 0.01,
+        gyroscopes: InertialErrors = GYROSCOPES,
+        accelerometers: InertialErrors = ACCELEROMETERS,
+    ) -> None:
+        self._x = np.concatenate(
+            (position, velocity, np.zeros(3), normalised(attitude), np.zeros(3))
+        )
+        if not np.isfinite(self._x).all():
+            raise InputError("navigation.start", self._x.tolist(), "finite numbers")
+        self._gravity = np.array([0.0, 0.0, -gravity])
+        self.step = step
+        self._density = np.array(
+            [
+                accelerometers.random_walk,
+                gyroscopes.random_walk,
+                accelerometers.bias_walk,
+                gyroscopes.bias_walk,
+            ]
+        )
+        # A lander that flies blind may change its thrust by 1 m/s^2 and turn by 2 deg in a second.
+        self._blind = np.array([1.0, 0.035])
+        self._held = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
+        # Scale factor and misalignment act as biases under steady thrust, here of 3 m/s^2.
+        self._bias_sigma = (
+            float(
+                np.hypot(
+                    accelerometers.bias,
+                    3.0 * np.hypot(accelerometers.scale_factor, accelerometers.misalignment),
+                )
+            ),
+            gyroscopes.bias,
+        )
+
+    def covariance(self, errors: InitialErrors) -> Array:
+        """Return the covariance (15, 15) of the error state at the start."""
+        sigmas = (
+            errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,
+            self._bias_sigma[1],
+        )  # fmt: skip
+        return np.diag(np.repeat(np.square(sigmas), 3))
+
+    @property
+    def position(self) -> Array:
+        """ENU (3,), m."""
+        return self._x[0:3]
+
+    @property
+    def velocity(self) -> Array:
+        """ENU (3,), m/s."""
+        return self._x[3:6]
+
+    @property
+    def attitude(self) -> Array:
+        """Quaternion, body to ENU (4,)."""
+        return self._x[9:13]
+
+    @property
+    def biases(self) -> tuple[Array, Array]:
+        """Accelerometer (3,), m/s^2, and gyroscope bias (3,), rad/s."""
+        return self._x[6:9], self._x[13:16]
+
+    @property
+    def rate(self) -> Array:
+        """Body rate of the last sample (3,), rad/s."""
+        return np.asarray(self._held[:3] - self._x[13:16])
+
+    def estimate(self, covariance: Array, time: float, mass: float) -> Estimate:
+        """Return the state as the rest of the loop takes it.
+
+        Parameters
+        ----------
+        covariance
+            Of an error state that begins with this one's (15 or more, square).
+        time, mass
+            s, kg.
+        """
+        keep = np.r_[0:6, 9:12]
+        # Attitude errors are kept in body axes here, in ENU there.
+        turn = np.eye(9)
+        turn[6:, 6:] = quat_to_matrix(self.attitude)
+        return Estimate(
+            time, self.position.copy(), self.velocity.copy(), self.attitude.copy(), self.rate, mass,
+            turn @ covariance[np.ix_(keep, keep)] @ turn.T,
+        )  # fmt: skip
+
+    def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
+        """Carry the state over samples (n, 3); NaN stands for a missing one.
+
+        Returns
+        -------
+        transition, noise
+            Of the error state over all samples (15, 15).
+        """
+        self._x, transition, noise = kernels.propagate(
+            self._x, self._held, np.atleast_2d(angle), np.atleast_2d(velocity), self.step,
+            self._gravity, self._density, self._blind,
+        )  # fmt: skip
+        return transition, noise
+
+    def correct(self, error: Array) -> None:
+        """Add an estimated error (15,); the attitude by Eq. 8, so that its norm stays 1."""
+        self._x[0:9] += error[0:9]
+        gibbs = np.concatenate((0.5 * error[ATTITUDE], [1.0]))
+        self._x[9:13] = normalised(quat_multiply(self._x[9:13], gibbs))
+        self._x[13:16] += error[GYROSCOPE]

@@ -1,0 +1,454 @@
+"""The augmented multiplicative EKF: the lander and every rock it tracks (Eqs. 1-11).
+
+Rocks do not move and their radius is measured directly, in metres and with errors of its own
+(paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
+apart as scalar filters, which is exact. What is left is the error state of the lander (15) and
+two coordinates a rock. A measured rock depends on position, attitude and its own coordinates, so
+products with its Jacobian cost a few rows of the covariance; all rocks of one image are taken in
+one update, which equals the sequential one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.blas import dtrsm
+from threadpoolctl import ThreadpoolController
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
+from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.inertial import INERTIAL, InertialState, InitialErrors
+from lunarsim.onboard.navigation.planar import inverse
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# What a pixel depends on: position and attitude.
+_POSE = np.array([0, 1, 2, 9, 10, 11])
+# One thread for the small products of an update: more would wait for each other, and the bits must
+# not depend on how many there are.
+_BLAS = ThreadpoolController()
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where rocks should be seen, and how that depends on the state.
+
+    Attributes
+    ----------
+    pixel
+        Predicted pixels (n, 2), distortion left out (Eq. 10).
+    depth
+        Along the boresight (n,), m; not positive behind the camera.
+    by_pose
+        Derivatives by position and attitude error (n, 2, 6).
+    by_rock
+        Derivatives by the rock's east and north (n, 2, 2).
+    """
+
+    pixel: Array
+    depth: Array
+    by_pose: Array
+    by_rock: Array
+
+
+class RockFilter:
+    """Lander and rocks in one filter.
+
+    Parameters
+    ----------
+    inertial
+        The lander's state at the start.
+    errors
+        Its standard deviations.
+    ground
+        Elevation of the plane on which rocks stand, m.
+    capacity
+        Rocks for which room is made at first; it grows as needed.
+    """
+
+    def __init__(
+        self,
+        inertial: InertialState,
+        errors: InitialErrors | None = None,
+        *,
+        ground: float = 0.0,
+        capacity: int = 128,
+    ) -> None:
+        self.inertial = inertial
+        self.ground = float(ground)
+        self.count = 0
+        self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
+        self._p[:INERTIAL, :INERTIAL] = inertial.covariance(errors or InitialErrors())
+        self._xy = np.zeros((capacity, 2))
+        self._r = np.zeros((capacity, 2))
+        self._rests = np.zeros(capacity, bool)
+
+    def rest(self, rocks: NDArray[np.bool_]) -> None:
+        """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
+
+        Measurements of others correct neither their places nor their own covariance, while their
+        correlations with what is corrected are kept up, so that the covariance stays that of the
+        errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). An update then takes time
+        in proportion to the number of rocks, and not to its square.
+        """
+        self._rests[: self.count] = rocks
+
+    def _awake(self) -> Index | None:
+        """Return the states that measurements correct; None for all of them."""
+        rests = self._rests[: self.count]
+        # Correcting half of all states alone costs as much as correcting all of them.
+        if 2 * np.count_nonzero(rests) < self.count:
+            return None
+        places = INERTIAL + 2 * np.flatnonzero(~rests)[:, None] + np.arange(2)
+        return np.concatenate((np.arange(INERTIAL), places.ravel()))
+
+    # --- the state ------------------------------------------------------------------------
+
+    @property
+    def covariance(self) -> Array:
+        """Of the lander's error state and the rocks' coordinates (15 + 2 n, 15 + 2 n)."""
+        size = INERTIAL + 2 * self.count
+        return np.asarray(self._p[:size, :size])
+
+    @property
+    def xy(self) -> Array:
+        """Rocks' centres (n, 2), ENU, m."""
+        return self._xy[: self.count]
+
+    @property
+    def radius(self) -> Array:
+        """Rocks' radii (n,), m."""
+        return self._r[: self.count, 0]
+
+    @property
+    def radius_variance(self) -> Array:
+        """Variance of the radii (n,), m^2."""
+        return self._r[: self.count, 1]
+
+    def rock_covariance(self) -> Array:
+        """Return the covariance of each rock's centre (n, 2, 2), m^2."""
+        i = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
+        return np.asarray(self._p[i[:, :, None], i[:, None, :]])
+
+    def relative_covariance(self) -> Array:
+        """Return the covariance of each rock's centre less the lander's position (n, 2, 2), m^2.
+
+        An error that lander and rocks share moves the map with the lander and misplaces nothing
+        on it.
+        """
+        own = self.rock_covariance()
+        if self.count == 0:
+            return own
+        columns = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
+        cross = np.moveaxis(self._p[np.arange(2)[:, None, None], columns[None]], 0, 1)
+        return np.asarray(own + self._p[:2, :2] - cross - np.swapaxes(cross, 1, 2))
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state as the rest of the loop takes it."""
+        return self.inertial.estimate(self._p, time, mass)
+
+    # --- time -----------------------------------------------------------------------------
+
+    def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
+        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        transition, noise = self.inertial.propagate(
+            np.asarray(angle, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+        )
+        p, n = self.covariance, INERTIAL
+        with _BLAS.limit(limits=1, user_api="blas"):
+            p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
+            p[:n, n:] = transition @ p[:n, n:]
+        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+        p[n:, :n] = p[:n, n:].T
+
+    # --- altimeter ------------------------------------------------------------------------
+
+    def update_range(
+        self,
+        distance: float,
+        sigma: float,
+        boresight: ArrayLike = (0.0, 0.0, -1.0),
+        gate: float = 4.0,
+    ) -> float:
+        """Take in a slant range (Eq. 9, for any boresight); return its squared innovation.
+
+        The innovation is in units of its standard deviation. A range that is no number or lies
+        more than `gate` deviations off leaves the filter as it was.
+        """
+        if not (np.isfinite(distance) and np.isfinite(sigma) and sigma > 0.0):
+            return float("nan")
+        rotation = quat_to_matrix(self.inertial.attitude)
+        b = np.asarray(boresight, dtype=np.float64)
+        down = float(rotation[2] @ b)
+        height = float(self.inertial.position[2] - self.ground)
+        if down > -0.1 or height <= 0.0:
+            return float("nan")
+        h = np.zeros(INERTIAL)
+        h[2] = -1.0 / down
+        h[9:12] = -height / down**2 * np.cross(rotation[2], b)
+        hp = h @ self._p[:INERTIAL, : INERTIAL + 2 * self.count]
+        s = float(hp[:INERTIAL] @ h) + sigma**2
+        innovation = distance + height / down
+        nis = innovation**2 / s
+        if nis <= gate**2:
+            awake = self._awake()
+            if awake is None:
+                self._correct_all(hp[None] / np.sqrt(s), np.array([innovation / np.sqrt(s)]))
+            else:
+                gain = hp[awake, None] / s
+                self._correct_some(awake, gain, hp[None], np.array([innovation]))
+        return nis
+
+    # --- rocks ----------------------------------------------------------------------------
+
+    def sight(self, camera: CameraModel, xy: Array | None = None) -> Sight:
+        """Return where rocks at `xy` (n, 2), or those tracked, should be seen (Eqs. 10-11)."""
+        points = self.xy if xy is None else xy
+        s = self.inertial
+        rotation = quat_to_matrix(s.attitude)
+        to_rock = np.column_stack((points, np.full(len(points), self.ground))) - s.position
+        body = to_rock @ rotation
+        seen = (body - np.asarray(camera.offset)) @ camera.mount
+        x, y, z = seen.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tx, ty = x / z, y / z
+            zero = np.zeros_like(z)
+            by_seen = np.stack(
+                (
+                    np.stack((camera.fx / z, zero, -camera.fx * tx / z), -1),
+                    np.stack((zero, camera.fy / z, -camera.fy * ty / z), -1),
+                ),
+                axis=-2,
+            )
+        by_body = by_seen @ camera.mount.T
+        by_point = by_body @ rotation.T
+        # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
+        by_attitude = np.cross(by_body, body[:, None, :])
+        pixel = np.column_stack((camera.fx * tx + camera.cx, camera.fy * ty + camera.cy))
+        return Sight(
+            pixel, z, np.concatenate((-by_point, by_attitude), axis=-1), by_point[:, :, :2]
+        )
+
+    def innovation_covariance(self, sight: Sight) -> Array:
+        """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
+        columns = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
+        pose = self._p[np.ix_(_POSE, _POSE)]
+        cross = np.moveaxis(self._p[_POSE[:, None, None], columns[None]], 0, 1)  # (n, 6, 2)
+        own = self.rock_covariance()
+        a, b = sight.by_pose, sight.by_rock
+        mixed = a @ cross @ np.swapaxes(b, 1, 2)
+        return np.asarray(
+            a @ pose @ np.swapaxes(a, 1, 2)
+            + mixed
+            + np.swapaxes(mixed, 1, 2)
+            + b @ own @ np.swapaxes(b, 1, 2)
+        )
+
+    def update_rocks(
+        self,
+        index: Index,
+        sight: Sight,
+        pixel: Array,
+        pixel_covariance: Array,
+        radius: Array,
+        radius_variance: Array,
+        common: float = 0.0,
+        radius_floor: float = 0.0,
+    ) -> float:
+        """Take in what was seen of rocks in one image; return the normalised innovation squared.
+
+        Parameters
+        ----------
+        index
+            Rocks (m,), each at most once.
+        sight
+            Prediction for all rocks, made at the present state.
+        pixel, pixel_covariance
+            Measured centres (m, 2) and their covariances (m, 2, 2).
+        radius, radius_variance
+            Measured radii (m,), m and m^2.
+        common
+            Standard deviation of an error that all pixels of the image share, an axis, pixels:
+            shadows stand for rocks with an error that depends on the view, so it does not
+            average out over the rocks.
+        radius_floor
+            Share of one look's variance below which that of a radius does not fall: looks from
+            nearly the same place err alike.
+
+        Returns
+        -------
+        nis
+            Of the 2 m pixel coordinates; chi-squared with 2 m degrees of freedom.
+        """
+        self.update_radii(index, radius, radius_variance, radius_floor)
+        if len(index) == 0:
+            return 0.0
+        with _BLAS.limit(limits=1, user_api="blas"):
+            white = self._update_places(index, sight, pixel, pixel_covariance, common)
+        return float(white @ white)
+
+    def update_radii(
+        self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
+    ) -> None:
+        """Take in the radii alone of rocks seen, as `update_rocks` does."""
+        r = self._r[index]
+        gain = r[:, 1] / (r[:, 1] + radius_variance)
+        self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
+        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
+
+    def _update_places(
+        self, index: Index, sight: Sight, pixel: Array, pixel_covariance: Array, common: float
+    ) -> Array:
+        """Correct lander and centres; return the whitened innovation (2 m,)."""
+        m = len(index)
+        size = INERTIAL + 2 * self.count
+        a, b = sight.by_pose[index], sight.by_rock[index]
+        columns = INERTIAL + 2 * np.asarray(index)[:, None] + np.arange(2)
+        hp = measured_rows(self._p, size, _POSE, a, columns, b)
+        s = hp[:, _POSE] @ a.reshape(2 * m, 6).T
+        own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
+        s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
+        block = 2 * np.arange(m)[:, None] + np.arange(2)
+        s[block[:, :, None], block[:, None, :]] += pixel_covariance
+        s[::2, ::2] += common**2
+        s[1::2, 1::2] += common**2
+        lower = np.linalg.cholesky(0.5 * (s + s.T))
+        innovation = (pixel - sight.pixel[index]).ravel()
+        white = solve_triangular(lower, innovation, lower=True, check_finite=False)
+        awake = self._awake()
+        if awake is not None:
+            gain = cho_solve((lower, True), hp[:, awake], check_finite=False).T
+            self._correct_some(awake, gain, hp, innovation)
+        else:
+            # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
+            w = dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T
+            self._correct_all(w, white)
+        return np.asarray(white)
+
+    def _correct_all(self, w: Array, white: Array) -> None:
+        """Correct by whitened rows (k, n): gain times innovation is w' y, P loses w' w."""
+        w = np.ascontiguousarray(w)
+        subtract_square(self.covariance, w)
+        correction = white @ w
+        self.inertial.correct(correction[:INERTIAL])
+        self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
+
+    def _correct_some(self, states: Index, gain: Array, hp: Array, innovation: Array) -> None:
+        """Correct the lander and some rocks by their gain (s, k), H P being (k, n)."""
+        subtract_rows(self.covariance, gain, hp, states)
+        correction = np.zeros(hp.shape[1])
+        correction[states] = gain @ innovation
+        self.inertial.correct(correction[:INERTIAL])
+        self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
+
+    # --- coming and going -----------------------------------------------------------------
+
+    def add(
+        self,
+        camera: CameraModel,
+        xy: Array,
+        pixel_covariance: Array,
+        radius: Array,
+        radius_variance: Array,
+    ) -> Index:
+        """Begin to track rocks seen at `xy` (b, 2), with their full cross-covariance.
+
+        From ``by_pose d(pose) + by_rock d(rock) = d(pixel)`` a new rock's error is
+        ``by_rock^-1 (d(pixel) - by_pose d(pose))``.
+
+        Returns
+        -------
+        index
+            Of the new rocks (b,).
+        """
+        b = len(radius)
+        sight = self.sight(camera, xy)
+        back = inverse(sight.by_rock)
+        by_pose = -(back @ sight.by_pose).reshape(2 * b, 6)
+        own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
+        if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
+            raise InputError("rocks", xy.tolist(), "points on the ground in front of the camera")
+        self._reserve(self.count + b)
+        old = INERTIAL + 2 * self.count
+        new = old + 2 * b
+        p = self._p
+        p[old:new, :old] = by_pose @ p[_POSE, :old]
+        p[:old, old:new] = p[old:new, :old].T
+        block = by_pose @ p[np.ix_(_POSE, _POSE)] @ by_pose.T
+        at = 2 * np.arange(b)[:, None] + np.arange(2)
+        block[at[:, :, None], at[:, None, :]] += own
+        p[old:new, old:new] = 0.5 * (block + block.T)
+        index = np.arange(self.count, self.count + b)
+        self.count += b
+        self._xy[index] = xy
+        self._r[index] = np.column_stack((radius, radius_variance))
+        self._rests[index] = False
+        return index
+
+    def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
+        """Begin to track rocks known beforehand (n,), with errors of their own."""
+        n = len(xy)
+        self._reserve(self.count + n)
+        old = INERTIAL + 2 * self.count
+        new = old + 2 * n
+        self._p[old:new, :new] = 0.0
+        self._p[:new, old:new] = 0.0
+        self._p[np.arange(old, new), np.arange(old, new)] = np.repeat(np.square(sigma), 2)
+        self._xy[self.count : self.count + n] = xy
+        self._r[self.count : self.count + n] = np.column_stack((radius, radius_variance))
+        self._rests[self.count : self.count + n] = False
+        self.count += n
+
+    def remove(self, index: Index) -> Index:
+        """Stop tracking rocks; those from the end take their places.
+
+        Returns
+        -------
+        old
+            Old numbers of the rocks left (n,), in their new order.
+        """
+        gone = np.zeros(self.count, bool)
+        gone[index] = True
+        left = self.count - int(gone.sum())
+        holes = np.flatnonzero(gone[:left])
+        movers = left + np.flatnonzero(~gone[left:])
+        old = np.arange(left)
+        old[holes] = movers
+        axis = np.arange(2)
+        to = (INERTIAL + 2 * holes[:, None] + axis).ravel()
+        source = (INERTIAL + 2 * movers[:, None] + axis).ravel()
+        size = INERTIAL + 2 * self.count
+        self._p[to, :size] = self._p[source, :size]
+        self._p[:size, to] = self._p[:size, source]
+        self._xy[holes] = self._xy[movers]
+        self._r[holes] = self._r[movers]
+        self._rests[holes] = self._rests[movers]
+        self.count = left
+        return old
+
+    def widen(self, radius_rate: float, seconds: float) -> None:
+        """Let radii wander by a share `radius_rate` in a second: rocks differ from side to side."""
+        self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
+
+    def _reserve(self, count: int) -> None:
+        capacity = len(self._r)
+        if count <= capacity:
+            return
+        capacity = max(count, 2 * capacity)
+        grown = np.zeros((INERTIAL + 2 * capacity,) * 2)
+        size = INERTIAL + 2 * self.count
+        grown[:size, :size] = self._p[:size, :size]
+        self._p = grown
+        for name in ("_xy", "_r", "_rests"):
+            old = getattr(self, name)
+            more = np.zeros((capacity, *old.shape[1:]), old.dtype)
+            more[: self.count] = old[: self.count]
+            setattr(self, name, more)

@@ -1,0 +1,7 @@
+"""What turns pictures into detections."""
+
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+
+__all__ = ["DetectionRates", "Detections", "DetectorSettings", "ShadowModel", "detect_rocks"]

@@ -1,0 +1,362 @@
+"""Rocks from one image, by their shadows (shadow EKF paper, III.A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.models.camera import CameraModel
+from lunarsim.models.pinhole import View
+from lunarsim.models.pose import Pose
+from lunarsim.onboard.perception import _patch_kernels as kernels
+from lunarsim.onboard.perception.segmentation import Segmentation, segment
+from lunarsim.onboard.perception.shadow_model import Patch, ShadowModel
+
+Array = NDArray[np.float64]
+
+
+# The threshold makes patches larger than they are: their usual area over the expected one, and the
+# share of that below which a patch is taken for several.
+_USUAL = 1.25
+_MERGED = 0.78
+# A patch that the rock hides but for this length, in radii, tells too little.
+_LEAST_LENGTH = 0.3
+
+
+@dataclass(frozen=True)
+class DetectorSettings:
+    """What counts as the shadow of a rock.
+
+    Attributes
+    ----------
+    gamma, window
+        See `segment`.
+    least_pixels
+        Dark pixels of the smallest patch.
+    edge_share
+        Share of a patch's rim that must lie on an edge of the image (Canny).
+    canny
+        Lower and upper threshold on the gradient of the gamma-corrected 8-bit image.
+    largest_radius
+        Larger dark patches are shadows of the terrain, m.
+    least_fill
+        Share of its bounding box on the ground that a rock's patch fills.
+    pixel_sigma
+        Standard deviation of where an end of a patch is found, pixels.
+    """
+
+    gamma: float = 0.7
+    window: float = 0.12
+    least_pixels: int = 4
+    edge_share: float = 0.5
+    canny: tuple[float, float] = (40.0, 100.0)
+    largest_radius: float = 5.0
+    least_fill: float = 0.3
+    pixel_sigma: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.least_pixels < 1:
+            raise InputError("detector.least_pixels", self.least_pixels, "1 or more")
+        for name in ("largest_radius", "pixel_sigma"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"detector.{name}", getattr(self, name), "a positive number")
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Rocks found in one image, and what else was dark.
+
+    Attributes
+    ----------
+    pixel
+        Image of the rocks' centres on the ground (n, 2), distortion taken out.
+    pixel_covariance
+        Of `pixel` (n, 2, 2).
+    ground
+        Centres (n, 2), ENU, m, for the pose and plane given.
+    radius, radius_sigma
+        m (n,).
+    height
+        By the length of the patch alone (n,), m.
+    length
+        Of the dark patch along the Sun, as `Patch` has it (n,), m.
+    q
+        Root of the number of dark pixels (n,).
+    label
+        Patch of each rock (n,), a value of `labels`.
+    labels
+        Dark patch of each pixel (height, width), 0 for none.
+    extended
+        Labels of dark patches that are no rock's: terrain in its own shadow, or cut by the edge.
+    """
+
+    pixel: Array
+    pixel_covariance: Array
+    ground: Array
+    radius: Array
+    radius_sigma: Array
+    height: Array
+    length: Array
+    q: Array
+    label: NDArray[np.int32]
+    labels: NDArray[np.int32]
+    extended: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return int(self.radius.size)
+
+    def contours(self) -> list[NDArray[np.int32]]:
+        """Return the outline (k, 2) of each rock's patch, pixels."""
+        lines = []
+        for label in self.label:
+            mask = (self.labels == label).astype(np.uint8)
+            found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            lines.append(max(found, key=len)[:, 0])
+        return lines
+
+
+def detect_rocks(
+    image: ArrayLike,
+    camera: CameraModel,
+    pose: Pose,
+    sun: ArrayLike,
+    *,
+    ground: float = 0.0,
+    model: ShadowModel | None = None,
+    settings: DetectorSettings | None = None,
+) -> Detections:
+    """Find rocks by their shadows.
+
+    The image is segmented into light and shadow; each dark patch with an edge all round is
+    projected onto the ground. Its end towards the Sun marks the rock, its length along the Sun's
+    azimuth the height; `model` says what patch a rock of radius 1 shows from here, so that what
+    the rock itself hides is accounted for.
+
+    Parameters
+    ----------
+    image
+        Counts or radiance (camera.height, camera.width); NaN for pixels to leave out.
+    camera, pose
+        What took it, and from where.
+    sun
+        Direction towards the Sun (3,), ENU, of unit length.
+    ground
+        Elevation of the plane on which rocks are taken to stand, m.
+    model
+        Shapes of rocks; left out: half spheres.
+    settings
+        What counts as a shadow.
+
+    Returns
+    -------
+    detections
+        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees,
+        or nothing but sky.
+
+    Raises
+    ------
+    InputError
+        If the image has another shape than the camera's, or the Sun's direction is not a unit
+        vector.
+    """
+    settings = settings or DetectorSettings()
+    direction = np.asarray(sun, dtype=np.float64)
+    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
+        raise InputError("sun", sun, "a unit vector (3,), ENU")
+    if np.shape(image) != (camera.height, camera.width):
+        raise InputError(
+            "image", np.shape(image), f"the camera's size ({camera.height}, {camera.width})"
+        )
+    shade = segment(image, gamma=settings.gamma, window=settings.window)
+    elevation = float(np.arcsin(np.clip(direction[2], -1.0, 1.0)))
+    view = camera.view(pose)
+    labels, table = _patches(shade, camera, view, direction, ground, settings)
+    if len(table) == 0 or not np.deg2rad(2.0) <= elevation <= np.deg2rad(80.0):
+        return _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32))
+    return _measure(
+        labels, table, view, direction, ground, model or _half_spheres(elevation), settings
+    )
+
+
+@lru_cache(maxsize=8)
+def _half_spheres(elevation: float) -> ShadowModel:
+    return ShadowModel(elevation)
+
+
+def _nothing(labels: NDArray[np.int32], extended: NDArray[np.int32]) -> Detections:
+    none = np.empty(0)
+    return Detections(
+        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none,
+        np.empty(0, np.int32), labels, extended,
+    )  # fmt: skip
+
+
+def _patches(
+    shade: Segmentation,
+    camera: CameraModel,
+    view: View,
+    sun: Array,
+    ground: float,
+    settings: DetectorSettings,
+) -> tuple[NDArray[np.int32], Array]:
+    """Return the label image and the table of its patches (n, columns), label 1 first."""
+    count, labels = cv2.connectedComponents(shade.dark, connectivity=8, ltype=cv2.CV_32S)
+    if count == 1:
+        return labels, np.empty((0, kernels.COLUMNS))
+    edges = cv2.Canny(shade.brightness, *settings.canny, L2gradient=True)
+    # An edge may run a pixel beside the threshold.
+    edges = cv2.dilate(edges, np.ones((3, 3), np.uint8))
+    x, y = camera.tangents
+    level = np.hypot(sun[0], sun[1])
+    east, north = (sun[0] / level, sun[1] / level) if level > 0.0 else (1.0, 0.0)
+    table = kernels.measure_patches(
+        labels, count - 1, edges, x, y, view.position, view.axes, float(ground), east, north
+    )[1:]
+    focal = np.sqrt(view.fx * view.fy)
+    table[:, kernels.SPAN_ALONG] /= focal
+    table[:, kernels.SPAN_ACROSS] /= focal
+    return labels, table
+
+
+def _measure(
+    labels: NDArray[np.int32],
+    table: Array,
+    view: View,
+    sun: Array,
+    ground: float,
+    model: ShadowModel,
+    settings: DetectorSettings,
+) -> Detections:
+    """Turn the table of patches into rocks."""
+    k = kernels
+    noise = (table[:, k.PIXELS] < settings.least_pixels) | (
+        table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE]
+    )
+    cut = table[:, k.BORDER] > 0.0
+    whole = ~noise & ~cut
+    number = np.flatnonzero(whole).astype(np.int32) + 1
+    t = table[whole]
+    azimuth, depression = _directions(t, view, sun)
+    unit = model.patch(azimuth, depression)
+    along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
+    length, width = t[:, k.LENGTH], t[:, k.WIDTH]
+    rocks = _Radius.of(length, width, unit, along_px, across_px, settings.pixel_sigma)
+    rocks = rocks.if_merged(view, ground, model, azimuth, depression, t[:, k.PIXELS])
+    fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
+    terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
+    frame = _sun_frame(sun)
+    offset, spread = _place(t, rocks, unit, settings.pixel_sigma)
+    offset = offset @ frame.T
+    pixel, covariance = _to_pixels(offset, ground - view.position[2], view, frame, spread)
+    keep = ~terrain & (unit.length >= _LEAST_LENGTH)
+    height = model.height * length / np.maximum(unit.length, _LEAST_LENGTH)
+    extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
+    return Detections(
+        pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
+        rocks.sigma[keep], height[keep], length[keep], np.sqrt(t[keep, k.PIXELS]), number[keep],
+        labels, extended,
+    )  # fmt: skip
+
+
+def _sun_frame(sun: Array) -> Array:
+    """Return the matrix (2, 2) from coordinates along the Sun and across to east and north."""
+    s = sun[:2] / np.hypot(sun[0], sun[1])
+    return np.array([[s[0], -s[1]], [s[1], s[0]]])
+
+
+def _place(table: Array, rocks: _Radius, unit: Patch, pixel: float) -> tuple[Array, Array]:
+    """Return centres (n, 2) along the Sun and across, m, and their standard deviations (n, 2)."""
+    k, r = kernels, rocks.radius
+    centre = np.column_stack(
+        (table[:, k.ALONG] - r * unit.along, table[:, k.ACROSS] - r * unit.side)
+    )
+    # The mean of a patch is found more closely than one of its ends.
+    edge = 0.5 * pixel * table[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
+    lever = rocks.sigma[:, None] * np.column_stack((unit.along, unit.side))
+    shape = r[:, None] * np.column_stack((unit.along_sigma, unit.side_sigma))
+    return centre, np.sqrt(edge**2 + lever**2 + shape**2)
+
+
+@dataclass(frozen=True)
+class _Radius:
+    radius: Array
+    sigma: Array
+
+    @classmethod
+    def of(
+        cls,
+        length: Array,
+        width: Array,
+        unit: Patch,
+        along_px: Array,
+        across_px: Array,
+        pixel: float,
+    ) -> _Radius:
+        """Return the radius that explains length and width best.
+
+        Each gives one, with a variance from the pixel and from the spread of shapes; the two are
+        averaged with the inverse variances as weights.
+        """
+        from_length = length / np.maximum(unit.length, 0.05)
+        from_width = width / np.maximum(unit.width, 0.05)
+        var_length = (
+            2.0 * (pixel * along_px) ** 2 + (from_length * unit.length_sigma) ** 2
+        ) / np.maximum(unit.length, 0.05) ** 2
+        var_width = (
+            2.0 * (pixel * across_px) ** 2 + (from_width * unit.width_sigma) ** 2
+        ) / np.maximum(unit.width, 0.05) ** 2
+        weight = var_width / (var_length + var_width)
+        radius = weight * from_length + (1.0 - weight) * from_width
+        return cls(radius, np.sqrt(var_length * weight))
+
+    def if_merged(
+        self,
+        view: View,
+        ground: float,
+        model: ShadowModel,
+        azimuth: Array,
+        depression: Array,
+        pixels: Array,
+    ) -> _Radius:
+        """Return the radii, those of patches that hold several shadows set right.
+
+        Such a patch has far less area than its length and width promise. Its area is the sum of
+        the shadows', so the radius of a rock with that area bounds each of theirs.
+        """
+        slant = (view.position[2] - ground) / np.maximum(np.sin(depression), 1e-3)
+        pixel = slant / np.sqrt(view.fx * view.fy)
+        expected = model.visible_pixels(self.radius, azimuth, depression, pixel) ** 2
+        share = pixels / np.maximum(expected, 1e-9) / _USUAL
+        merged = share < _MERGED
+        radius = np.where(merged, self.radius * np.sqrt(share), self.radius)
+        return _Radius(radius, np.where(merged, np.maximum(self.sigma, 0.25 * radius), self.sigma))
+
+
+def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
+    """Return azimuth from the Sun's and depression of the lines of sight to patches (n,), rad."""
+    sight = np.column_stack((table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table))))
+    sight = sight @ view.axes.T
+    back = np.arctan2(-sight[:, 0], -sight[:, 1])
+    depression = np.arctan2(-sight[:, 2], np.hypot(sight[:, 0], sight[:, 1]))
+    return back - np.arctan2(sun[0], sun[1]), depression
+
+
+def _to_pixels(
+    offset: Array, drop: float, view: View, frame: Array, spread: Array
+) -> tuple[Array, Array]:
+    """Return pixels (n, 2) and their covariances (n, 2, 2) of points on the ground."""
+    points = np.column_stack((offset, np.full(len(offset), drop))) @ view.axes
+    z = points[:, 2]
+    focal = np.array([view.fx, view.fy])
+    pixel = points[:, :2] / z[:, None] * focal + np.array([view.cx, view.cy])
+    # d(pixel) / d(east, north).
+    slope = view.axes[:2, :2].T[None] - (points[:, :2] / z[:, None])[:, :, None] * view.axes[:2, 2]
+    jacobian = focal[:, None] * slope / z[:, None, None]
+    turned = jacobian @ frame
+    covariance = (turned * (spread**2)[:, None, :]) @ np.swapaxes(turned, 1, 2)
+    return pixel, covariance

@@ -1,0 +1,212 @@
+"""What the shadow of a rock looks like from where the camera is.
+
+A camera sees two dark things of a rock: the side turned away from the Sun and what is left of the
+shadow on the ground behind the rock. Projected along the line of sight onto the ground they are
+one dark patch, whose extent in units of the rock's radius depends on the direction of the Sun,
+that of the camera and the shape alone. The shadow EKF paper (III.A) takes half spheres seen from
+above; here the patch of any population of shapes is tabulated by casting rays, which for half
+spheres from above gives the paper's model back: from the centre to the tip at radius / sin(Sun
+elevation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from lunarsim.errors import InputError
+from lunarsim.frames import direction_from_angles
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.level_ground import RockOnLevelGround
+
+Array = NDArray[np.float64]
+
+# Directions that are tabulated: of the camera above the ground, and away from the Sun's azimuth.
+_DEPRESSIONS = np.radians([8.0, 15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+_AZIMUTHS = np.radians(np.arange(0.0, 181.0, 15.0))
+_SHAPES = 8
+# Samples across a radius.
+_DETAIL = 12
+# Standard deviations of radius and centre, in radii, that many looks do not average out, as
+# found between tracked and true cubes at the end of rendered descents.
+_UNKNOWN = (0.12, 0.28)
+_LEAST_ELEVATION = np.deg2rad(2.0)
+_MOST_ELEVATION = np.deg2rad(80.0)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Dark patches of rocks of radius 1 on the ground, seen from (...) directions.
+
+    Coordinates run from the rock's centre: `along` towards the Sun's azimuth, `across` to the left
+    of it as seen from above.
+
+    Attributes
+    ----------
+    along, side
+        Its mean (...).
+    length, width
+        Of the rectangle along the Sun that has the same variances (...). Extents from one end to
+        the other would hang on single pixels.
+    area
+        Dark area (...).
+    along_sigma, side_sigma, length_sigma, width_sigma
+        Standard deviations over the population of shapes (...).
+    """
+
+    along: Array
+    side: Array
+    length: Array
+    width: Array
+    area: Array
+    along_sigma: Array
+    side_sigma: Array
+    length_sigma: Array
+    width_sigma: Array
+
+
+class ShadowModel:
+    """Dark patches of a population of shapes under one Sun elevation.
+
+    Parameters
+    ----------
+    elevation
+        Of the Sun, rad, from 2 to 80 degrees.
+    shapes
+        Population of rocks that is expected; left out: half spheres, as in the paper. Its radius
+        is half the diameter as `RockModel.draw` defines it.
+
+    Attributes
+    ----------
+    height
+        Mean height above the ground, in radii.
+    outline
+        Mean and standard deviation of the distance from a rock's centre to its outline, over all
+        directions and shapes, in radii.
+    radius_sigma, centre_sigma
+        What stays unknown of radius and centre, an axis, however often a rock is seen, in radii:
+        its shape.
+
+    Raises
+    ------
+    InputError
+        For another Sun elevation.
+    """
+
+    def __init__(self, elevation: float, shapes: RockModel | None = None) -> None:
+        if not _LEAST_ELEVATION <= elevation <= _MOST_ELEVATION:
+            raise InputError(
+                "sun.elevation", elevation, "from 2 to 80 degrees, in radians, to see shadows by"
+            )
+        self.elevation = elevation
+        self.shapes = shapes or RockModel()
+        self._table = RegularGridInterpolator(
+            (_AZIMUTHS, _DEPRESSIONS), _tabulate(round(elevation, 3), self.shapes)
+        )
+
+        drawn = self.shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
+        self.height = float(np.mean(drawn.base + drawn.height))
+        self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
+
+    def patch(self, azimuth: Any, depression: Any) -> Patch:
+        """Return the patches seen from given directions.
+
+        Parameters
+        ----------
+        azimuth
+            Of the camera as seen from the rock, less that of the Sun (...), rad, clockwise from
+            above; 0: the Sun is behind the camera.
+        depression
+            Of the line of sight below the horizon (...), rad.
+        """
+        turn = np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
+        down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
+        turn, down = np.broadcast_arrays(turn, down)
+        rows = self._table(np.column_stack((abs(turn).ravel(), down.ravel())))
+        along, side, *rest = (column.reshape(turn.shape) for column in rows.T)
+        return Patch(along, np.where(turn < 0.0, -side, side), *rest)
+
+    def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
+        """Return q: side of the square of as many pixels as the patch covers (...).
+
+        Parameters
+        ----------
+        radius
+            Of the rocks (...), m.
+        azimuth, depression
+            As for `patch`.
+        pixel
+            Size of a pixel across the line of sight at the rock (...), m.
+        """
+        area = self.patch(azimuth, depression).area * np.sin(depression)
+        return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
+
+
+@lru_cache(maxsize=8)
+def _tabulate(elevation: float, shapes: RockModel) -> Array:
+    """Return the table (azimuths, depressions, 9) of `Patch`'s attributes in their order."""
+    rng = np.random.default_rng(1953)
+    one = shapes.shape == "hemisphere"
+    field = shapes.draw(np.full(1 if one else _SHAPES, 2.0), rng)
+    table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 9))
+    scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
+    sun = direction_from_angles(0.0, elevation)
+    reach = 1.6 * (1.0 + 1.0 / np.tan(elevation)) + 0.5
+    for i, azimuth in enumerate(_AZIMUTHS):
+        for j, depression in enumerate(_DEPRESSIONS):
+            camera = direction_from_angles(azimuth, depression)
+            seen = np.array([_dark_patch(scene, sun, camera, reach) for scene in scenes])
+            table[i, j] = np.concatenate((seen.mean(0), seen.std(0)[:4]))
+    return table
+
+
+def _dark_patch(
+    scene: RockOnLevelGround, sun: Array, camera: Array, reach: float
+) -> tuple[float, ...]:
+    """Return along, side, length, width and area of the dark patch of a rock of radius 1.
+
+    The Sun is in the north, so `along` is y and `across`, to its left, is -x.
+    """
+    step = 1.0 / _DETAIL
+    # The dark face shows on the ground behind the rock, up to its height / tan(depression).
+    lean = 2.0 * camera[:2] / camera[2]
+    x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
+    y = np.arange(min(-reach, -lean[1] - 1.6), max(0.0, -lean[1]) + 1.6, step)
+    xx, yy = np.meshgrid(x, y)
+    ground = np.column_stack((xx.ravel(), yy.ravel(), np.zeros(xx.size)))
+    start = ground + 60.0 * camera
+    distance, normal = scene.cast(start, np.broadcast_to(-camera, start.shape))
+    point = start - distance[:, None] * camera + 1e-4 * normal
+    lit = normal @ sun > 0.0
+    shaded = np.ones(len(point), bool)
+    towards = np.broadcast_to(sun, (int(lit.sum()), 3))
+    shaded[lit] = np.isfinite(scene.cast(point[lit], towards)[0])
+    if not shaded.any():
+        # Nothing shows: a patch of no extent where the dark side would begin.
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    along, across = ground[shaded, 1], -ground[shaded, 0]
+    return (
+        along.mean(), across.mean(), np.sqrt(12.0) * along.std(), np.sqrt(12.0) * across.std(),
+        float(shaded.sum()) * step**2,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
+    """Return `ShadowModel`'s outline, radius_sigma and centre_sigma of a population."""
+    if shapes.shape == "hemisphere":
+        return (1.0, 0.0), *_UNKNOWN
+    field = shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    radius = np.linspace(0.02, 2.4, 240)
+    points = radius[:, None, None] * np.stack((np.cos(angle), np.sin(angle)), -1)
+    reach = np.empty((len(field), angle.size))
+    for k in range(len(field)):
+        inside = RockOnLevelGround(field, k).covers(points)
+        reach[k] = radius[:, None].repeat(angle.size, 1).max(0, where=inside, initial=0.0)
+    return (float(reach.mean()), float(reach.std())), *_UNKNOWN

@@ -1,0 +1,154 @@
+"""Rocks as arrays, and how rocks of a given diameter are shaped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.rocks.shapes import CUBE, ELLIPSOID, IRREGULAR, IRREGULAR_COUNT, shape_table
+
+
+@dataclass(frozen=True)
+class RockField:
+    """Rocks as arrays: scaled and turned unit shapes that stand on the relief or sit in it.
+
+    The base plane is level; it passes through the relief under the rock's centre, or below it
+    for a buried rock. Where the relief falls away below the base, the outline is carried straight
+    down, so that the surface stays a function of (x, y) and nothing is hollow.
+
+    Attributes
+    ----------
+    x, y
+        Centres (n,), m.
+    base
+        Elevation of the base plane of each rock (n,), m.
+    a, b
+        Horizontal semi-axes (n,), m; `a` lies along `yaw`.
+    height
+        Height above the base (n,), m.
+    yaw
+        Direction of the first semi-axis, counter-clockwise from east (n,), rad.
+    shape
+        Unit shape of each rock (n,), a row of `lunarsim.rocks.shapes.shape_table`; left out:
+        half spheres, scaled to hemi-ellipsoids.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    base: NDArray[np.float64]
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    height: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    shape: NDArray[np.int64] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.shape is None:
+            object.__setattr__(self, "shape", np.zeros(self.x.size, np.int64))
+
+    @classmethod
+    def empty(cls) -> RockField:
+        """Return a field without rocks."""
+        x, y, base, a, b, height, yaw = np.zeros((7, 0))
+        return cls(x, y, base, a, b, height, yaw)
+
+    @classmethod
+    def hemispheres(
+        cls, x: ArrayLike, y: ArrayLike, base: ArrayLike, radius: ArrayLike
+    ) -> RockField:
+        """Return half-buried spheres."""
+        arrays = [np.array(v, dtype=np.float64, ndmin=1) for v in (x, y, base, radius)]
+        cx, cy, cz, r = (np.ascontiguousarray(v) for v in np.broadcast_arrays(*arrays))
+        return cls(cx, cy, cz, r, r.copy(), r.copy(), np.zeros_like(r))
+
+    def __len__(self) -> int:
+        return int(self.x.size)
+
+    def rows(self) -> NDArray[np.float64]:
+        """Return the rocks as the kernels take them (n, 9)."""
+        turn = (np.cos(self.yaw), np.sin(self.yaw))
+        return np.column_stack(
+            (self.x, self.y, self.base, self.a, self.b, self.height, *turn, self.shape)
+        )
+
+    def reach(self) -> NDArray[np.float64]:
+        """Return the radius of a disc about each centre that holds the outline (n,), m."""
+        return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
+
+
+@dataclass(frozen=True)
+class RockModel:
+    """How rocks of a given diameter are shaped and how deep they sit.
+
+    Attributes
+    ----------
+    shape
+        "hemisphere"; "ellipsoid" (the top of an ellipsoid); "cube" (side D, the shadow EKF
+        paper's); "irregular" (faceted convex boulders); or "mixed" (ellipsoids and irregular
+        ones in equal numbers).
+    height_ratio
+        Mean and standard deviation of the height above ground over the diameter; drawn from a
+        normal law cut at 0.2 and 1. Not for hemispheres and cubes.
+    burial
+        Least and greatest fraction of the rock's height that lies under the ground, drawn
+        uniformly. Not for hemispheres.
+    axis_ratio
+        Least and greatest ratio of the horizontal axes, drawn uniformly. Not for hemispheres and
+        cubes.
+    """
+
+    shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"] = "hemisphere"
+    height_ratio: tuple[float, float] = (0.5, 0.1)
+    burial: tuple[float, float] = (0.0, 0.5)
+    axis_ratio: tuple[float, float] = (0.6, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.shape not in {"hemisphere", "ellipsoid", "cube", "irregular", "mixed"}:
+            raise InputError(
+                "rocks.shape", self.shape, "hemisphere, ellipsoid, cube, irregular or mixed"
+            )
+        if not (0.2 <= self.height_ratio[0] <= 1.0 and self.height_ratio[1] >= 0.0):
+            raise InputError(
+                "rocks.height_ratio", self.height_ratio, "a mean from 0.2 to 1 and a deviation"
+            )
+        if not 0.0 <= self.burial[0] <= self.burial[1] <= 0.9:
+            raise InputError("rocks.burial", self.burial, "two rising fractions from 0 to 0.9")
+        if not 0.0 < self.axis_ratio[0] <= self.axis_ratio[1] <= 1.0:
+            raise InputError("rocks.axis_ratio", self.axis_ratio, "two rising ratios up to 1")
+
+    def draw(self, diameter: NDArray[np.float64], rng: np.random.Generator) -> RockField:
+        """Return rocks (n) of the given diameters, all at the origin with the ground at 0.
+
+        The diameter is that of the disc whose area the rock covers at ground level (for a cube:
+        its side).
+        """
+        n = diameter.size
+        zero = np.zeros(n)
+        if self.shape == "hemisphere":
+            return RockField.hemispheres(zero, zero, zero, 0.5 * diameter)
+        burial = rng.uniform(*self.burial, n)
+        yaw = rng.uniform(0.0, 2.0 * np.pi, n)
+        if self.shape == "cube":
+            half = 0.5 * diameter
+            cube = np.full(n, CUBE)
+            return RockField(zero, zero, -burial * diameter, half, half, diameter, yaw, cube)
+        ratio = np.clip(rng.normal(*self.height_ratio, n), 0.2, 1.0)
+        stretch = np.sqrt(rng.uniform(*self.axis_ratio, n))
+        faceted = {
+            "ellipsoid": np.zeros(n, bool),
+            "irregular": np.ones(n, bool),
+        }.get(self.shape, rng.random(n) < 0.5)
+        shape = np.where(
+            faceted, rng.integers(IRREGULAR, IRREGULAR + IRREGULAR_COUNT, n), ELLIPSOID
+        )
+        # The buried part of an ellipsoid is the wider one.
+        widen = np.where(faceted, 1.0, 1.0 / np.sqrt(1.0 - burial**2))
+        radius = 0.5 * diameter * widen
+        height = ratio * diameter / (1.0 - burial)
+        return RockField(
+            zero, zero, -burial * height, radius / stretch, radius * stretch, height, yaw, shape
+        )

@@ -1,0 +1,61 @@
+"""How many rocks of which size: the size-frequency law of Golombek and Rapp (1997).
+
+The fraction of the ground covered by rocks of diameter D or more is ``F(D) = k exp(-q D)`` with
+``q = 1.79 + 0.152 / k`` (Eq. 13 of the shadow EKF paper), where k is the fraction covered by rocks
+of all sizes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import exp1
+
+from lunarsim.errors import InputError
+
+
+def golombek_exponent(k: float) -> float:
+    """Return q of F(D) = k exp(-q D), 1/m."""
+    if not 0.0 < k <= 0.5:
+        raise InputError("rocks.cover", k, "a fraction between 0 and 0.5")
+    return 1.79 + 0.152 / k
+
+
+def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
+    """Return F(D): the fraction of ground covered by rocks of `diameter` (m) or more."""
+    return np.asarray(k * np.exp(-golombek_exponent(k) * np.asarray(diameter, dtype=np.float64)))
+
+
+def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
+    """Return N(D): the number of rocks of `diameter` (m) or more on a square metre.
+
+    From dN = -dF / (pi D^2 / 4): ``N = 4 k q^2 / pi * (exp(-x) / x - E1(x))`` with x = q D.
+    """
+    q = golombek_exponent(k)
+    x = q * np.asarray(diameter, dtype=np.float64)
+    return np.asarray(4.0 * k * q * q / np.pi * (np.exp(-x) / x - exp1(x)))
+
+
+def sample_diameters(
+    area: float,
+    k: float,
+    minimum: float,
+    maximum: float,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Draw the diameters (m) of the rocks on `area` (m^2), largest first.
+
+    Their number is Poisson with the mean that the law gives between `minimum` and `maximum`;
+    each diameter is drawn by inverting N(D), so no size is favoured.
+    """
+    if not 0.0 < minimum < maximum:
+        raise InputError(
+            "rocks.min_diameter_m", minimum, f"more than 0 and less than the maximum {maximum}"
+        )
+    # The table is fine enough that linear interpolation in (log D, log N) errs below 1e-6.
+    table = np.geomspace(minimum, maximum, 4096)
+    number = golombek_number(table, k)
+    count = int(rng.poisson(area * (number[0] - number[-1])))
+    target = number[-1] + rng.random(count) * (number[0] - number[-1])
+    log_d = np.interp(-np.log(target), -np.log(number), np.log(table))
+    return np.sort(np.exp(log_d))[::-1].copy()

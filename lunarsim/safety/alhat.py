@@ -1,0 +1,46 @@
+"""The baseline: slope as it stands, roughness with independent noise, heading by heading."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtr
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.safety.conservative import StochasticSafety
+from lunarsim.safety.exact import exact_safety
+
+
+def alhat_safety(
+    elevation: ArrayLike, grid: Grid, lander: Lander, *, sigma: float
+) -> StochasticSafety:
+    """Evaluate the baseline of section III.B of the Gaussian DEM paper.
+
+    Slope safety is deterministic. Roughness safety is evaluated at every cell of the footprint at
+    every heading, for elevation noise of standard deviation `sigma` that is independent from cell
+    to cell; of these probabilities the least is taken, since their product would be near zero on
+    any footprint of many cells. The normal distribution function being monotonic, that is the
+    probability at the worst roughness, and the work is that of `exact_safety`.
+
+    Parameters
+    ----------
+    elevation, grid, lander
+        As in `exact_safety`.
+    sigma
+        Standard deviation of the elevations, m.
+
+    Raises
+    ------
+    ValueError
+        As `exact_safety`, and if `sigma` is not positive.
+    """
+    if not (np.isfinite(sigma) and sigma > 0.0):
+        raise ValueError(f"sigma = {sigma}: must be a positive length in metres")
+    exact = exact_safety(elevation, grid, lander)
+    with np.errstate(invalid="ignore"):
+        p_slope = (exact.slope < lander.slope_limit).astype(np.float32)
+        p_rough = ndtr((lander.roughness_limit - exact.roughness) / sigma).astype(np.float32)
+    p_slope[~exact.observed] = 0.0
+    p_rough[~exact.observed] = 0.0
+    return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, exact.observed)

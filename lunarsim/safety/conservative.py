@@ -1,0 +1,120 @@
+"""The conservative test and its stochastic form: height differences instead of planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.safety import _kernels as k
+from lunarsim.safety.exact import (
+    SafetyMap,
+    check_raster,
+    check_variance,
+    footprint_extremes,
+)
+from lunarsim.safety.footprint import footprint_of
+
+FloatMap = NDArray[np.float32]
+BoolMap = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class StochasticSafety:
+    """Probabilities that a lander centred on each cell is safe.
+
+    Attributes
+    ----------
+    grid
+        Places the cells.
+    p_slope, p_roughness
+        Probability that the slope, the roughness, is under its limit (rows, cols).
+    p_safe
+        Their product (rows, cols); 0 where not observed.
+    observed
+        False where the footprint leaves the map or covers unknown ground (rows, cols).
+    """
+
+    grid: Grid
+    p_slope: FloatMap
+    p_roughness: FloatMap
+    p_safe: FloatMap
+    observed: BoolMap
+
+
+def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> SafetyMap:
+    """Bound slope and roughness from above by height differences (Eqs. 10 and 11).
+
+    ``sin(slope) = (max_L z - min_L z) / h0`` and ``roughness = max_U z - min_L z``. A cell
+    called safe is safe by `exact_safety` (Proposition III.1).
+
+    Parameters and errors are those of `exact_safety`.
+    """
+    footprint = footprint_of(lander, grid.posting)
+    z = check_raster("elevation", elevation, grid, footprint)
+    leg_max, leg_min, body_max = footprint_extremes(z, footprint)
+    observed = (leg_max < k.FAR) & (body_max < k.FAR)
+    sine = (leg_max - leg_min) / np.float32(footprint.least_height)
+    # The theorem needs a height difference under h0; steeper ground is simply unsafe.
+    slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
+    slope = slope.astype(np.float32)
+    roughness = body_max - leg_min
+    slope[~observed] = np.nan
+    roughness[~observed] = np.nan
+    with np.errstate(invalid="ignore"):
+        safe = (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
+    return SafetyMap(grid, slope, roughness, safe & observed, observed)
+
+
+def stochastic_safety(
+    mean: ArrayLike,
+    variance: ArrayLike,
+    grid: Grid,
+    lander: Lander,
+    *,
+    slope_bound: Literal["sin", "tan"] = "sin",
+) -> StochasticSafety:
+    """Evaluate the conservative test on a Gaussian DEM (Eqs. 15 to 17).
+
+    Maxima and minima of the heights are taken as Gaussians fitted to the extremes of the
+    3-sigma bounds; slope and roughness follow from differences of two such Gaussians.
+
+    Parameters
+    ----------
+    mean, variance
+        Elevation (rows, cols), m and m^2; NaN for unknown.
+    grid, lander
+        As in `exact_safety`.
+    slope_bound
+        ``"sin"`` as Eq. 11, which carries the guarantee, or ``"tan"`` as Eq. 17 is printed.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, the grid is smaller than the footprint, or a variance is negative.
+    """
+    footprint = footprint_of(lander, grid.posting)
+    z = check_raster("mean", mean, grid, footprint)
+    spread = check_variance(variance, grid, footprint)
+    p_slope, p_rough, p_safe = (np.empty(grid.shape, np.float32) for _ in range(3))
+    observed = np.empty(grid.shape, np.bool_)
+    ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
+    k.stochastic(
+        z,
+        spread,
+        footprint.leg_windows,
+        footprint.body_windows,
+        footprint.depth,
+        footprint.reach,
+        np.float32(footprint.least_height * ratio),
+        np.float32(lander.roughness_limit),
+        p_slope,
+        p_rough,
+        p_safe,
+        observed,
+    )
+    return StochasticSafety(grid, p_slope, p_rough, p_safe, observed)

@@ -1,0 +1,303 @@
+"""The lander's footprint as exact sets of cells.
+
+Legs are rounded to cells; a heading matters only through the cells its legs fall in, so the
+continuum of headings is a finite list. The conservative test's guarantee (Proposition III.1 of
+the Gaussian DEM paper) then holds exactly on the grid: the sets below contain whatever the exact
+test looks at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.models.lander import Lander
+from lunarsim.safety._kernels import FAR
+
+IntArray = NDArray[np.int64]
+
+
+BLOCK = 4  # side of the blocks of cells that the exact test opens or skips, cells
+
+
+@dataclass(frozen=True)
+class Supports:
+    """Triangles of legs on which the lander may stand, for every heading.
+
+    Attributes
+    ----------
+    inverse
+        For plane s on diagonal d the inverse of the matrix of the triangle's edges
+        (headings, planes, diagonals, 4), cells.
+    place
+        Row and column of the triangle's first leg (headings, planes, diagonals, 2), cells.
+    """
+
+    inverse: NDArray[np.float32]
+    place: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Covers:
+    """Square blocks of cells that cover the polygon of every heading.
+
+    Attributes
+    ----------
+    corners
+        South-west cells (row, column) of the blocks (n, 2), heading by heading.
+    centres
+        Column and row of their centres, one after the other (2 n,).
+    allowed
+        0 for each cell of a block that the polygon holds, else far below any ground
+        (n block block,).
+    first
+        Where each heading's blocks begin (headings + 1,); multiples of four.
+    """
+
+    corners: IntArray
+    centres: NDArray[np.float32]
+    allowed: NDArray[np.float32]
+    first: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """Cells that a lander touches or covers, relative to the cell of its centre.
+
+    Offsets are (row, column): rows to the north, columns to the east.
+
+    Attributes
+    ----------
+    legs
+        Cells of the legs, counter-clockwise, for every distinct heading (headings, legs, 2).
+    pad
+        Cells under one pad (n, 2).
+    pad_windows, leg_windows, body_windows
+        One pad, the set L (all that any pad touches) and the set U (all that any polygon
+        covers) as unions of windows ``(row, level, first column, first column)`` (n, 4): two
+        windows of 2**level columns each; n is a multiple of four.
+    depth
+        Number of window levels.
+    least_height
+        h0: least height of any triangle of legs, m.
+    reach
+        Largest offset in any direction, cells.
+    """
+
+    legs: IntArray
+    pad: IntArray
+    pad_windows: IntArray
+    leg_windows: IntArray
+    body_windows: IntArray
+    depth: int
+    least_height: float
+    reach: int
+
+    def nearest_heading(self, lander: Lander, posting: float, heading: float) -> int:
+        """Return the index of the distinct heading nearest to an azimuth of body x (rad)."""
+        pads = lander.pads[:, :2]
+        turn = np.pi / 2 - heading  # azimuth to angle from east
+        c, s = np.cos(turn), np.sin(turn)
+        east = (c * pads[:, 0] - s * pads[:, 1]) / posting
+        north = (s * pads[:, 0] + c * pads[:, 1]) / posting
+        wanted = np.column_stack((north, east))
+        misfit = [
+            min(float(np.abs(np.roll(cells, n, axis=0) - wanted).sum()) for n in range(lander.legs))
+            for cells in self.legs
+        ]
+        return int(np.argmin(misfit))
+
+    def block_cells(self, side: float, posting: float) -> int:
+        """Return the side of blocks of about `side` metres in cells.
+
+        Raises
+        ------
+        ValueError
+            If the side is not positive.
+        """
+        if not (np.isfinite(side) and side > 0.0):
+            raise ValueError(f"block_side = {side}: must be a positive length in metres")
+        return max(1, min(round(side / posting), self.reach))
+
+    def one_heading(self, index: int) -> Footprint:
+        """Return the footprint with a single heading; the sets L and U stay as they are."""
+        return replace(self, legs=self.legs[index : index + 1])
+
+    @cached_property
+    def supports(self) -> Supports:
+        """Triangles of legs of every heading."""
+        return _supports(self.legs)
+
+    def covers(self, block: int) -> Covers:
+        """Return blocks that cover the polygons; `block` is their side in cells."""
+        return _covers(self, block)
+
+
+def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
+    angle = heading + 2.0 * np.pi * np.arange(legs) / legs
+    # A hair outwards, then half-way cases round away from the centre at every heading alike.
+    xy = radius * (1.0 + 1e-12) * np.column_stack((np.sin(angle), np.cos(angle)))
+    return np.asarray(np.sign(xy) * np.floor(np.abs(xy) + 0.5), dtype=np.int64)
+
+
+def _distinct_headings(legs: int, radius: float) -> IntArray:
+    """Return the leg cells of every distinct heading (headings, legs, 2); radius in cells."""
+    turn = 2.0 * np.pi / legs
+    halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
+    halves = halves[halves <= radius] / radius
+    crossings = np.concatenate((np.arcsin(halves), np.arccos(halves)))
+    crossings = np.concatenate([s * crossings + k * np.pi for s in (1, -1) for k in range(3)])
+    breaks = np.unique(np.round(np.mod(crossings, turn), 12))
+    breaks = np.concatenate((breaks, [breaks[0] + turn])) if breaks.size else np.array([0.0, turn])
+    middles = 0.5 * (breaks[1:] + breaks[:-1])
+    cells = np.stack([_leg_cells(legs, radius, heading) for heading in middles])
+    return np.unique(cells, axis=0)
+
+
+def _polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
+    """Return the runs (row, first column, length) of the cells in or on a convex polygon."""
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    rows, cols = np.meshgrid(
+        np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="ij"
+    )
+    inside = np.ones(rows.shape, dtype=np.bool_)
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        # Counter-clockwise in (east, north) = (column, row): the inside is on the left.
+        inside &= (b[1] - a[1]) * (rows - a[0]) - (b[0] - a[0]) * (cols - a[1]) >= 0
+    return _runs_of(inside, int(low[0]), int(low[1]))
+
+
+def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, int, int]]:
+    runs = []
+    for i, line in enumerate(mask):
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
+        runs += [(row0 + i, col0 + int(a), int(b - a)) for a, b in edges.reshape(-1, 2)]
+    return runs
+
+
+def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
+    """Return a set of cells as windows whose widths are powers of two."""
+    windows = []
+    for row, col, length in _runs_of(mask, row0, col0):
+        level = int(length).bit_length() - 1
+        windows.append((row, level, col, col + length - 2**level))
+    windows += [windows[-1]] * (-len(windows) % 4)
+    return np.array(windows, dtype=np.int64)
+
+
+# The legs of plane s on diagonal d: s = 0 stands on a b c or a b d, s = 1 on a c d or b c d.
+_TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
+
+
+def _supports(legs: IntArray) -> Supports:
+    triangles = _TRIANGLES[legs.shape[1]]
+    shape = (len(legs), len(triangles), len(triangles[0]))
+    inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
+    for s, diagonals in enumerate(triangles):
+        for d, (a, b, c) in enumerate(diagonals):
+            u, v = legs[:, b] - legs[:, a], legs[:, c] - legs[:, a]
+            determinant = u[:, 1] * v[:, 0] - v[:, 1] * u[:, 0]
+            edges = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1]), axis=-1)
+            inverse[:, s, d] = edges / determinant[:, None]
+            place[:, s, d] = legs[:, a]
+    return Supports(inverse.astype(np.float32), place.astype(np.float32))
+
+
+@lru_cache(maxsize=64)
+def _covers(footprint: Footprint, block: int) -> Covers:
+    corners: list[tuple[int, int]] = []
+    allowed: list[NDArray[np.bool_]] = []
+    first = [0]
+    across = np.arange(block)
+    for polygon in footprint.legs:
+        spans = {row: (col, col + length) for row, col, length in _polygon_runs(polygon)}
+        lowest, highest = min(spans), max(spans)
+        for start in range(lowest, highest + 1, block):
+            # The last band ends at the last row, so that no block leaves the footprint.
+            row = min(start, max(highest - block + 1, lowest))
+            band = np.array([spans.get(row + r, (0, 0)) for r in range(block)])
+            there = band[:, 1] > band[:, 0]
+            low, high = int(band[there, 0].min()), int(band[there, 1].max())
+            columns = list(range(low, max(high - block, low) + 1, block))
+            if columns[-1] + block < high:
+                columns.append(high - block)
+            for col in columns:
+                corners.append((row, col))
+                allowed.append((col + across >= band[:, :1]) & (col + across < band[:, 1:]))
+        spare = -len(corners) % 4
+        corners += [corners[-1]] * spare
+        allowed += [allowed[-1]] * spare
+        first.append(len(corners))
+    south_west = np.array(corners, dtype=np.int64)
+    centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
+    marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
+    return Covers(south_west, centres.ravel(), marks, np.array(first))
+
+
+def _triangle_height(points: NDArray[np.float64]) -> float:
+    a, b, c = points
+    area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    longest = max(np.hypot(*(b - a)), np.hypot(*(c - b)), np.hypot(*(a - c)))
+    return float(area2 / longest) if longest > 0.0 else 0.0
+
+
+@lru_cache(maxsize=32)
+def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
+    radius = leg_radius / posting
+    if radius < 1.0:
+        raise ValueError(
+            f"posting = {posting} m: must be finer than the leg radius of {leg_radius} m"
+        )
+    cells = _distinct_headings(legs, radius)
+    n = int(np.floor(pad_radius / posting + 1e-9))
+    rows, cols = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
+    disc = rows**2 + cols**2 <= (pad_radius / posting + 1e-9) ** 2
+    pad = np.column_stack((rows[disc], cols[disc])).astype(np.int64)
+
+    reach = int(np.abs(cells).max()) + n
+    side = 2 * reach + 1
+    leg_mask = np.zeros((side, side), np.bool_)
+    body_mask = np.zeros((side, side), np.bool_)
+    for polygon in cells:
+        for leg in polygon:
+            spots = leg + pad + reach
+            leg_mask[spots[:, 0], spots[:, 1]] = True
+        for row, col, length in _polygon_runs(polygon):
+            body_mask[row + reach, col + reach : col + reach + length] = True
+    least = min(
+        _triangle_height(polygon[list(triple)].astype(np.float64))
+        for polygon in cells
+        for triple in combinations(range(legs), 3)
+    )
+    pad_windows = _windows(disc, -n, -n)
+    leg_windows = _windows(leg_mask, -reach, -reach)
+    body_windows = _windows(body_mask, -reach, -reach)
+    deepest = max(int(w[:, 1].max()) for w in (pad_windows, leg_windows, body_windows))
+    return Footprint(
+        legs=cells,
+        pad=pad,
+        pad_windows=pad_windows,
+        leg_windows=leg_windows,
+        body_windows=body_windows,
+        depth=1 + deepest,
+        least_height=least * posting,
+        reach=reach,
+    )
+
+
+def footprint_of(lander: Lander, posting: float) -> Footprint:
+    """Return the footprint of `lander` on a grid of the given posting (m).
+
+    Raises
+    ------
+    ValueError
+        If the posting is too coarse for the legs to fall in different cells.
+    """
+    footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
+    if footprint.least_height <= 0.0:
+        raise ValueError(f"posting = {posting} m: too coarse, three legs fall on one line")
+    return footprint

@@ -1,0 +1,78 @@
+"""Surveys of the true ground: the prior maps that missions are planned on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.messages.prior_map import PriorMap
+from lunarsim.world.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+# Samples of the ground along each side of a post's square.
+_SAMPLES = 4
+# A patch out of date shows bumps of this width, m.
+_BUMP = 2.0
+
+
+def survey(
+    terrain: Terrain,
+    grid: Grid,
+    rng: np.random.Generator,
+    *,
+    sigma: float = 0.15,
+    stale_share: float = 0.0,
+    stale_side: float = 12.0,
+    stale_sigma: float = 0.4,
+) -> PriorMap:
+    """Return a map of the terrain as an earlier survey might have made it.
+
+    Parameters
+    ----------
+    terrain
+        The ground now.
+    grid
+        Posts of the map.
+    rng
+        Source of noise and of what has changed since.
+    sigma
+        Of the noise of each post, m.
+    stale_share, stale_side, stale_sigma
+        Share of the map out of date, side of the square patches that are (m), and deviation of what
+        the map shows there from what there is now (m). The map does not know of them.
+    """
+    if not 0.0 <= stale_share < 1.0:
+        raise InputError("prior.stale_share", stale_share, "from 0 to below 1")
+    fine = Grid(
+        grid.x0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
+        grid.y0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
+        grid.posting / _SAMPLES,
+        grid.rows * _SAMPLES,
+        grid.cols * _SAMPLES,
+    )
+    ground = terrain.raster(fine).astype(np.float64)
+    mean = ground.reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).mean(axis=(1, 3))
+    area = grid.rows * grid.cols * grid.posting**2
+    patches = round(stale_share * area / stale_side**2)
+    if patches:
+        mean = mean + _changes(grid, patches, stale_side, stale_sigma, rng)
+    return PriorMap(grid, mean + sigma * rng.standard_normal(grid.shape), sigma)
+
+
+def _changes(
+    grid: Grid, patches: int, side: float, sigma: float, rng: np.random.Generator
+) -> Array:
+    """Return what square patches of the map show besides the ground (rows, cols), m."""
+    bumps = ndimage.gaussian_filter(rng.standard_normal(grid.shape), _BUMP / grid.posting)
+    bumps *= sigma / bumps.std()
+    stale = np.zeros(grid.shape, np.bool_)
+    west, east, south, north = grid.extent
+    for x, y in rng.uniform((west, south), (east, north), (patches, 2)):
+        stale |= (np.abs(grid.x - x) <= 0.5 * side)[None, :] & (np.abs(grid.y - y) <= 0.5 * side)[
+            :, None
+        ]
+    return np.where(stale, bumps, 0.0)

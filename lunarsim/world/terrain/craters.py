@@ -1,0 +1,122 @@
+"""Craters: how many, how large, how deep.
+
+Small craters on old ground are in equilibrium: new ones wipe out as many as they make, and
+``N(D) = 0.079 D**-2`` craters of diameter D (m) or more lie on a square metre (Trask 1966; Xiao and
+Werner 2015). Larger ones, younger than the surface, follow the production law, steeper by a power
+of D. A fresh simple crater is 0.2 D deep from rim to floor with a rim of 0.036 D (Pike 1977) and an
+ejecta apron that thins as the cube of the distance (McGetchin, Settle and Head 1973).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.world.terrain._crater_kernels import stamp
+from lunarsim.world.terrain.heightfield import Heightfield
+
+Array = NDArray[np.float64]
+
+DEPTH = 0.2
+RIM = 0.036
+# The apron ends here, in crater radii.
+APRON = 3.0
+
+
+@dataclass(frozen=True)
+class CraterLaw:
+    """Size-frequency law.
+
+    Attributes
+    ----------
+    density
+        Craters of 1 m or more on a square metre in equilibrium.
+    saturation
+        Diameter below which the surface is in equilibrium, m: about 200 m on a mare of 3.5 Gyr.
+    """
+
+    density: float = 0.079
+    saturation: float = 200.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.density <= 0.3:
+            raise InputError("craters.density", self.density, "above 0, at most 0.3")
+        if not self.saturation > 0.0:
+            raise InputError("craters.saturation", self.saturation, "a positive diameter in metres")
+
+    def number(self, diameter: ArrayLike) -> Array:
+        """Return how many craters of `diameter` (m) or more lie on a square metre."""
+        d = np.asarray(diameter, dtype=np.float64)
+        return np.asarray(self.density * d**-2.0 * np.minimum(1.0, self.saturation / d))
+
+    def sample(
+        self, area: float, minimum: float, maximum: float, rng: np.random.Generator
+    ) -> Array:
+        """Draw the diameters (m) of the craters on `area` (m^2), largest first."""
+        if not 0.0 < minimum < maximum:
+            raise InputError(
+                "craters.min_diameter_m", minimum, f"more than 0 and less than {maximum}"
+            )
+        most, least = float(self.number(minimum)), float(self.number(maximum))
+        count = int(rng.poisson(area * (most - least)))
+        n = least + rng.random(count) * (most - least)
+        equilibrium = np.sqrt(self.density / n)
+        production = np.cbrt(self.density * self.saturation / n)
+        diameter = np.where(equilibrium < self.saturation, equilibrium, production)
+        return np.sort(diameter)[::-1].copy()
+
+
+def crater_profile(r: ArrayLike, diameter: float, freshness: float) -> Array:
+    """Return what a crater adds to the ground at distance `r` (m) from its middle, m.
+
+    A paraboloid inside the rim; outside an apron that falls as the cube of the distance and ends
+    smoothly three radii out. `freshness` runs from 0 (gone) to 1 (new): depth shrinks with it, the
+    rim, which erodes faster, with its square.
+    """
+    x = np.asarray(r, dtype=np.float64) / (0.5 * diameter)
+    rim = RIM * diameter * freshness**2
+    bowl = rim + DEPTH * diameter * freshness * (x**2 - 1.0)
+    safe = np.maximum(x, 1.0)
+    fade = np.clip((APRON - safe) / (APRON - 1.0), 0.0, 1.0)
+    apron = rim * safe**-3.0 * fade * fade * (3.0 - 2.0 * fade)
+    return np.asarray(np.where(x < 1.0, bowl, apron))
+
+
+def add_craters(
+    relief: Heightfield,
+    rng: np.random.Generator,
+    *,
+    minimum: float,
+    maximum: float | None = None,
+    law: CraterLaw | None = None,
+) -> Heightfield:
+    """Return the relief with craters drawn by the law, of every freshness alike.
+
+    Parameters
+    ----------
+    relief
+        The ground before.
+    rng
+        Source of sizes, places and freshness.
+    minimum, maximum
+        Diameters, m; the largest is by default a quarter of the shorter side.
+    law
+        Size-frequency law; left out: mare in equilibrium below 200 m.
+    """
+    west, east, south, north = relief.bounds
+    if maximum is None:
+        maximum = 0.25 * min(east - west, north - south)
+    # Middles may lie off the map, as far out as an apron reaches.
+    edge = 0.5 * APRON * maximum
+    area = (east - west + 2.0 * edge) * (north - south + 2.0 * edge)
+    diameter = (law or CraterLaw()).sample(area, minimum, maximum, rng)
+    x = rng.uniform(west - edge, east + edge, diameter.size)
+    y = rng.uniform(south - edge, north + edge, diameter.size)
+    freshness = rng.random(diameter.size)
+    z = relief.z.astype(np.float64)
+    g = relief.grid
+    stamp(z, g.x0, g.y0, g.posting, x, y, diameter, freshness, DEPTH, RIM, APRON)
+    return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))

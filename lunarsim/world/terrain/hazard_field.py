@@ -1,0 +1,96 @@
+"""A made hazard field on level grass, as at Kennedy Space Center (quadtree paper, section 5).
+
+100 x 100 m of boulders and craters that lie turned in the frame, after the field that Morpheus flew
+over: half spheres up to a metre across, craters up to five metres wide and half a metre deep.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.rocks.field import RockField
+from lunarsim.world.terrain._crater_kernels import stamp
+from lunarsim.world.terrain.craters import APRON, DEPTH, RIM
+from lunarsim.world.terrain.heightfield import Heightfield
+from lunarsim.world.terrain.relief import fractal_relief
+from lunarsim.world.terrain.terrain import Terrain
+
+# Half a metre deep at five metres wide.
+_FRESHNESS = 0.5
+
+
+def hazard_field(
+    rng: np.random.Generator,
+    *,
+    size: float = 100.0,
+    surround: float = 320.0,
+    posting: float = 0.25,
+    turn: float = np.deg2rad(20.0),
+    boulders: int = 300,
+    craters: int = 24,
+    grass_sigma: float = 0.02,
+    swell: float = 0.25,
+) -> Terrain:
+    """Return a hazard field in the middle of grassland.
+
+    Parameters
+    ----------
+    rng
+        Source of everything drawn.
+    size
+        Side of the field, m.
+    surround
+        Side of the grassland, m.
+    posting
+        Of the relief, m.
+    turn
+        Of the field, counter-clockwise, rad.
+    boulders, craters
+        How many; diameters fall off as the inverse square from 1 m down to 0.4 m and from 5 m down
+        to 2 m.
+    grass_sigma
+        Roughness of the grass, m.
+    swell
+        Standard deviation of the long waves of the ground, m.
+    """
+    if not 0.0 < size <= surround:
+        raise InputError("terrain.size_m", size, f"a positive length up to {surround} m")
+    if boulders < 0 or craters < 0:
+        raise InputError("terrain.boulders", (boulders, craters), "0 or more")
+    grid = Grid.centred((0.0, 0.0), surround, posting)
+    waves = fractal_relief(grid, rng, hurst=0.95, rms_slope=np.deg2rad(1.0)).z.astype(np.float64)
+    z = waves * (swell / waves.std()) + grass_sigma * rng.standard_normal(grid.shape)
+    x, y, diameter = _scattered(rng, craters, 2.0, 5.0, size, turn)
+    fresh = np.full(craters, _FRESHNESS)
+    stamp(z, grid.x0, grid.y0, grid.posting, x, y, diameter, fresh, DEPTH, RIM, APRON)
+    relief = Heightfield(grid, (z - z.mean()).astype(np.float32))
+    x, y, diameter = _scattered(rng, boulders, 0.4, 1.0, size, turn)
+    ground = Terrain(relief).elevation(np.column_stack((x, y)))
+    return Terrain(relief, RockField.hemispheres(x, y, ground, 0.5 * diameter))
+
+
+def _scattered(
+    rng: np.random.Generator, count: int, least: float, greatest: float, size: float, turn: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return east, north and diameter of things scattered over the turned square, largest first.
+
+    N(D) falls as D^-2; no thing overlaps another.
+    """
+    u = rng.random(count)
+    diameter = np.sort(1.0 / np.sqrt(u / least**2 + (1.0 - u) / greatest**2))[::-1]
+    placed = np.zeros((0, 3))
+    for d in diameter:
+        for _ in range(1000):
+            p = rng.uniform(-0.5, 0.5, 2) * (size - d)
+            gap = np.hypot(placed[:, 0] - p[0], placed[:, 1] - p[1])
+            if np.all(gap > 0.5 * (placed[:, 2] + d)):
+                break
+        else:
+            raise InputError("terrain.boulders", count, f"fewer: no room left on {size:g} m")
+        placed = np.vstack((placed, [*p, d]))
+    c, s = np.cos(turn), np.sin(turn)
+    x = c * placed[:, 0] - s * placed[:, 1]
+    y = s * placed[:, 0] + c * placed[:, 1]
+    return np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(placed[:, 2])

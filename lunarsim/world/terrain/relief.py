@@ -1,0 +1,91 @@
+"""Procedural relief: fractal ground by spectral synthesis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.world.terrain.heightfield import Heightfield
+
+
+def fractal_relief(
+    grid: Grid,
+    rng: np.random.Generator,
+    *,
+    hurst: float,
+    rms_slope: float,
+    baseline: float = 1.0,
+) -> Heightfield:
+    """Draw self-affine relief with a given roughness.
+
+    The two-dimensional power spectrum falls as ``k**-(2 + 2 hurst)``, as measured planetary
+    surfaces do; random phases make one realisation. Synthesis runs on a plane twice as wide as
+    the grid so that opposite edges are unrelated, then the result is scaled so that the root
+    mean square slope between posts `baseline` apart (east and north together) is `rms_slope`.
+
+    Parameters
+    ----------
+    grid
+        Where the posts are.
+    rng
+        Source of the phases and amplitudes.
+    hurst
+        Hurst exponent in (0, 1): 0.9 is smooth rolling ground, 0.5 is rough.
+    rms_slope
+        Root mean square slope at the baseline, rad.
+    baseline
+        Length over which the slope is taken, m; at least one posting.
+
+    Returns
+    -------
+    Heightfield
+        Relief with zero mean.
+    """
+    if not 0.0 < hurst < 1.0:
+        raise InputError("terrain.hurst", hurst, "a number between 0 and 1")
+    if not 0.0 <= rms_slope < np.pi / 4:
+        raise InputError("terrain.rms_slope", rms_slope, "a slope between 0 and 45 deg")
+    rows, cols = 2 * grid.rows, 2 * grid.cols
+    ky = np.fft.fftfreq(rows, grid.posting)[:, None]
+    kx = np.fft.rfftfreq(cols, grid.posting)[None, :]
+    k = np.hypot(kx, ky)
+    k[0, 0] = np.inf
+    noise = rng.standard_normal(k.shape) + 1j * rng.standard_normal(k.shape)
+    z = np.fft.irfft2(noise * k ** -(1.0 + hurst), s=(rows, cols))[: grid.rows, : grid.cols]
+    step = max(1, round(baseline / grid.posting))
+    if min(grid.shape) <= step:
+        raise InputError("terrain.size_m", grid.shape, f"a side longer than {baseline} m")
+    length = step * grid.posting
+    mean_square = np.mean(((z[:, step:] - z[:, :-step]) / length) ** 2) + np.mean(
+        ((z[step:, :] - z[:-step, :]) / length) ** 2
+    )
+    z *= np.tan(rms_slope) / np.sqrt(mean_square)
+    return Heightfield(grid, (z - z.mean()).astype(np.float32))
+
+
+def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
+    """Return measured relief with detail between its posts, which keep their elevations.
+
+    What the detail would do to the measured posts is taken away again: the spline through its
+    values there. So it acts only below the measured posting.
+
+    Parameters
+    ----------
+    measured
+        Relief at the posting of the measurement.
+    detail
+        Relief whose grid is that of ``measured.refined(...)``.
+
+    Raises
+    ------
+    InputError
+        If the grids do not belong together.
+    """
+    fine = measured.refined(detail.grid.posting)
+    if fine.grid != detail.grid:
+        raise InputError("terrain.detail", detail.grid.shape, f"the grid {fine.grid}")
+    factor = round(measured.grid.posting / fine.grid.posting)
+    coarse = Heightfield(measured.grid, detail.z[::factor, ::factor])
+    added = detail.z.astype(np.float64) - coarse.refined(detail.grid.posting).z
+    return Heightfield(fine.grid, (fine.z + added).astype(np.float32))

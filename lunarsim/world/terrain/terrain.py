@@ -1,0 +1,178 @@
+"""`Terrain`: relief and rocks as one surface, with exact queries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.rocks.field import RockField
+from lunarsim.rocks.shapes import shape_table
+from lunarsim.world.terrain import _ray_kernels, _surface_kernels
+from lunarsim.world.terrain.heightfield import Heightfield
+
+# Side of a bucket of the acceleration structure, m: about the size of a large rock.
+_BUCKET = 1.6
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """Where rays meet the ground.
+
+    Attributes
+    ----------
+    range
+        Distance along each ray (n,), m; NaN for no return.
+    normal
+        Unit surface normal at the hit (n, 3), ENU; NaN for no return.
+    rock
+        Index of the rock that was hit (n,), -1 for relief, -2 for no return.
+    """
+
+    range: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    rock: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Ground truth: a heightfield and the rocks that stand on it.
+
+    The surface at a point is the higher of the relief and any rock there. Outside the
+    heightfield, or over no-data, elevation and normal are NaN and rays find nothing.
+
+    Attributes
+    ----------
+    relief
+        The ground without rocks.
+    rocks
+        The rocks.
+    """
+
+    relief: Heightfield
+    rocks: RockField = field(default_factory=RockField.empty)
+
+    # What the kernels take: where the posts are; posts, rocks and their lists; the pyramid.
+    _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)
+    _leaf: int = field(init=False, repr=False, compare=False)
+    _rock_arrays: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    _pyramid: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        g = self.relief.grid
+        base = max(0, round(np.log2(_BUCKET / g.posting)))
+        table = shape_table()
+        rows = self.rocks.rows()
+        z = np.ascontiguousarray(self.relief.z)
+        high, wide = _levels(g.rows - 1, g.cols - 1, base)
+        offset = np.concatenate(([0], np.cumsum(high * wide)[:-1]))
+        start, index = _ray_kernels.list_rocks(
+            rows, self.rocks.reach(), g.x0, g.y0, g.posting * 2**base, high[base], wide[base]
+        )
+        peak, ground = _ray_kernels.build_pyramid(z, rows, start, index, base, offset, high, wide)
+        object.__setattr__(self, "_frame", (g.x0, g.y0, g.posting))
+        object.__setattr__(self, "_leaf", 2**base)
+        object.__setattr__(self, "_rock_arrays", (rows, table.planes, table.count, start, index))
+        object.__setattr__(self, "_pyramid", (base, peak, ground, offset, high, wide))
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, east, south, north limits, m."""
+        return self.relief.bounds
+
+    @property
+    def z_range(self) -> tuple[float, float]:
+        """Least elevation of the relief and greatest of relief and rocks, m."""
+        low, high = self.relief.z_range
+        if len(self.rocks):
+            high = max(high, float(np.max(self.rocks.base + self.rocks.height)))
+        return low, high
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of posts, rocks and the ray caster's lists, bytes."""
+        arrays = (self.relief.z, *self._rock_arrays, *self._pyramid)
+        return sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
+
+    def elevation(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
+        xy = np.asarray(xy, dtype=np.float64)
+        flat = np.ascontiguousarray(xy.reshape(-1, 2))
+        out = _surface_kernels.elevation_at(
+            flat, self.relief.z, *self._frame, self._leaf, *self._rock_arrays
+        )
+        return np.asarray(out).reshape(xy.shape[:-1])
+
+    def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit surface normal (..., 3) at points (..., 2); NaN where unknown."""
+        xy = np.asarray(xy, dtype=np.float64)
+        flat = np.ascontiguousarray(xy.reshape(-1, 2))
+        out = _surface_kernels.normal_at(
+            flat, self.relief.z, *self._frame, self._leaf, *self._rock_arrays
+        )
+        return np.asarray(out).reshape((*xy.shape[:-1], 3))
+
+    def raster(self, grid: Grid) -> NDArray[np.float32]:
+        """Return the elevation at every cell centre of `grid` (rows, cols), m."""
+        g = grid
+        out = _surface_kernels.raster(
+            g.x0, g.y0, g.posting, g.rows, g.cols,
+            self.relief.z, *self._frame, self._leaf, *self._rock_arrays,
+        )  # fmt: skip
+        return np.asarray(out)
+
+    def rock_raster(self, grid: Grid) -> NDArray[np.int32]:
+        """Return the rock on top at every cell centre of `grid` (rows, cols), -1 for none."""
+        g = grid
+        out = _surface_kernels.rock_raster(
+            g.x0, g.y0, g.posting, g.rows, g.cols,
+            self.relief.z, *self._frame, self._leaf, *self._rock_arrays,
+        )  # fmt: skip
+        return np.asarray(out)
+
+    def cast(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        max_range: float = np.inf,
+        *,
+        normals: bool = True,
+    ) -> RayHits:
+        """Cast rays onto the surface.
+
+        Parameters
+        ----------
+        origin
+            ENU start of the rays, (3,) for all or (n, 3), m.
+        direction
+            Unit vectors (n, 3), ENU.
+        max_range
+            Longest distance that counts as a return, m.
+        normals
+            Whether to find the surface normals too; without them `normal` is empty.
+        """
+        direction = np.ascontiguousarray(direction, dtype=np.float64)
+        origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
+        distance, normal, rock = _ray_kernels.cast(
+            origin,
+            direction,
+            float(max_range),
+            normals,
+            self.relief.z,
+            *self._frame,
+            *self._pyramid,
+            *self._rock_arrays,
+        )
+        return RayHits(distance, normal, rock)
+
+
+def _levels(rows: int, cols: int, base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the heights and widths of the pyramid's levels over `rows` x `cols` cells."""
+    high, wide = [rows], [cols]
+    while max(high[-1], wide[-1]) > 1 or len(high) <= base:
+        high.append((high[-1] + 1) // 2)
+        wide.append((wide[-1] + 1) // 2)
+    return np.array(high), np.array(wide)

@@ -1,0 +1,72 @@
+"""Time-to-go and fuel of ranked sites."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.apollo import terminal_polynomial
+from lunarsim.onboard.guidance.jerk_limited import (
+    increment,
+    limited_time_to_go,
+    site_cost,
+    steepest,
+)
+from lunarsim.onboard.guidance.law import Target
+from lunarsim.onboard.navigation.estimate import Estimate
+
+R, V = np.array([-300.0, 40.0, 200.0]), np.array([15.0, -2.0, -8.0])
+TARGET = Target(np.zeros(3), np.array([0.0, 0.0, -1.0]))
+
+
+def test_jerk_and_snap_are_the_derivatives_of_the_acceleration():
+    path = terminal_polynomial(R, V, TARGET, 30.0)
+    t = np.linspace(0.0, 30.0, 30_001)
+    jerk = np.gradient(path.at(t)[2], t, axis=0)
+    snap = np.gradient(jerk, t, axis=0)[2:-2]
+    most, fourth = steepest(path)
+    assert most == pytest.approx(np.linalg.norm(jerk, axis=1).max(), rel=1e-3)
+    assert fourth == pytest.approx(np.linalg.norm(snap, axis=1).max(), rel=1e-3)
+
+
+@pytest.mark.parametrize(("jerk", "snap"), [(0.25, 9.0), (9.0, 0.05), (0.25, 0.05), (0.01, 0.01)])
+def test_the_least_time_that_keeps_both_limits(jerk, snap):
+    time = limited_time_to_go(R, V, TARGET, jerk=jerk, snap=snap)
+    j, s = steepest(terminal_polynomial(R, V, TARGET, time))
+    assert max(j / jerk, s / snap) == pytest.approx(1.0, abs=1e-4)
+    for sooner in np.linspace(1.0, 0.999 * time, 50):
+        j, s = steepest(terminal_polynomial(R, V, TARGET, sooner))
+        assert max(j / jerk, s / snap) > 1.0
+
+
+def test_increment_is_the_integral_of_equation_10():
+    path = terminal_polynomial(R, V, TARGET, 30.0)
+    whole = quad(
+        lambda t: np.linalg.norm(path.at(t)[2] + [0.0, 0.0, 9.81]), 0.0, 30.0, epsabs=1e-9
+    )[0]
+    assert increment(path, 9.81) == pytest.approx(whole, rel=1e-9)
+    # Hovering costs g times the time.
+    still = terminal_polynomial(np.zeros(3), np.zeros(3), Target(np.zeros(3)), 12.0)
+    assert increment(still, 1.622) == pytest.approx(12.0 * 1.622, rel=1e-12)
+
+
+def test_sites_cost_propellant_by_the_rocket_equation():
+    estimate = Estimate(0.0, R, V, np.array([0, 0, 0, 1.0]), np.zeros(3), 1800.0, np.eye(9))
+    cost = site_cost(
+        estimate, [[0.0, 0.0, 0.0], [20.0, 5.0, 0.0]], 9.81, 2157.0, jerk=0.25, snap=0.05
+    )
+    assert cost.propellant == pytest.approx(1800.0 * (1.0 - np.exp(-cost.increment / 2157.0)))
+    assert (cost.time_to_go > 5.0).all()
+    none = site_cost(estimate, np.zeros((0, 3)), 9.81, 2157.0, jerk=0.25, snap=0.05)
+    assert len(none.propellant) == 0
+    beyond = site_cost(estimate, [[1e7, 0.0, 0.0]], 9.81, 2157.0, jerk=1e-6, snap=1e-6)
+    assert np.isinf(beyond.increment[0])
+    assert np.isnan(beyond.time_to_go[0])
+
+
+@pytest.mark.parametrize(("jerk", "snap"), [(0.0, 1.0), (1.0, -1.0), (np.nan, 1.0)])
+def test_limits_must_be_positive(jerk, snap):
+    with pytest.raises(InputError, match="guidance"):
+        limited_time_to_go(R, V, TARGET, jerk=jerk, snap=snap)

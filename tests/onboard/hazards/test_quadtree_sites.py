@@ -1,0 +1,297 @@
+"""Site selection: against the paper's equations done plainly, and against itself from scratch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.evaluation.truth_mesh import TruthMesh, truth_hazards
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.quadtree import (
+    STATUS,
+    InterestMap,
+    QuadtreeMap,
+    SiteSelector,
+    SiteSettings,
+)
+from lunarsim.onboard.hazards.quadtree import _site_kernels as k
+from lunarsim.onboard.hazards.quadtree.sites import best_apart
+from tests.reference import quadtree as reference
+
+SMALL = SiteSettings(
+    mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone=1.1, count=4,
+    separation=2.0,
+)  # fmt: skip
+
+
+def ground(p):
+    """Return a wavy ground with a bump every few metres."""
+    bump = np.hypot(p[:, 0] % 5.0 - 2.0, p[:, 1] % 7.0 - 3.0) < 0.4
+    return 0.1 * np.sin(p[:, 0] / 4.0) + 0.03 * p[:, 1] + 0.5 * bump
+
+
+def flash(rng, centre, width, n):
+    p = centre + rng.uniform(-0.5 * width, 0.5 * width, (n, 2))
+    return np.column_stack((p, ground(p) + rng.normal(0.0, 0.02, n)))
+
+
+def swept(seed=0, n=20_000, side=19.0):
+    rng = np.random.default_rng(seed)
+    quadtree = QuadtreeMap((0.0, 0.0, 0.5), 20.0, 0.1)
+    quadtree.insert(flash(rng, np.zeros(2), side, n))
+    return quadtree
+
+
+FIELDS = ("nodes", "position", "interest", "slope", "ratio", "near", "roughness", "status", "score")
+
+
+def assert_same(a, b):
+    for name in FIELDS:
+        assert np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True), name
+    assert [s.score for s in a.ranked] == [s.score for s in b.ranked]
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    seed=st.integers(0, 10_000),
+    scans=st.lists(
+        st.tuples(st.floats(-12, 12), st.floats(-12, 12), st.floats(0.5, 12), st.integers(0, 3000)),
+        min_size=1,
+        max_size=8,
+    ),
+    bands=st.sampled_from(
+        [((1.6, 1.6), (0.8, 0.8), (0.4, 0.4)), ((0.8, 3.2), (0.4, 1.6), (0.2, 0.8))]
+    ),
+    thorough=st.booleans(),
+)
+def test_following_the_map_ends_where_starting_afresh_does(seed, scans, bands, thorough):
+    rng = np.random.default_rng(seed)
+    quadtree = QuadtreeMap((0.0, 0.0), 20.0, 0.1)
+    s = replace(SMALL, mesh_band=bands[0], hazard_band=bands[1], site_band=bands[2])
+    following = SiteSelector(quadtree, s, thorough=thorough)
+    for x, y, width, n in scans:
+        quadtree.insert(flash(rng, np.array([x, y]), width, n))
+        if rng.random() < 0.7:
+            fresh = SiteSelector(quadtree, s, thorough=thorough).update()
+            assert_same(following.update(), fresh)
+    assert_same(following.update(), SiteSelector(quadtree, s, thorough=thorough).update())
+
+
+def test_the_mesh_is_delaunay_and_covers_its_nodes():
+    selector = SiteSelector(swept(), SMALL)
+    selector.update()
+    mesh = selector.mesh
+    x, y = mesh.xy.T.astype(float)
+    area = 0.0
+    for t, (a, b, c) in enumerate(mesh.triangles):
+        cross = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
+        assert cross > 0.0
+        area += 0.5 * cross
+        # No node strictly inside the circle.
+        ax, ay, bx, by = x[b] - x[a], y[b] - y[a], x[c] - x[a], y[c] - y[a]
+        ux = (by * (ax**2 + ay**2) - ay * (bx**2 + by**2)) / (2.0 * cross)
+        uy = (ax * (bx**2 + by**2) - bx * (ax**2 + ay**2)) / (2.0 * cross)
+        far = np.hypot(x - x[a] - ux, y - y[a] - uy)
+        assert far.min() >= np.hypot(ux, uy) - 1e-6
+        # Eq. 2.
+        p = np.column_stack((x * 0.05, y * 0.05, mesh.z))
+        n = np.cross(p[b] - p[a], p[c] - p[a])
+        assert mesh.normals[t] == pytest.approx(n / np.linalg.norm(n), abs=1e-12)
+    assert area == pytest.approx((x.max() - x.min()) * (y.max() - y.min()))
+
+
+@pytest.mark.parametrize("form", ["rms", "printed"])
+def test_sites_follow_the_equations(form):
+    quadtree = swept(1)
+    s = replace(SMALL, roughness=form)
+    selector = SiteSelector(quadtree, s, thorough=True)
+    selection = selector.update()
+    mesh, points = selector.mesh, quadtree.points
+    corners = mesh.xy[mesh.triangles]
+    half = 0.5 * quadtree.least
+    corner = quadtree.centre[:2] - 0.5 * quadtree.side
+    # Hazard cells, Eqs. 3 to 5.
+    hazard = quadtree.band(*s.hazard_band)
+    truth = {}
+    for centre, size in zip(quadtree.centres(hazard), quadtree.sizes(hazard), strict=True):
+        normal = reference.steepest_plane(np.rint((centre - corner) / half), corners, mesh.normals)
+        low, high = centre - 0.5 * size, centre + 0.5 * size
+        mine = points[(points[:, :2] >= low).all(1) & (points[:, :2] < high).all(1)]
+        quarters = [
+            np.sum(((mine[:, 0] >= centre[0]) == e) & ((mine[:, 1] >= centre[1]) == n))
+            for e in (0, 1)
+            for n in (0, 1)
+        ]
+        dense = min(quarters) >= s.density * size**2 / 4.0
+        truth[tuple(np.rint((centre - corner) / size - 0.5).astype(int))] = (
+            reference.exception_ratio(mine, centre, normal, s.roughness_limit)
+            if dense and normal is not None
+            else np.nan
+        )
+    for (col, row), ratio in truth.items():
+        assert selector.ratios[row, col] == pytest.approx(ratio, abs=2e-3, nan_ok=True)
+    assert np.nansum(selector.ratios > s.exception_limit) > 5
+    # Sites, Eqs. 6 to 9.
+    rng = np.random.default_rng(0)
+    for i in rng.choice(len(selection.nodes), 150, replace=False):
+        r = selection.position[i]
+        normal = reference.steepest_plane(np.rint((r[:2] - corner) / half), corners, mesh.normals)
+        status = STATUS[selection.status[i]]
+        if normal is None:
+            assert status == "no ground plane"
+            continue
+        assert np.cos(selection.slope[i]) == pytest.approx(normal[2], abs=1e-9)
+        if np.any(np.abs(r[:2] - quadtree.centre[:2]) + s.zone > 0.5 * quadtree.side):
+            assert status == "zone leaves the map"
+            continue
+        first = np.floor((r[:2] - s.zone - corner) / 0.8 + 1e-6).astype(int)
+        last = np.ceil((r[:2] + s.zone - corner) / 0.8 - 1e-6).astype(int)
+        zone = selector.ratios[first[1] : last[1], first[0] : last[0]]
+        expected = (
+            "too steep" if normal[2] < np.cos(s.slope_limit)
+            else "too few points" if np.isnan(zone).any()
+            else "hazard in the zone" if zone.max() > s.exception_limit
+            else "eligible"
+        )  # fmt: skip
+        assert status == expected
+        if not np.isnan(zone).any():
+            rough = reference.roughness(points, r, normal, s.zone, form == "printed")
+            assert selection.roughness[i] == pytest.approx(rough, rel=1e-3, abs=1e-5)
+        if status == "eligible":
+            score = 1000.0 * (1.0 - normal[2]) + 100.0 * selection.roughness[i]
+            assert selection.score[i] == pytest.approx(score, rel=1e-9)
+        else:
+            assert np.isinf(selection.score[i])
+
+
+def test_on_an_edge_the_steeper_side_counts():
+    # Two triangles over a square; the diagonal runs through its middle.
+    px, py = np.array([0, 8, 8, 0]), np.array([0, 0, 8, 8])
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    z = np.array([0.0, 1.0, 0.0, 0.0])
+    normals = k.normals(px.astype(float), py.astype(float), z, triangles)
+    start, index = k.list_triangles(px, py, triangles, 16, 1)
+    mesh = (px, py, triangles, normals, 16, 1, start, index)
+    out = np.empty(3)
+    for x, y in ((4, 4), (0, 0), (8, 8)):
+        assert k.steepest_normal(x, y, mesh, out)
+        assert out[2] == normals[0, 2] < normals[1, 2]
+    assert k.steepest_normal(2, 6, mesh, out)
+    assert out[2] == normals[1, 2]
+    assert not k.steepest_normal(9, 1, mesh, out)
+
+
+def test_the_board_holds_the_best_at_their_distance():
+    rng = np.random.default_rng(2)
+    xy, score = rng.uniform(0.0, 20.0, (400, 2)), rng.random(400)
+    score[::3] = np.inf
+    chosen = best_apart(score, xy, 6, 3.0)
+    assert len(chosen) == 6
+    assert np.isfinite(score[chosen]).all()
+    assert (np.diff(score[chosen]) >= 0.0).all()
+    for n, i in enumerate(chosen):
+        earlier = xy[chosen[:n]]
+        assert (np.hypot(*(earlier - xy[i]).T) >= 3.0).all()
+        # Whoever is better and was passed over is too near to one chosen before.
+        for j in np.flatnonzero(score < score[i]):
+            if j not in chosen:
+                assert np.hypot(*(xy[chosen[:n]] - xy[j]).T).min() < 3.0
+
+
+def test_printed_roughness_grows_with_looks_and_the_mean_square_does_not():
+    plain, twice = swept(4, 8_000), swept(4, 8_000)
+    rng = np.random.default_rng(5)
+    twice.insert(flash(rng, np.zeros(2), 19.0, 24_000))
+    ratio = {}
+    for form in ("rms", "printed"):
+        s = replace(SMALL, roughness=form, mesh_band=(3.2, 3.2), site_band=(0.8, 0.8))
+        a, b = (SiteSelector(q, s).update() for q in (plain, twice))
+        both = sorted(set(a.nodes[a.status == 0]) & set(b.nodes[b.status == 0]))
+        same = {tuple(p): r for p, r in zip(a.position[:, :2], a.roughness, strict=True)}
+        pairs = [
+            (same[tuple(p)], r)
+            for p, r in zip(b.position[:, :2], b.roughness, strict=True)
+            if np.isfinite(r) and np.isfinite(same.get(tuple(p), np.nan))
+        ]
+        assert len(pairs) > 20, both
+        ratio[form] = np.median([r2 / r1 for r1, r2 in pairs])
+    assert ratio["rms"] == pytest.approx(1.0, abs=0.1)
+    assert ratio["printed"] == pytest.approx(2.0, abs=0.25)
+
+
+def test_interest_decides_and_its_mistakes_are_named():
+    quadtree = swept(6)
+    grid = Grid.centred((0.0, 0.0), 20.0, 1.0)
+    free = SiteSelector(quadtree, SMALL).update()
+    west = np.where(grid.centres()[..., 0] < 0.0, 1.0, 0.0)
+    kept = SiteSelector(quadtree, SMALL, InterestMap(grid, west)).update()
+    assert {s.position[0] < 0.0 for s in kept.ranked} == {True}
+    assert (kept.score[free.position[:, 0] > 0.5] == np.inf).all()
+    none = SiteSelector(quadtree, SMALL, InterestMap(grid, np.zeros(grid.shape))).update()
+    assert none.ranked == ()
+    with pytest.raises(InputError, match="interest"):
+        InterestMap(grid, np.zeros((3, 3)))
+    for wrong in (-0.1, 1.1, np.nan):
+        with pytest.raises(InputError, match="interest"):
+            InterestMap(grid, np.full(grid.shape, wrong))
+
+
+def test_weights_of_nought_rank_by_nothing_and_still_rank():
+    s = replace(SMALL, weight_interest=0.0, weight_slope=0.0, weight_roughness=0.0)
+    found = SiteSelector(swept(7), s).update()
+    assert len(found.ranked) == s.count
+    assert {site.score for site in found.ranked} == {0.0}
+
+
+def test_a_map_without_points_has_no_sites():
+    quadtree = QuadtreeMap((0.0, 0.0), 20.0, 0.1)
+    selector = SiteSelector(quadtree, SMALL)
+    assert selector.update().ranked == ()
+    quadtree.insert(np.full((10, 3), np.nan))
+    assert selector.update().ranked == ()
+    quadtree.insert(np.tile([1.0, 1.0, 0.0], (10_000, 1)))
+    assert selector.update().ranked == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("slope_limit", 0.0),
+        ("roughness_limit", -1.0),
+        ("zone", np.nan),
+        ("density", -1.0),
+        ("exception_limit", 1.0),
+        ("weight_slope", -1.0),
+        ("weight_interest", np.nan),
+        ("mesh_band", (3.2, 1.6)),
+        ("site_band", (0.0, 1.0)),
+        ("count", 0),
+        ("roughness", "median"),
+    ],
+)
+def test_impossible_settings_are_refused(name, value):
+    with pytest.raises(InputError, match=f"sites.{name}"):
+        replace(SMALL, **{name: value})
+
+
+def test_truth_mesh_of_a_plane_is_the_plane():
+    grid = Grid.centred((3.0, -2.0), 40.0, 0.1)
+    c = grid.centres()
+    z = 0.1 * c[..., 0] - 0.05 * c[..., 1] + 2.0
+    mesh = TruthMesh(z, grid, 5.0)
+    normal, height = mesh.plane(c[150, 200])
+    assert normal == pytest.approx(np.array([-0.1, 0.05, 1.0]) / np.sqrt(1.0125), abs=1e-9)
+    assert height == pytest.approx(z[150, 200], abs=1e-9)
+    d = mesh.distance(z + 0.2, grid)
+    assert d[np.isfinite(d)] == pytest.approx(0.2 / np.sqrt(1.0125), abs=1e-9)
+    z[200:204, 200:204] += 0.5
+    hazards = truth_hazards(z, grid, 5.0, 0.3)
+    assert np.nansum(hazards) == 16
+    assert np.isnan(hazards[0, 0])
+    with pytest.raises(InputError, match=r"truth\.spacing"):
+        TruthMesh(z, grid, 35.0)

@@ -1,0 +1,212 @@
+"""Navigation by LiDAR on a map: lock, loss, consistency, and maps that are wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from lunarsim.frames import (
+    attitude_from_thrust,
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_rotate,
+    quat_to_rotation_vector,
+)
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.messages.prior_map import PriorMap
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.inertial import InertialState, InitialErrors
+from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.sensors.imu import Imu
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.survey import survey
+from lunarsim.world.terrain import hazard_field
+
+LIDAR = FlashLidar(128, 128, 0.03, 5e-5)
+START, VELOCITY = np.array([-220.0, 0.0, 140.0]), np.array([5.0, 0.0, -3.0])
+UPRIGHT = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
+POSE = np.r_[0:3, 9:12]
+
+
+@pytest.fixture(scope="module")
+def world():
+    return World(hazard_field(np.random.default_rng(4), surround=280.0, posting=0.5), 9.81)
+
+
+def mapped(world, rng, **options):
+    return survey(world.terrain, Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options)
+
+
+class Descent:
+    """A straight descent with a filter on board."""
+
+    def __init__(self, world, seed, prior=None, errors=None):
+        self.rng = np.random.default_rng(seed)
+        self.world = world
+        errors = errors or InitialErrors(15.0, 0.1, np.deg2rad(0.3))
+        drawn = self.rng.standard_normal((3, 3))
+        self.inertial = InertialState(
+            START + errors.position * drawn[0],
+            VELOCITY + errors.velocity * drawn[1],
+            quat_multiply(UPRIGHT, quat_from_rotation_vector(errors.attitude * drawn[2])),
+            9.81,
+        )
+        prior = prior if prior is not None else mapped(world, self.rng)
+        self.filter = LidarInertialFilter(self.inertial, errors, prior)
+        self.imu = Imu(self.rng)
+        self.time = 0.0
+
+    @property
+    def position(self):
+        return START + VELOCITY * self.time
+
+    def error(self):
+        turn = quat_multiply(quat_conjugate(self.inertial.attitude), UPRIGHT)
+        return np.concatenate(
+            (self.position - self.inertial.position, quat_to_rotation_vector(turn))
+        )
+
+    def nees(self):
+        e = self.error()
+        return float(e @ np.linalg.solve(self.filter.covariance[np.ix_(POSE, POSE)], e))
+
+    def scan(self, aim):
+        state = State(self.position, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
+        mount = gimbal_mount(self.inertial.attitude, aim - self.inertial.position)
+        return LIDAR.measure(self.world, state, self.time, self.rng, mount)
+
+    def fly(self, seconds, aim=None, scans=True):
+        for _ in range(round(seconds / 0.1)):
+            if scans:
+                angle = 2.0 * np.pi * self.time / 3.0
+                spot = np.array([25.0 * np.cos(angle), 25.0 * np.sin(angle), 0.0])
+                self.filter.update_scan(self.scan(spot if aim is None else aim), self.time)
+            force = quat_rotate(quat_conjugate(UPRIGHT), [0.0, 0.0, 9.81])
+            self.filter.propagate(*self.imu.measure(np.zeros((10, 3)), np.tile(force, (10, 1))))
+            self.time += 0.1
+        return self
+
+
+def names(descent):
+    return [event.name for event in descent.filter.events]
+
+
+def test_it_locks_and_then_errs_as_it_says(world):
+    runs, total, errors = 50, 0.0, []
+    for seed in range(runs):
+        descent = Descent(world, seed).fly(6.0)
+        assert names(descent) in (["lock"], [])
+        if descent.filter.locked:
+            total += descent.nees()
+            errors.append(descent.error())
+    # Whoever starts three sigma off sweeps the grass beside the field.
+    runs = len(errors)
+    assert runs >= 44
+    # A post's uses count less than they could, never more: the filter may only be too modest.
+    assert total / runs < chi2.ppf(0.975, 6 * runs) / runs
+    assert total / runs > 1.0
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (rms[:3] < 0.3).all()
+    assert (np.rad2deg(rms[3:]) < 0.1).all()
+
+
+def test_before_the_lock_it_knows_that_it_does_not_know(world):
+    total = 0.0
+    for seed in range(20):
+        # Level grass, far from the field: nothing to find.
+        descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
+        assert names(descent) == []
+        total += descent.nees()
+    assert total / 20 < chi2.ppf(0.995, 120) / 20
+
+
+def test_odometry_slows_the_drift(world):
+    grown = {}
+    for scans in (True, False):
+        gaps = []
+        for seed in range(12):
+            errors = InitialErrors(0.2, 0.3, np.deg2rad(0.02))
+            nowhere = PriorMap(Grid(1e5, 1e5, 1.0, 4, 4), np.zeros((4, 4)), 0.1)
+            descent = Descent(world, seed, nowhere, errors)
+            first = descent.error()
+            descent.fly(4.0, aim=np.zeros(3), scans=scans)
+            gaps.append(np.linalg.norm((descent.error() - first)[:3]))
+            assert names(descent) == []
+        grown[scans] = np.sqrt(np.mean(np.square(gaps)))
+    assert grown[True] < 0.5 * grown[False]
+
+
+def test_lost_and_found_again_are_events(world):
+    descent = Descent(world, 1).fly(3.0)
+    assert descent.filter.locked
+    hidden = descent.filter.prior
+    # The ground is another one for a while.
+    wrong = np.random.default_rng(0).normal(0.0, 3.0, hidden.elevation.shape)
+    descent.filter.prior = PriorMap(hidden.grid, hidden.elevation + wrong, hidden.sigma)
+    descent.fly(3.0)
+    assert names(descent) == ["lock", "lock-lost"]
+    assert not descent.filter.locked
+    descent.filter.prior = hidden
+    descent.fly(2.0)
+    assert names(descent) == ["lock", "lock-lost", "relock"]
+    assert np.linalg.norm(descent.error()[:3]) < 1.0
+
+
+@pytest.mark.parametrize(("share", "least"), [(0.05, 7), (0.2, 3)])
+def test_patches_out_of_date_do_not_mislead(world, share, least):
+    errors = []
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        descent = Descent(world, seed, mapped(world, rng, stale_share=share)).fly(7.0)
+        if descent.filter.locked:
+            errors.append(np.abs(descent.error()[:3]).max())
+    # It would rather find nothing than a wrong place.
+    assert len(errors) >= least
+    assert np.median(errors) < 0.4
+    assert max(errors) < 1.0
+
+
+def test_a_map_wrong_by_100_m_gives_no_lock(world):
+    rng = np.random.default_rng(5)
+    right = mapped(world, rng)
+    g = right.grid
+    for shift in ((100.0, 0.0, 0.0), (0.0, 0.0, 100.0)):
+        grid = Grid(g.x0 + shift[0], g.y0, g.posting, g.rows, g.cols)
+        prior = PriorMap(grid, right.elevation + shift[2], 0.1)
+        descent = Descent(world, 1, prior, InitialErrors(5.0, 0.1, np.deg2rad(0.3)))
+        first = descent.error()
+        descent.fly(4.0)
+        assert names(descent) == []
+        # What it believes has moved by no more than it drifts.
+        assert np.linalg.norm((descent.error() - first)[:3]) < 6.0
+
+
+def test_a_map_that_does_not_cover_the_ground_gives_no_lock(world):
+    prior = PriorMap(Grid(400.0, 400.0, 0.5, 100, 100), np.zeros((100, 100)), 0.1)
+    descent = Descent(world, 1, prior).fly(2.0)
+    assert names(descent) == []
+    assert np.isfinite(descent.filter.covariance).all()
+
+
+def test_scans_that_tell_nothing_change_nothing(world):
+    descent = Descent(world, 2).fly(1.0)
+    before = descent.filter.covariance.copy(), descent.inertial.position.copy()
+    n = 128 * 128
+    for scan in (
+        LidarScan(0.0, np.full(n, np.nan), LIDAR.directions(), np.eye(3), np.ones(n),
+                  np.ones(n), (128, 128)),
+    ):  # fmt: skip
+        assert not descent.filter.update_scan(scan, descent.time)
+    assert np.array_equal(descent.filter.covariance, before[0])
+    assert np.array_equal(descent.inertial.position, before[1])
+
+
+def test_the_same_seed_gives_the_same_bits(world):
+    a, b = (Descent(world, 6).fly(2.0) for _ in range(2))
+    assert np.array_equal(a.inertial.position, b.inertial.position)
+    assert np.array_equal(a.filter.covariance, b.filter.covariance)

@@ -1,0 +1,236 @@
+"""Scans against a map: geometry by finite differences, covariance by many runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_rotate
+from lunarsim.grid import Grid
+from lunarsim.messages.prior_map import PriorMap
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation import _registration_kernels as k
+from lunarsim.onboard.navigation.place_search import Patch, features_of, high_pass, search
+from lunarsim.onboard.navigation.registration import (
+    fit,
+    point_jacobian,
+    pose_jacobian,
+    register,
+    surface_of,
+)
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.survey import survey
+from lunarsim.world.terrain import Terrain, hazard_field
+
+POSITION = np.array([-200.0, 10.0, 150.0])
+ATTITUDE = quat_from_rotation_vector([0.02, -0.05, 0.3])
+LIDAR = FlashLidar(192, 192, 0.04, 1e-5)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return World(hazard_field(np.random.default_rng(4), boulders=200, craters=30), 9.81)
+
+
+def scanned(world, rng, aim=(0.0, 0.0, 0.0), position=POSITION):
+    state = State(position, np.zeros(3), ATTITUDE, np.zeros(3), 1.0)
+    mount = gimbal_mount(ATTITUDE, np.asarray(aim) - position)
+    return LIDAR.measure(world, state, 0.0, rng, mount)
+
+
+def test_squares_hold_the_mean_of_their_points():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-3.0, 3.0, (400, 3))
+    points[::7] = np.nan
+    col, row, mean, count = k.average(points, 0.2, -0.1, 0.5, 2)
+    seen = set()
+    for c, r, m, n in zip(col, row, mean, count, strict=True):
+        mine = (np.floor((points[:, 0] - 0.2) / 0.5 + 0.5) == c) & (
+            np.floor((points[:, 1] + 0.1) / 0.5 + 0.5) == r
+        )
+        assert mine.sum() == n >= 2
+        assert m == pytest.approx(points[mine].mean(0))
+        seen.add((c, r))
+    assert len(seen) == len(col)
+    nothing = k.average(np.full((5, 3), np.nan), 0.0, 0.0, 0.5, 2)
+    assert all(len(part) == 0 for part in nothing)
+
+
+def test_surface_of_a_plane_is_the_plane():
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-5.0, 5.0, (20_000, 2))
+    points = np.column_stack((xy, 0.2 * xy[:, 0] - 0.1 * xy[:, 1] + 3.0))
+    surface = surface_of(points, Grid(0.0, 0.0, 0.5, 1, 1))
+    x, y, z = surface.position.T
+    assert len(surface) > 200
+    # The neighbours' means lie a little off the axes.
+    assert z == pytest.approx(0.2 * x - 0.1 * y + 3.0, abs=2e-3)
+    assert surface.normal == pytest.approx(np.tile([-0.2, 0.1, 1.0], (len(x), 1)), abs=0.02)
+
+
+def test_jacobians_match_finite_differences():
+    p, n = np.array([3.0, 4.0, 0.5]), np.array([0.1, -0.2, 1.0])
+    body = quat_rotate(quat_conjugate(ATTITUDE), p - POSITION)
+    moved = []
+    for i in range(6):
+        error = np.zeros(6)
+        error[i] = 1e-6
+        q = quat_multiply(ATTITUDE, quat_from_rotation_vector(error[3:]))
+        moved.append((POSITION + error[:3] + quat_rotate(q, body) - p) / 1e-6)
+    moved = np.array(moved).T
+    assert point_jacobian(p, POSITION, ATTITUDE) == pytest.approx(moved, abs=1e-3)
+    assert pose_jacobian(p[None], n[None], POSITION, ATTITUDE)[0] == pytest.approx(
+        n @ moved, abs=1e-3
+    )
+
+
+def registered(world, seed, stale=0.0):
+    """Return the error's estimate, its covariance and the error of one registration."""
+    rng = np.random.default_rng(seed)
+    prior = survey(
+        world.terrain, Grid.centred((0.0, 0.0), 120.0, 0.5), rng, sigma=0.1, stale_share=stale
+    )
+    before = np.diag(np.square([0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-3]))
+    error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
+    scan = scanned(world, rng, rng.uniform(-30.0, 30.0, 2).tolist() + [0.0])
+    # The estimate is off by the error: truth = estimate + error.
+    attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
+    variance = np.full(prior.grid.shape, prior.sigma**2 + 0.03**2)
+    result, _ = register(scan, prior, POSITION - error[:3], attitude, before, variance)
+    covariance = np.linalg.inv(result.information + np.linalg.inv(before))
+    return covariance @ result.vector, covariance, error, result
+
+
+def test_registration_errs_as_its_covariance_says(world):
+    runs = 50
+    total = 0.0
+    for seed in range(runs):
+        found, covariance, error, result = registered(world, seed)
+        gap = found - error
+        total += gap @ np.linalg.solve(covariance, gap)
+        assert result.share > 0.9
+    low, high = chi2.ppf([0.025, 0.975], 6 * runs) / runs
+    assert low < total / runs < high
+
+
+def test_patches_out_of_date_are_left_out(world):
+    gaps = {False: [], True: []}
+    for seed in range(12):
+        found, _, error, result = registered(world, seed, stale=0.2)
+        gaps[True].append(np.linalg.norm((found - error)[:3]))
+        assert result.used < result.offered or result.share > 0.98
+        found, _, error, _ = registered(world, seed)
+        gaps[False].append(np.linalg.norm((found - error)[:3]))
+    assert np.median(gaps[True]) < 2.0 * np.median(gaps[False]) + 0.05
+
+
+def test_a_fit_of_nothing_says_nothing():
+    result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
+    assert result.used == result.offered == 0
+    assert result.share == 0.0
+    assert not result.information.any()
+
+
+def patch_of(world, seed, shift, grid):
+    rng = np.random.default_rng(seed)
+    scans = [
+        scanned(world, rng, (x, y, 0.0)) for x in (-20.0, 0.0, 20.0) for y in (-15.0, 0.0, 15.0)
+    ]
+    return Patch.merged(
+        [features_of(surface_of(s.points(POSITION, ATTITUDE) - shift, grid), 4) for s in scans]
+    )
+
+
+def found_at(world, seed, shift, sigma=30.0, noise=0.1, stale=0.0):
+    prior = survey(
+        world.terrain, Grid.centred((0.0, 0.0), 200.0, 0.5), np.random.default_rng(seed),
+        sigma=noise, stale_share=stale,
+    )  # fmt: skip
+    patch = patch_of(world, seed, np.asarray(shift), prior.grid)
+    first = -0.5 * np.array([patch.first[1], patch.first[0]])
+    return search(
+        patch, prior.elevation, 0.5, 1.5 * noise**2 + 0.05**2, np.eye(2) * sigma**2, first, reach=4
+    )
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (23.0, -31.0, 7.0), (-48.0, 12.0, -30.0)])
+def test_the_search_finds_what_was_moved(world, shift):
+    match = found_at(world, 3, shift)
+    assert match.certainty > 0.99999
+    assert match.shift == pytest.approx(np.array(shift), abs=0.5)
+    assert match.share > 0.95
+    assert match.up == pytest.approx(shift[2], abs=0.3)
+
+
+def test_the_search_is_not_misled_by_patches_out_of_date(world):
+    shift = (10.0, -20.0, 3.0)
+    matches = [found_at(world, seed, shift, stale=0.15) for seed in range(8)]
+    sure = [match for match in matches if match.certainty > 0.99999]
+    assert len(sure) >= 4
+    for match in sure:
+        assert match.shift == pytest.approx(np.array(shift), abs=0.6)
+
+
+def test_featureless_ground_is_not_found_but_its_height_is():
+    level = World(
+        hazard_field(np.random.default_rng(8), boulders=0, craters=0, swell=0.1, grass_sigma=0.0),
+        9.81,
+    )
+    for seed in range(5):
+        match = found_at(level, seed, (5.0, 5.0, 12.0))
+        assert match.certainty < 0.99
+        assert match.up == pytest.approx(12.0, abs=0.4)
+        assert match.up_variance < 0.3
+
+
+def test_a_patch_off_the_map_is_not_found(world):
+    prior = survey(world.terrain, Grid.centred((0.0, 0.0), 40.0, 0.5), np.random.default_rng(0))
+    patch = patch_of(world, 0, np.zeros(3), prior.grid)
+    small = prior.elevation[:10, :10]
+    padded = np.full((patch.known.shape[0] + 20, patch.known.shape[1] + 20), np.nan)
+    padded[:10, :10] = small
+    assert search(patch, padded, 0.5, 0.02, np.eye(2) * 100.0, np.zeros(2), reach=4) is None
+    assert Patch.merged([features_of(surface_of(np.zeros((0, 3)), prior.grid), 4)]) is None
+
+
+def test_features_are_what_stands_out():
+    xx, yy = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    known = np.ones(xx.shape, bool)
+    known[:, 20] = False
+    above, kept = high_pass(0.3 * xx - 0.2 * yy + 5.0, known, 3)
+    assert above[kept] == pytest.approx(0.0, abs=1e-9)
+    assert not kept[:, 17:24].any()
+    assert not kept[:3].any()
+    assert kept[5, 5]
+
+
+def test_a_survey_is_the_mean_of_the_ground_with_its_noise():
+    terrain = hazard_field(np.random.default_rng(1), boulders=50, craters=5)
+    grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
+    exact = survey(terrain, grid, np.random.default_rng(2), sigma=1e-9)
+    x, y = grid.centre_of(20, 31)
+    u = (np.arange(40) + 0.5) / 40 - 0.5
+    fine = terrain.elevation(np.stack(np.meshgrid(x + u, y + u), -1))
+    assert exact.elevation[20, 31] == pytest.approx(fine.mean(), abs=0.02)
+    noisy = survey(terrain, grid, np.random.default_rng(2), sigma=0.2)
+    assert np.std(noisy.elevation - exact.elevation) == pytest.approx(0.2, rel=0.05)
+    stale = survey(terrain, grid, np.random.default_rng(2), sigma=1e-9, stale_share=0.3)
+    changed = np.abs(stale.elevation - exact.elevation) > 1e-6
+    assert 0.1 < changed.mean() < 0.35
+
+
+def test_impossible_maps_are_refused():
+    grid = Grid.centred((0.0, 0.0), 10.0, 1.0)
+    flat = np.zeros(grid.shape)
+    for elevation in (np.zeros((3, 3)), np.full(grid.shape, np.nan), np.full(grid.shape, np.inf)):
+        with pytest.raises(InputError, match=r"prior\.elevation"):
+            PriorMap(grid, elevation, 0.1)
+    with pytest.raises(InputError, match=r"prior\.sigma_m"):
+        PriorMap(grid, flat, 0.0)
+    terrain = Terrain(hazard_field(np.random.default_rng(0), boulders=0, craters=0).relief)
+    with pytest.raises(InputError, match=r"prior\.stale_share"):
+        survey(terrain, grid, np.random.default_rng(0), stale_share=1.0)

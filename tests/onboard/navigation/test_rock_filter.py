@@ -1,0 +1,295 @@
+"""The augmented filter against finite differences, filterpy and its own covariance."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter
+from scipy.stats import chi2
+
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.onboard.navigation import planar
+from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.inertial import InertialState
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from tests.onboard.hazards.rock_scene import GRAVITY, Flight
+from tests.reference.shadows import consider_update
+
+
+def fly(flight, seconds, images=True):
+    """Return NIS of images and ranges over a flight."""
+    nis = []
+    for k in range(int(10 * seconds)):
+        flight.advance()
+        if images:
+            nis.append((flight.image(), 2 * flight.seen))
+        if k % 2 == 0:
+            nis.append((flight.range(), 1))
+    return [(value, size) for value, size in nis if value is not None]
+
+
+def shifted(rocks, error):
+    """Return a copy of a filter whose lander is off by an error state (15,)."""
+    s = rocks.inertial
+    inertial = InertialState(
+        s.position + error[:3], s.velocity + error[3:6],
+        quat_multiply(s.attitude, quat_from_rotation_vector(error[9:12])), GRAVITY,
+    )  # fmt: skip
+    other = RockFilter(inertial)
+    other.count = rocks.count
+    other._xy = rocks.xy.copy()
+    return other
+
+
+def test_jacobians_equal_finite_differences():
+    flight = Flight(np.random.default_rng(1))
+    flight.advance()
+    flight.image()
+    f, camera = flight.filter, flight.camera()
+    sight = f.sight(camera)
+    step = 1e-5
+    for column, k in enumerate([0, 1, 2, 9, 10, 11]):
+        error = np.zeros(15)
+        error[k] = step
+        slope = (shifted(f, error).sight(camera).pixel - shifted(f, -error).sight(camera).pixel) / (
+            2 * step
+        )
+        assert sight.by_pose[:, :, column] == pytest.approx(slope, rel=1e-5, abs=1e-4)
+    for axis in range(2):
+        move = np.zeros(2)
+        move[axis] = 1e-4
+        slope = (f.sight(camera, f.xy + move).pixel - f.sight(camera, f.xy - move).pixel) / 2e-4
+        assert sight.by_rock[:, :, axis] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+
+
+def test_updates_equal_a_dense_filter():
+    """filterpy's EKF with 15 + 3 n states and one update a scalar gives the same."""
+    flight = Flight(np.random.default_rng(2), rocks=4)
+    flight.advance()
+    flight.image()
+    flight.advance()
+    f, camera = flight.filter, flight.camera()
+    n = f.count
+    size = 15 + 3 * n
+    # Order of the dense state, Eq. 1: lander, then x, y, r of each rock.
+    place = np.concatenate((np.arange(15), (15 + 3 * np.arange(n)[:, None] + [0, 1]).ravel()))
+    dense = ExtendedKalmanFilter(size, 1)
+    dense.x = np.zeros(size)
+    dense.P = np.zeros((size, size))
+    dense.P[np.ix_(place, place)] = f.covariance
+    dense.P[17::3, 17::3] = np.diag(f.radius_variance)
+    sight = f.sight(camera)
+    pixel, covariance, radius, variance = flight.look(camera)
+    before = (f.inertial.position.copy(), f.xy.copy(), f.radius.copy())
+    rows, values, noises = [], [], []
+    for j in range(n):
+        for axis in range(2):
+            h = np.zeros(size)
+            h[[0, 1, 2, 9, 10, 11]] = sight.by_pose[j, axis]
+            h[15 + 3 * j : 17 + 3 * j] = sight.by_rock[j, axis]
+            rows.append(h)
+            values.append(pixel[j, axis] - sight.pixel[j, axis])
+            noises.append(covariance[j, axis, axis])
+        h = np.zeros(size)
+        h[17 + 3 * j] = 1.0
+        rows.append(h)
+        values.append(radius[j] - f.radius[j])
+        noises.append(variance[j])
+    for h, z, r in zip(rows, values, noises, strict=True):
+        dense.update(
+            np.array([z]),
+            lambda x, h=h: h[None],
+            lambda x, h=h: np.array([h @ x]),
+            R=np.array([[r]]),
+        )
+    f.update_rocks(np.arange(n), sight, pixel, covariance, radius, variance)
+    assert f.covariance == pytest.approx(dense.P[np.ix_(place, place)], rel=1e-7, abs=1e-10)
+    assert f.radius_variance == pytest.approx(np.diag(dense.P)[17::3])
+    assert f.inertial.position - before[0] == pytest.approx(dense.x[:3], abs=1e-9)
+    assert (f.xy - before[1]).ravel() == pytest.approx(dense.x[place[15:]], abs=1e-9)
+    assert f.radius - before[2] == pytest.approx(dense.x[17::3], abs=1e-12)
+
+
+def test_births_carry_the_full_cross_covariance():
+    """Monte Carlo over pose and pixel errors gives the covariance that `add` writes."""
+    rng = np.random.default_rng(3)
+    flight = Flight(rng, rocks=2)
+    f, camera = flight.filter, flight.camera()
+    pixel, covariance, radius, variance = flight.look(camera)
+    centre = flight.ground_of(pixel, camera)
+    f.add(camera, centre, covariance, radius, variance)
+    draws = np.linalg.cholesky(f.covariance[:15, :15]) @ rng.standard_normal((15, 4000))
+    base = f.inertial
+    found = np.empty((4000, 4))
+    for k in range(4000):
+        flight.filter = shifted(f, draws[:, k])
+        noisy = pixel + flight.pixel_sigma * rng.standard_normal(pixel.shape)
+        found[k] = (flight.ground_of(noisy, camera) - centre).ravel()
+    flight.filter = f
+    assert f.inertial is base
+    sample = np.cov(np.vstack((draws, found.T)))
+    scale = np.sqrt(np.diag(f.covariance))
+    correlation = f.covariance / np.outer(scale, scale)
+    assert sample / np.outer(scale, scale) == pytest.approx(correlation, abs=0.12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rocks_that_rest_are_considered(seed):
+    """Images and ranges against Joseph's form, in which the gains of resting rocks are 0."""
+    rng = np.random.default_rng(seed)
+    flight = Flight(rng, rocks=9)
+    flight.advance()
+    flight.image()
+    f = flight.filter
+    for _ in range(3):
+        flight.advance()
+        rests = rng.permutation(9) < rng.integers(5, 9)
+        f.rest(rests)
+        camera = flight.camera()
+        sight = f.sight(camera)
+        pixel, covariance, radius, variance = flight.look(camera)
+        index = np.flatnonzero(~rests)
+        h = np.zeros((2 * len(index), 33))
+        for k, j in enumerate(index):
+            h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
+            h[2 * k : 2 * k + 2, 15 + 2 * j : 17 + 2 * j] = sight.by_rock[j]
+        r = flight.pixel_sigma**2 * np.eye(len(h))
+        states = np.concatenate((np.arange(15), (15 + 2 * index[:, None] + [0, 1]).ravel()))
+        gain, expected = consider_update(f.covariance, h, r, states)
+        moved = gain @ (pixel[index] - sight.pixel[index]).ravel()
+        before = f.xy.copy()
+        f.update_rocks(
+            index, sight, pixel[index], covariance[index], radius[index], variance[index]
+        )
+        assert f.covariance == pytest.approx(expected, rel=1e-7, abs=1e-11)
+        assert (f.xy - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
+        assert np.array_equal(f.xy[rests], before[rests])
+        before, p = f.xy.copy(), f.covariance.copy()
+        flight.range()
+        assert np.array_equal(f.xy[rests], before[rests])
+        assert np.array_equal(f.covariance, f.covariance.T)
+        resting = 15 + 2 * np.flatnonzero(rests)[:, None] + np.arange(2)
+        own = np.ix_(resting.ravel(), resting.ravel())
+        assert np.array_equal(f.covariance[own], p[own])
+
+
+@pytest.mark.parametrize("resting", [False, True], ids=["all corrected", "some at rest"])
+def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
+    flights, seconds = 50, 12.0
+    nees = np.empty(flights)
+    lander = np.empty(flights)
+    nis, size = 0.0, 0
+    for k in range(flights):
+        flight = Flight(np.random.default_rng(100 + k), rocks=8)
+        if resting:
+            flight.resting = np.random.default_rng(k)
+        for value, degrees in fly(flight, seconds):
+            nis += value
+            size += degrees
+        error, p = flight.error(), flight.filter.covariance
+        nees[k] = error @ np.linalg.solve(p, error)
+        lander[k] = error[:15] @ np.linalg.solve(p[:15, :15], error[:15])
+    for total, degrees in ((nees.sum(), 31 * flights), (lander.sum(), 15 * flights), (nis, size)):
+        low, high = chi2.ppf([0.025, 0.975], degrees)
+        assert low <= total <= high, (total, degrees, low, high)
+
+
+@pytest.mark.parametrize("resting", [False, True], ids=["all corrected", "some at rest"])
+def test_covariance_stays_sound_over_ten_thousand_updates(resting):
+    flight = Flight(np.random.default_rng(5), rocks=6)
+    flight.advance()
+    flight.image()
+    camera = flight.camera()
+    f = flight.filter
+    for k in range(5000):
+        if resting:
+            f.rest(np.roll([True, True, True, True, False, False], k // 7))
+        pixel, covariance, radius, variance = flight.look(camera)
+        f.update_rocks(np.arange(6), f.sight(camera), pixel, covariance, radius, variance)
+        flight.range()
+    p = f.covariance
+    assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
+    assert np.linalg.eigvalsh(p).min() > 0.0
+    assert np.linalg.norm(f.inertial.attitude) == pytest.approx(1.0, abs=1e-12)
+    assert (f.radius_variance > 0.0).all()
+
+
+def test_removing_a_rock_leaves_the_others_as_they_were():
+    flight = Flight(np.random.default_rng(6), rocks=5)
+    flight.advance()
+    flight.image()
+    f = flight.filter
+    p, xy = f.covariance.copy(), f.xy.copy()
+    keep = f.remove(np.array([1, 3]))  # the last takes the first hole
+    rows = np.concatenate((np.arange(15), (15 + 2 * keep[:, None] + [0, 1]).ravel()))
+    assert keep.tolist() == [0, 4, 2]
+    assert np.array_equal(f.covariance, p[np.ix_(rows, rows)])
+    assert np.array_equal(f.xy, xy[keep])
+
+
+def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
+    flight = Flight(np.random.default_rng(7))
+    fly(flight, 4.0)
+    f = flight.filter
+    before = np.trace(f.covariance[3:6, 3:6])
+    # Two seconds without a sample, the lander going on as it did.
+    start = f.inertial.position.copy(), f.inertial.velocity.copy()
+    f.propagate(np.full((200, 3), np.nan), np.full((200, 3), np.nan))
+    assert np.trace(f.covariance[3:6, 3:6]) > 10.0 * before
+    assert f.inertial.position == pytest.approx(start[0] + 2.0 * start[1], abs=1.5)
+    real, flight.filter = f, RockFilter(InertialState(*start, flight.attitude, GRAVITY))
+    flight.advance(200)
+    flight.filter = real
+    fly(flight, 2.0)
+    assert np.isfinite(f.covariance).all()
+    error = flight.error()
+    assert abs(error[:3]) == pytest.approx(0.0, abs=4.0 * np.sqrt(f.covariance[:3, :3].max()))
+
+
+@pytest.mark.parametrize("reading", [np.nan, np.inf, -5.0, 1e6, 0.0])
+def test_a_wrong_altitude_changes_nothing(reading):
+    flight = Flight(np.random.default_rng(8))
+    fly(flight, 1.0)
+    f = flight.filter
+    p, z = f.covariance.copy(), f.inertial.position.copy()
+    f.update_range(reading, 1.0)
+    assert np.array_equal(f.covariance, p)
+    assert np.array_equal(f.inertial.position, z)
+
+
+def test_covariance_update_is_the_same_on_any_number_of_threads():
+    rng = np.random.default_rng(3)
+    w = rng.standard_normal((40, 1000))
+    states = rng.permutation(1000)[:300]
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(threads)
+            p = 1e4 * np.eye(1000)
+            subtract_square(p, w)
+            some = 1e4 * np.eye(1000)
+            subtract_rows(some, w[:, states].T, w, states)
+            results.append((p, some))
+    finally:
+        numba.set_num_threads(before)
+    (p, some), (other, some_other) = results
+    expected = 1e4 * np.eye(1000) - w.T @ w
+    assert np.array_equal(p, other)
+    assert np.array_equal(some, some_other)
+    assert np.allclose(p, expected, atol=1e-9)
+    rest = np.setdiff1d(np.arange(1000), states)
+    expected[np.ix_(rest, rest)] = 1e4 * np.eye(len(rest))
+    assert np.allclose(some, expected, atol=1e-9)
+    assert np.array_equal(some, some.T)
+
+
+def test_closed_forms_of_two_rows():
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((500, 2, 2))
+    square, offset = root @ np.swapaxes(root, 1, 2) + 0.01 * np.eye(2), rng.normal(size=(500, 2))
+    assert planar.inverse(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
+    assert planar.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
+    distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
+    assert planar.squared_distance(offset, square) == pytest.approx(distance)

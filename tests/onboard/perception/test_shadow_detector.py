@@ -1,0 +1,348 @@
+"""Detection of rocks by their shadows: model, measuring, rendered fields, odd images."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from lunarsim.errors import InputError
+from lunarsim.frames import direction_from_angles, quat_from_rotation_vector
+from lunarsim.grid import Grid
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.perception import _patch_kernels as kernels
+from lunarsim.onboard.perception.detector import DetectorSettings, detect_rocks
+from lunarsim.onboard.perception.direction import mean_direction, shadow_directions
+from lunarsim.onboard.perception.segmentation import segment
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.rocks.shapes import CUBE
+from lunarsim.sensors.camera import Camera
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from tests.conftest import flat_terrain
+from tests.reference.shadows import patch
+
+SUN = direction_from_angles(1.2, np.radians(20.0))
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def at(position, attitude=LEVEL, **camera):
+    state = State(np.array(position, float), np.zeros(3), np.array(attitude), np.zeros(3), 1000.0)
+    mount = gimbal_mount(state.attitude, -state.position)
+    return state, replace(Camera(**camera), mount=mount)
+
+
+def picture(terrain, position, sun=(1.2, 20.0), **camera):
+    state, eye = at(position, **camera)
+    world = World(terrain, 1.622, Light(sun[0], np.radians(sun[1])))
+    return state, eye, eye.expose(world, state, 0.0, np.random.default_rng(0)).counts
+
+
+def rocks_on_a_plane(shape, seed=0, count=120, size=80.0):
+    rng = np.random.default_rng(seed)
+    grid = Grid.centred((0.0, 0.0), size, 2.0)
+    relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
+    sizes = rng.uniform(0.8, 2.0, count)
+    rocks = place_rocks(relief, sizes, rng, model=RockModel(shape, burial=(0.0, 0.0)))
+    # The ground goes on beyond the rocks: black sky in view would run into their shadows.
+    return Terrain(flat_terrain(2000.0, 50.0).relief, rocks)
+
+
+def test_model_of_half_spheres_from_above_is_the_papers():
+    elevation = np.radians(20.0)
+    unit = ShadowModel(elevation).patch(0.0, np.pi / 2)
+    # Half an ellipse from the centre to the tip at 1 / sin(elevation), less the half ellipse of the
+    # lit top, whose rim lies at sin(elevation).
+    tip, rim = 1.0 / np.sin(elevation), np.sin(elevation)
+    assert unit.area == pytest.approx(0.5 * np.pi * (tip - rim), rel=0.02)
+    # The mean of half an ellipse lies at 4 / (3 pi) of its axis.
+    assert unit.along == pytest.approx(-4.0 / (3.0 * np.pi) * (tip + rim), rel=0.02)
+    assert unit.width == pytest.approx(np.sqrt(12.0) * 0.5, rel=0.05)
+    assert unit.side == pytest.approx(0.0, abs=0.05)
+
+
+def test_model_of_cubes_from_above_is_a_rectangle():
+    elevation = np.radians(30.0)
+    one = RockModel("cube", burial=(0.0, 0.0))
+    unit = ShadowModel(elevation, one).patch(0.0, np.pi / 2)
+    # Whatever the yaw, the shadow on the ground has the area of side times diagonal's mean ...
+    shadow = 2.0 / np.tan(elevation)
+    assert unit.area == pytest.approx(shadow * 2.0 * 4.0 / np.pi, rel=0.08)
+    assert unit.length == pytest.approx(shadow, rel=0.2)
+
+
+def test_a_rock_hides_its_shadow_from_a_camera_on_the_suns_side():
+    model = ShadowModel(np.radians(20.0))
+    depression = np.radians([15.0, 25.0, 40.0, 90.0])
+    area = model.patch(0.0, depression).area
+    assert area[0] == pytest.approx(0.0, abs=0.15)
+    assert (np.diff(area) > 0.0).all()
+    assert (model.patch(np.pi, depression).area >= area).all()
+    # Seen from the left the patch leans to the right, and the other way round.
+    right, left = model.patch(np.pi / 2, 0.4).side, model.patch(-np.pi / 2, 0.4).side
+    assert right == pytest.approx(-left)
+    assert right > 0.1
+
+
+@pytest.mark.parametrize("elevation", [0.0, 1.0, 85.0, np.nan])
+def test_model_refuses_a_sun_without_shadows(elevation):
+    with pytest.raises(InputError, match=r"sun\.elevation"):
+        ShadowModel(np.radians(elevation))
+
+
+def test_measuring_patches_equals_the_plain_reference():
+    rng = np.random.default_rng(4)
+    state, camera = at((20.0, -35.0, 60.0), quat_from_rotation_vector([0.1, 0.2, 0.3]))
+    view = camera.view(state)
+    labels = np.zeros((480, 640), np.int32)
+    for label in range(1, 30):
+        i, j = rng.integers(20, 440), rng.integers(20, 600)
+        h, w = rng.integers(2, 20, 2)
+        labels[i : i + h, j : j + w] = label
+    count = labels.max()
+    level = np.hypot(SUN[0], SUN[1])
+    table = kernels.measure_patches(
+        labels, count, np.zeros((480, 640), np.uint8), *camera.tangents, view.position, view.axes,
+        0.5, SUN[0] / level, SUN[1] / level,
+    )  # fmt: skip
+    for label in np.unique(labels[labels > 0]):
+        found = table[label, [kernels.ALONG, kernels.ACROSS, kernels.LENGTH, kernels.WIDTH,
+                              kernels.PIXELS]]  # fmt: skip
+        assert found == pytest.approx(patch(labels, label, view, 0.5, SUN), rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["hemisphere", "cube"])
+@pytest.mark.parametrize("position", [(0.0, 0.0, 60.0), (-40.0, -15.0, 45.0), (15.0, -50.0, 50.0)])
+def test_rocks_are_found_where_they_are(shape, position):
+    terrain = rocks_on_a_plane(shape, count=120 if shape == "hemisphere" else 25)
+    state, camera, counts = picture(terrain, position)
+    model = ShadowModel(np.radians(20.0), RockModel(shape, burial=(0.0, 0.0)))
+    seen = detect_rocks(counts, camera, state, SUN, model=model)
+    rocks = terrain.rocks
+    true = np.column_stack((rocks.x, rocks.y))
+    distance, nearest = cKDTree(true).query(seen.ground)
+    ok = distance < rocks.a[nearest]
+    assert ok.mean() > (0.85 if shape == "hemisphere" else 0.75)
+    ratio = seen.radius[ok] / rocks.a[nearest][ok]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.08)
+    off = seen.ground[ok] - true[nearest][ok]
+    pixel = np.linalg.norm(position) / camera.fx
+    # A cube's yaw moves the middle of its patch by up to a fifth of its radius.
+    assert np.abs(np.median(off, axis=0)).max() < pixel + 0.2 * np.median(rocks.a)
+    # Most of the rocks that are wholly in view are found.
+    view = camera.view(state)
+    s = (np.column_stack((true, np.zeros(len(true)))) - view.position) @ view.axes
+    uv = s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]
+    inside = (uv > 40.0).all(1) & (uv < [600.0, 440.0]).all(1)
+    back, _ = cKDTree(seen.ground).query(true[inside])
+    # Long shadows of cubes run into each other: then one rock is told where there are more.
+    assert np.mean(back < rocks.a[inside]) > (0.75 if shape == "hemisphere" else 0.55)
+
+
+def test_errors_are_as_large_as_their_covariance_says():
+    terrain = rocks_on_a_plane("hemisphere", seed=3)
+    state, camera, counts = picture(terrain, (-20.0, 10.0, 80.0))
+    seen = detect_rocks(counts, camera, state, SUN)
+    rocks = terrain.rocks
+    true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))
+    distance, nearest = cKDTree(true[:, :2]).query(seen.ground)
+    ok = distance < 0.7 * rocks.a[nearest]
+    view = camera.view(state)
+    s = (true[nearest[ok]] - view.position) @ view.axes
+    off = seen.pixel[ok] - (s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy])
+    squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(seen.pixel_covariance[ok]), off)
+    # The median of chi-squared with 2 degrees of freedom is 1.39; a factor of three is close
+    # enough to weigh detections by.
+    assert 0.46 < np.median(squared) < 4.2
+    z = (seen.radius[ok] - rocks.a[nearest][ok]) / seen.radius_sigma[ok]
+    assert 0.4 < 1.4826 * np.median(np.abs(z - np.median(z))) < 2.0
+
+
+def test_distortion_is_taken_out():
+    terrain = rocks_on_a_plane("hemisphere", seed=5)
+    lens = {"distortion": (-0.15, 0.03, 0.001, -0.001, 0.0)}
+    clean = detect_rocks(*_seen(picture(terrain, (0.0, 0.0, 60.0))))
+    bent = detect_rocks(*_seen(picture(terrain, (0.0, 0.0, 60.0), **lens)))
+    gap, _ = cKDTree(clean.ground).query(bent.ground)
+    assert np.median(gap) < 0.1
+    assert abs(len(bent) - len(clean)) < 0.2 * len(clean)
+
+
+def _seen(taken):
+    state, camera, counts = taken
+    return counts, camera, state, SUN
+
+
+def test_shadow_of_terrain_is_no_rock():
+    grid = Grid.centred((0.0, 0.0), 120.0, 1.0)
+    x, y = np.meshgrid(grid.x, grid.y)
+    bowl = np.hypot(x, y)
+    z = np.where(bowl < 25.0, -9.0 * (1.0 - (bowl / 25.0) ** 2), 0.0).astype(np.float32)
+    crater = Terrain(Heightfield(grid, z), RockField.empty())
+    state, camera, counts = picture(crater, (0.0, 0.0, 70.0), sun=(1.2, 15.0))
+    sun = direction_from_angles(1.2, np.radians(15.0))
+    seen = detect_rocks(counts, camera, state, sun)
+    assert len(seen.extended) >= 1
+    assert (seen.radius < 5.0).all()
+    largest = np.bincount(seen.labels[seen.labels > 0]).argmax()
+    assert largest in seen.extended
+
+
+def plain_image(value=120, spread=2.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.clip(value + spread * rng.standard_normal((480, 640)), 0, 255)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        plain_image(),  # no shadows at all
+        np.zeros((480, 640)),  # everything in shadow
+        np.full((480, 640), 255, np.uint8),  # saturated
+        np.full((480, 640), np.nan),  # no pixel known
+        np.full((480, 640), -3.0),
+    ],
+)
+def test_images_without_shadows_give_no_rocks(image):
+    state, camera = at((0.0, 0.0, 60.0))
+    assert len(detect_rocks(image, camera, state, SUN)) == 0
+
+
+def test_sky_gives_no_rocks():
+    state = State(np.array([0.0, 0.0, 60.0]), np.zeros(3), LEVEL, np.zeros(3), 1000.0)
+    up = replace(Camera(), mount=gimbal_mount(LEVEL, [0.3, 0.0, 1.0]))
+    image = plain_image(0, 3.0)
+    image[100:110, 200:220] = 200.0
+    assert len(detect_rocks(image, up, state, SUN)) == 0
+
+
+@pytest.mark.parametrize("elevation", [-30.0, 0.0, 1.0, 89.0, 90.0])
+def test_a_sun_that_throws_no_useful_shadows_gives_no_rocks(elevation):
+    state, camera = at((0.0, 0.0, 60.0))
+    image = plain_image()
+    image[200:206, 300:320] = 2.0
+    seen = detect_rocks(image, camera, state, direction_from_angles(0.3, np.radians(elevation)))
+    assert len(seen) == 0
+    assert len(seen.extended) == 1
+
+
+def test_nan_pixels_are_left_out():
+    terrain = rocks_on_a_plane("hemisphere")
+    state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))
+    image = counts.astype(float)
+    whole = detect_rocks(image, camera, state, SUN)
+    image[:, 300:320] = np.nan
+    part = detect_rocks(image, camera, state, SUN)
+    away = np.abs(whole.pixel[:, 0] - 310.0) > 30.0
+    gap, _ = cKDTree(part.pixel).query(whole.pixel[away])
+    assert np.mean(gap < 0.5) > 0.95
+    assert np.isfinite(part.ground).all()
+
+
+def test_five_thousand_patches_are_taken_in_stride():
+    image = plain_image(120, 0.5)
+    image[::6, ::6] = 3.0
+    image[1::6, ::6] = 3.0
+    image[::6, 1::6] = 3.0
+    image[1::6, 1::6] = 3.0
+    state, camera = at((0.0, 0.0, 60.0))
+    seen = detect_rocks(image, camera, state, SUN)
+    assert seen.labels.max() > 5000
+    assert np.isfinite(seen.radius).all()
+    assert np.isfinite(seen.pixel_covariance).all()
+
+
+def test_a_sun_five_degrees_off_moves_finds_by_little():
+    terrain = rocks_on_a_plane("hemisphere")
+    state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))
+    right = detect_rocks(counts, camera, state, SUN)
+    for azimuth, elevation in ((5.0, 0.0), (0.0, 5.0), (0.0, -5.0)):
+        sun = direction_from_angles(1.2 + np.radians(azimuth), np.radians(20.0 + elevation))
+        wrong = detect_rocks(counts, camera, state, sun)
+        gap, nearest = cKDTree(right.ground).query(wrong.ground)
+        assert np.median(gap) < 0.4
+        assert np.median(wrong.radius / right.radius[nearest]) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    ("image", "field"),
+    [
+        (np.zeros((10, 10)), "image"),
+        (np.zeros((480, 640, 3)), "image"),
+        (np.full((480, 640), "dark"), "image"),
+        (np.zeros((480, 640), complex), "image"),
+    ],
+)
+def test_wrong_images_are_refused(image, field):
+    state, camera = at((0.0, 0.0, 60.0))
+    with pytest.raises(InputError, match=field):
+        detect_rocks(image, camera, state, SUN)
+
+
+@pytest.mark.parametrize("sun", [(0.0, 0.0, 2.0), (np.nan, 0.0, 1.0), (1.0, 0.0)])
+def test_wrong_sun_is_refused(sun):
+    state, camera = at((0.0, 0.0, 60.0))
+    with pytest.raises(InputError, match="sun"):
+        detect_rocks(np.zeros((480, 640)), camera, state, sun)
+
+
+def test_wrong_settings_are_refused():
+    with pytest.raises(InputError, match="least_pixels"):
+        DetectorSettings(least_pixels=0)
+    with pytest.raises(InputError, match="gamma"):
+        segment(np.zeros((4, 4)), gamma=-1.0)
+
+
+def test_threshold_adapts_to_exposure_and_shading():
+    terrain = rocks_on_a_plane("cube", seed=2)
+    state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))
+    whole = segment(counts).dark.astype(bool)
+    ramp = np.linspace(0.35, 1.0, 640)[None, :]
+    shaded = segment(counts * ramp).dark.astype(bool)
+    assert np.mean(whole ^ shaded) < 0.02 * whole.mean() + 1e-3
+    assert np.array_equal(segment(counts.astype(np.uint16) * 200).dark.astype(bool), whole)
+
+
+def test_direction_of_shadows_is_read_from_the_image():
+    terrain = rocks_on_a_plane("hemisphere", seed=8)
+    state, camera, counts = picture(terrain, (0.0, 0.0, 50.0), sun=(1.2, 35.0))
+    sun = direction_from_angles(1.2, np.radians(35.0))
+    seen = detect_rocks(counts, camera, state, sun)
+    angle, half, number = mean_direction(shadow_directions(counts, seen))
+    # Straight down image x is east and y south.
+    shadow = np.arctan2(sun[1], -sun[0])
+    assert number > 10
+    assert abs(np.angle(np.exp(1j * (angle - shadow)))) < max(half, np.radians(8.0))
+
+
+def test_real_image_gives_boulders():
+    """LROC M143947267L with default settings: as `scenarios/shadow_real_image.py` prints."""
+    from scenarios import shadow_real_image as real
+
+    image = real.load()
+    seen = real.detect(image)
+    labels = json.loads((real.DATA / f"{real.NAME}_labels.json").read_text())
+    result = real.compare(seen, labels)
+    wide = result["width"] >= 3
+    assert result["true"] / result["finds"] >= 0.9
+    assert result["hit"][wide].mean() >= 0.75
+    angle, _, _ = mean_direction(shadow_directions(image, seen))
+    assert abs(np.degrees(angle) + 34.8) < 10.0
+
+
+def test_contours_run_round_the_patches():
+    terrain = Terrain(
+        flat_terrain(60.0, 2.0).relief,
+        RockField(*(np.array([v]) for v in (0.0, 0.0, 0.0, 0.8, 0.8, 1.6, 0.3)), np.array([CUBE])),
+    )
+    state, camera, counts = picture(terrain, (0.0, 0.0, 40.0))
+    seen = detect_rocks(counts, camera, state, SUN)
+    (line,) = seen.contours()
+    assert (seen.labels[line[:, 1], line[:, 0]] == seen.label[0]).all()
+    assert len(line) > 10

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.spatial import cKDTree
+from scipy.stats import kstest
+
+from lunarsim.errors import InputError
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import golombek_cover, golombek_number, sample_diameters
+from lunarsim.world.terrain import place_rocks
+from tests.conftest import flat_terrain
+
+
+@pytest.mark.parametrize("k", [0.01, 0.05, 0.2])
+def test_number_integrates_cover(k):
+    # N(D) = integral of -dF / (pi D^2 / 4)
+    q = 1.79 + 0.152 / k
+    for d in (0.1, 0.5, 1.5):
+        density = lambda s: k * q * np.exp(-q * s) / (np.pi * s * s / 4)  # noqa: E731
+        assert golombek_number(d, k) == pytest.approx(quad(density, d, np.inf)[0], rel=1e-6)
+
+
+def test_sampled_diameters_follow_the_law():
+    k, low, high = 0.05, 0.15, 3.0
+    d = sample_diameters(40_000.0, k, low, high, np.random.default_rng(1))
+    total = golombek_number(low, k) - golombek_number(high, k)
+    assert abs(len(d) - 40_000.0 * total) < 5.0 * np.sqrt(40_000.0 * total)
+
+    def cdf(x):
+        return 1.0 - (golombek_number(x, k) - golombek_number(high, k)) / total
+
+    assert kstest(d, cdf).pvalue > 0.01
+    assert (np.diff(d) <= 0).all()
+    covered = np.sum(np.pi * d**2 / 4) / 40_000.0
+    law = golombek_cover(low, k) - golombek_cover(high, k)
+    assert covered == pytest.approx(float(law), rel=0.05)
+
+
+def test_placed_rocks_do_not_overlap_and_stand_on_the_relief():
+    terrain = flat_terrain(size=60.0, level=3.0)
+    rng = np.random.default_rng(2)
+    rocks = place_rocks(terrain.relief, sample_diameters(3600.0, 0.1, 0.15, 3.0, rng), rng)
+    gap = np.hypot(rocks.x[:, None] - rocks.x, rocks.y[:, None] - rocks.y)
+    reach = rocks.a[:, None] + rocks.a
+    np.fill_diagonal(gap, np.inf)
+    assert (gap >= reach).all()
+    assert np.allclose(rocks.base, 3.0)
+
+
+def test_same_seed_same_rocks():
+    terrain = flat_terrain()
+    fields = [
+        place_rocks(terrain.relief, np.full(50, 0.5), np.random.default_rng(7)) for _ in range(2)
+    ]
+    assert np.array_equal(fields[0].x, fields[1].x)
+
+
+def test_overfull_field_is_refused():
+    with pytest.raises(InputError, match="smaller cover"):
+        place_rocks(flat_terrain(size=10.0).relief, np.full(500, 1.5), np.random.default_rng(1))
+
+
+def test_impossible_law_is_refused():
+    with pytest.raises(InputError, match=r"rocks\.cover"):
+        golombek_cover(0.1, 0.0)
+    with pytest.raises(InputError, match="min_diameter"):
+        sample_diameters(1.0, 0.05, 2.0, 1.0, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("shape", ["hemisphere", "ellipsoid", "cube", "irregular", "mixed"])
+def test_rocks_of_every_shape_do_not_overlap_and_reach_the_ground(shape):
+    rng = np.random.default_rng(4)
+    ground = flat_terrain(60.0).relief
+    diameters = sample_diameters(3600.0, 0.15, 0.2, 3.0, rng)
+    rocks = place_rocks(ground, diameters, rng, model=RockModel(shape))
+    assert len(rocks) == diameters.size
+    centres = np.column_stack((rocks.x, rocks.y))
+    for i, j in cKDTree(centres).query_pairs(4.0):
+        gap = np.hypot(*(centres[i] - centres[j])) - rocks.reach()[i] - rocks.reach()[j]
+        assert gap >= -1e-9
+    assert np.all(rocks.base <= 1e-12)
+    assert np.all(rocks.base + rocks.height > 0.0)
+
+
+@pytest.mark.parametrize("shape", ["ellipsoid", "irregular"])
+def test_covered_area_and_height_above_ground_follow_the_model(shape):
+    """One rock of 1 m, many times: the area at ground level and the height above it."""
+    rng = np.random.default_rng(8)
+    model = RockModel(shape, height_ratio=(0.45, 0.08), burial=(0.1, 0.4))
+    rocks = model.draw(np.ones(4000), rng)
+    visible = rocks.base + rocks.height
+    assert visible.mean() == pytest.approx(0.45, abs=0.005)
+    assert visible.std() == pytest.approx(0.08, abs=0.005)
+    buried = -rocks.base / rocks.height
+    assert buried.min() >= 0.1 and buried.max() <= 0.4
+    if shape == "ellipsoid":  # its section at the ground has the area of the disc
+        section = np.pi * rocks.a * rocks.b * (1.0 - buried**2)
+    else:  # its outline has
+        section = np.pi * rocks.a * rocks.b
+    assert np.allclose(section, np.pi / 4.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("shape", {"shape": "sphere"}),
+        ("height_ratio", {"height_ratio": (0.0, 0.1)}),
+        ("burial", {"burial": (0.5, 0.2)}),
+        ("axis_ratio", {"axis_ratio": (0.0, 1.0)}),
+    ],
+)
+def test_bad_rock_models_are_refused(field, values):
+    with pytest.raises(InputError, match=f"rocks.{field}"):
+        RockModel(**values)
