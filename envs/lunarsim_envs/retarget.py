@@ -131,7 +131,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             if not invalid:
                 decision = Decision(sites.position[row], "agent")
         simulation.apply(decision)
-        simulation.guide_and_move()
+        simulation.move()
         self._to_next_decision(simulation)
         terms = reward_terms(
             self.weights,
@@ -154,10 +154,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     def _to_next_decision(self, simulation: Simulation) -> None:
         """Fly until the navigation half of the cycle in which a decision is due, or the end."""
         while not simulation.done:
-            simulation.navigate_and_scan()
+            simulation.navigate()
             if simulation.decision_due:
                 break
-            simulation.guide_and_move()
+            simulation.move()
         self._observation = simulation.observe()
 
     def _encode(self, simulation: Simulation) -> dict[str, FloatArray]:

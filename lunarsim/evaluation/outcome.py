@@ -64,9 +64,7 @@ def _map_figures(simulation: Simulation, flight: Flight) -> dict[str, Any]:
     in_reach = False
     if len(spots):
         sites = np.column_stack((spots, np.full(len(spots), simulation.site[2])))
-        now, simulation.estimate = simulation.estimate, simulation.first_map_estimate
-        in_reach = bool(simulation.cost_of(sites).feasible.any())
-        simulation.estimate = now
+        in_reach = bool(simulation.cost_of(sites, simulation.first_map_estimate).feasible.any())
     return {
         "map_hits": int((safe & called).sum()),
         "map_false_safe": int((~safe & called).sum()),

@@ -22,3 +22,19 @@ class Command:
 
     thrust: float
     attitude: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorTask:
+    """One measurement that a pointed sensor is to make.
+
+    Attributes
+    ----------
+    sensor
+        Its name on the lander.
+    mount
+        Rotation (3, 3), sensor to body, that its gimbal is to hold.
+    """
+
+    sensor: str
+    mount: NDArray[np.float64]

@@ -93,3 +93,65 @@ class Picture:
     time: float
     counts: NDArray[np.unsignedinteger[Any]]
     camera: CameraModel
+
+
+@dataclass(frozen=True)
+class InertialSamples:
+    """Consecutive increments of an inertial unit over one control cycle.
+
+    Attributes
+    ----------
+    time
+        End of the last sample, s.
+    angle, velocity
+        Increments (n, 3), body axes, rad and m/s; NaN for a sample that was lost.
+    """
+
+    time: float
+    angle: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class NavigationFix:
+    """The state as a navigation system known by its error budget gives it.
+
+    Attributes
+    ----------
+    time
+        s.
+    position, velocity
+        ENU (3,), m and m/s.
+    attitude
+        Quaternion, body to ENU (4,).
+    rate
+        Body rate (3,), rad/s.
+    covariance
+        Of position, velocity and small rotation in ENU (9, 9), m, m/s, rad.
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    attitude: Array
+    rate: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What the plant gave over one exchange.
+
+    Attributes
+    ----------
+    time
+        Now, s.
+    mass
+        By the propellant gauge, kg.
+    items
+        Name of the sensor and what it measured, in the order in which it was.
+    """
+
+    time: float
+    mass: float
+    items: tuple[tuple[str, Any], ...] = ()

@@ -17,7 +17,7 @@ from lunarsim.models.pose import Pose
 Array = NDArray[np.float64]
 
 # Body z points up through the lander: a camera that looks straight down, its x along body -y.
-_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class CameraModel:
     cy: float | None = None
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mount: Array = field(default_factory=_DOWN.copy)
+    mount: Array = field(default_factory=DOWN.copy)
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:

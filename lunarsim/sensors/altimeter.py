@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,12 @@ class RadarAltimeter:
             raise InputError("altimeter.max_incidence", self.max_incidence, "up to pi/2")
 
     def measure(
-        self, world: World, state: State, time: float, rng: np.random.Generator
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
     ) -> AltimeterReading:
         """Return one reading; noise is drawn whether or not there is a return."""
         noise = float(rng.standard_normal())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
+from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
@@ -101,6 +102,19 @@ class Camera(CameraModel):
     def model(self) -> CameraModel:
         """The geometry alone, as it goes with every picture."""
         return CameraModel(**{f.name: getattr(self, f.name) for f in fields(CameraModel)})
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> Picture:
+        """Take a picture with the gimbal at `mount` (3, 3); left out: as the camera is mounted."""
+        camera = self if mount is None else replace(self, mount=mount)
+        exposure = camera.expose(world, state, time, rng)
+        return Picture(exposure.time, exposure.counts, camera.model)
 
     def expose(
         self,

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
+from lunarsim.messages.measurements import InertialSamples
 from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, InertialErrors
 
 Array = NDArray[np.float64]
@@ -93,3 +95,25 @@ class Imu:
         angle = self._gyroscopes.increments(rate)
         velocity = self._accelerometers.increments(force)
         return angle.reshape(shape), velocity.reshape(shape)
+
+    def sense(self, rows: Array, step: float, gravity: float, time: float) -> InertialSamples:
+        """Return the samples of a stretch of true motion.
+
+        Parameters
+        ----------
+        rows
+            State vectors (n + 1, 15), the first that before the stretch.
+        step
+            Between them, s; that of the unit.
+        gravity
+            Downward acceleration, m/s^2.
+        time
+            Of the last row, s.
+        """
+        q = rows[:, 6:10]
+        turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(q[:-1]), q[1:]))
+        middle = q[:-1] + np.where((q[:-1] * q[1:]).sum(1) < 0.0, -1.0, 1.0)[:, None] * q[1:]
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        force = np.diff(rows[:, 3:6], axis=0) / step + [0.0, 0.0, gravity]
+        angle, velocity = self.measure(turn / step, quat_rotate(quat_conjugate(middle), force))
+        return InertialSamples(time, angle, velocity)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.camera import DOWN
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -92,7 +93,12 @@ class FlashLidar:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def measure(
-        self, world: World, state: State, time: float, rng: np.random.Generator, mount: Array
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
     ) -> LidarScan:
         """Flash once.
 
@@ -103,8 +109,9 @@ class FlashLidar:
         rng
             Source of the range noise.
         mount
-            Rotation (3, 3), sensor to body, that the gimbal holds.
+            Rotation (3, 3), sensor to body, that the gimbal holds; left out: straight down.
         """
+        mount = DOWN if mount is None else mount
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
         origin = np.asarray(state.position, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Truth plus stated errors: a navigation system known by its error budget alone."""
+"""Fixes of a navigation system that is known by its error budget alone: truth plus errors."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.messages.measurements import NavigationFix
 from lunarsim.vehicle.state import State
+from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
@@ -46,8 +47,8 @@ class ErrorBudget:
             raise InputError("navigation.drift_time", self.drift_time, "a positive time")
 
 
-class NavigationErrorModel:
-    """Adds errors of a known budget to the true state.
+class FixInstrument:
+    """Gives the true state with errors of a known budget.
 
     The hazard map is drawn in the estimated frame, so the constant bias moves map and lander
     together; the drift since a scan is what misplaces the touchdown on the map.
@@ -57,12 +58,11 @@ class NavigationErrorModel:
     budget
         Standard deviations of the errors.
     rng
-        Source of the errors of this flight.
+        Source of the constant errors of this flight; `measure` is to be given the same one.
     """
 
     def __init__(self, budget: ErrorBudget, rng: np.random.Generator) -> None:
         self.budget = budget
-        self._rng = rng
         self._bias = budget.position_bias * rng.standard_normal(3)
         self._misalignment = quat_from_rotation_vector(budget.attitude * rng.standard_normal(3))
         self._drift = np.zeros(3)
@@ -78,22 +78,28 @@ class NavigationErrorModel:
         )
         self._covariance = np.diag(variances)
 
-    def update(self, state: State, time: float) -> Estimate:
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> NavigationFix:
         """Return truth plus error at `time`, which must not run backwards."""
         b = self.budget
         if self._time is not None and time > self._time:
             keep = np.exp(-(time - self._time) / b.drift_time)
             spread = np.sqrt(1.0 - keep * keep)
-            noise = self._rng.standard_normal((2, 3))
+            noise = rng.standard_normal((2, 3))
             self._drift = keep * self._drift + b.position_drift * spread * noise[0]
             self._velocity = keep * self._velocity + b.velocity * spread * noise[1]
         self._time = time
-        return Estimate(
+        return NavigationFix(
             time,
             state.position + self._bias + self._drift,
             state.velocity + self._velocity,
             quat_multiply(self._misalignment, state.attitude),
             state.rate,
-            state.mass,
             self._covariance,
         )

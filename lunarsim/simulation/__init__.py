@@ -2,6 +2,6 @@
 
 from lunarsim.simulation.build import build_world, lander_of
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.simulation import Simulation
+from lunarsim.simulation.loop import Simulation
 
 __all__ = ["Flight", "Simulation", "build_world", "lander_of"]

@@ -11,10 +11,8 @@ from lunarsim.onboard.hazards.quadtree import InterestMap, QuadtreeMapper, SiteS
 from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import build
 from lunarsim.simulation.build_inertial import started
-from lunarsim.simulation.filtered_navigation import FilteredNavigation
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.survey import survey
@@ -45,13 +43,11 @@ def prior_map_of(scenario: Scenario, world: World, streams: Streams) -> PriorMap
 
 
 def lidar_inertial_of(
-    scenario: Scenario, world: World, state: State, prior: PriorMap, streams: Streams
-) -> FilteredNavigation:
+    scenario: Scenario, state: State, prior: PriorMap, streams: Streams
+) -> LidarInertialFilter:
     """Return navigation on a map, started with errors of the scenario's budget."""
     inertial, errors, _ = started(scenario, state, streams)
-    found = LidarInertialFilter(inertial, errors, prior)
-    imu = Imu(streams.get("imu"), 1.0 / scenario.simulation.step_s)
-    return FilteredNavigation(found, world, imu)
+    return LidarInertialFilter(inertial, errors, prior)
 
 
 def settings_of(scenario: Scenario) -> SiteSettings:
@@ -92,4 +88,5 @@ def quadtree_mapper_of(scenario: Scenario, lander: Lander, centre: np.ndarray) -
         split_count=s.split_count,
         interest=None if s.interest_path is None else InterestMap.load(s.interest_path),
         hold_sigma=s.hold_sigma_m,
+        interval=scenario.sweep.update_s,
     )

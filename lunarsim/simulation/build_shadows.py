@@ -17,13 +17,9 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rng import Streams
 from lunarsim.rocks.field import RockModel
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.altimeter import RadarAltimeter
-from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import build
 from lunarsim.simulation.build_inertial import started
-from lunarsim.simulation.filtered_navigation import FilteredNavigation
 from lunarsim.vehicle import State
-from lunarsim.world import World
 
 
 def shadow_mapper_of(
@@ -63,17 +59,11 @@ def shadow_mapper_of(
     return ShadowMapper(tracker, probability, light.direction, reach, refresh=s.refresh_s)
 
 
-def navigation_of(
-    scenario: Scenario, world: World, state: State, ground: float, streams: Streams
-) -> FilteredNavigation:
+def navigation_of(scenario: Scenario, state: State, ground: float, streams: Streams) -> RockFilter:
     """Return navigation by instruments, started with errors of the scenario's budget.
 
     `ground` is the elevation of the site in the true frame; the filter's ground is as far off as
     its first height, so that both stay in the estimated frame.
     """
     inertial, errors, offset = started(scenario, state, streams)
-    rocks = RockFilter(inertial, errors, ground=ground + offset[2])
-    imu = Imu(streams.get("imu"), 1.0 / scenario.simulation.step_s)
-    return FilteredNavigation(
-        rocks, world, imu, altimeter=RadarAltimeter(), rng=streams.get("altimeter")
-    )
+    return RockFilter(inertial, errors, ground=ground + offset[2])

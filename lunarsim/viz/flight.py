@@ -13,13 +13,12 @@ from matplotlib.patches import Circle, Patch
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.simulation.eyes import CameraEyes, FlashEyes, SweepEyes
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.simulation import Simulation
+from lunarsim.simulation.loop import Simulation
 from lunarsim.viz.style import COLOURS, hillshade, map_axes, new_figure, save, show
 
 # What the squares on a descent stand for.
-_MARKED = {FlashEyes: "LiDAR scan", CameraEyes: "first picture", SweepEyes: "lock onto the map"}
+_MARKED = {"gaussian-dem": "LiDAR scan", "shadow": "first picture", "quadtree": "lock onto the map"}
 
 
 def draw_flight(simulation: Simulation, flight: Flight, folder: Path) -> None:
@@ -52,7 +51,7 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
     profile.plot(away, altitude, color=COLOURS[0], lw=1.8)
     last = np.argmax(t["phase"] > 0) if (t["phase"] > 0).any() else None
     for event in flight.events:
-        if event["name"] in {"scan", "first-picture", "lock", "relock"}:
+        if event["name"] in {"scan", "picture", "lock", "relock"}:
             i = int(np.argmin(np.abs(time - event["time"])))
             profile.plot(away[i], altitude[i], "s", color=COLOURS[2], ms=7)
     for decision in flight.decisions:
@@ -67,7 +66,7 @@ def draw_descent(simulation: Simulation, flight: Flight, path: Path) -> None:
             ls="",
             marker="s",
             color=COLOURS[2],
-            label=_MARKED[type(simulation.eyes)],
+            label=_MARKED[simulation.scenario.mapper.kind],
         ),
         Line2D([], [], ls="", marker="D", color=COLOURS[1], label="divert"),
         Line2D([], [], ls="", marker="v", color="black", label="touchdown"),
@@ -173,8 +172,9 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
 
     show(panels[3], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     points = flight.scans
-    if isinstance(simulation.eyes, CameraEyes):
-        _tracked_rocks(panels[3], simulation.eyes.rocks, error)
+    rocks = simulation.computer.navigation
+    if isinstance(rocks, RockFilter):
+        _tracked_rocks(panels[3], rocks, error)
     if len(points):
         dots = panels[3].scatter(
             points[:, 0] - error[0],
@@ -188,7 +188,7 @@ def draw_maps(simulation: Simulation, flight: Flight, path: Path) -> None:
     map_axes(
         panels[3],
         "LiDAR returns (thinned)"
-        if not isinstance(simulation.eyes, CameraEyes)
+        if not isinstance(rocks, RockFilter)
         else "rocks tracked by their shadows",
     )
 

@@ -1,5 +1,6 @@
-"""What turns measurements into a `HazardMap`: the one product that every mapper gives."""
+"""Where it is safe to land: the map that all mappers share, and the mappers."""
 
-from lunarsim.onboard.hazards.hazard_map import HazardMap, HazardMapper
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
 
 __all__ = ["HazardMap", "HazardMapper"]

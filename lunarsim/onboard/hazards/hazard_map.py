@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.navigation.estimate import Estimate
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
@@ -88,15 +86,3 @@ class HazardMap:
             p, sigma / self.grid.posting, mode="constant", cval=0.0, truncate=3.0
         )
         return np.where(self.observed, smooth, np.float32(0.0)).astype(np.float32)
-
-
-class HazardMapper(Protocol):
-    """Anything that draws a `HazardMap` from measurements."""
-
-    def update(self, measurement: Any, estimate: Estimate) -> None:
-        """Take in one measurement made at the estimated pose."""
-        ...
-
-    def hazard_map(self) -> HazardMap:
-        """Return the map as it stands."""
-        ...

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
 
@@ -42,9 +40,40 @@ class Estimate:
     covariance: Array
 
 
-class Navigation(Protocol):
-    """Anything that turns truth or measurements into an `Estimate`."""
+@dataclass(frozen=True)
+class NavigationEvent:
+    """Something that navigation reports.
 
-    def update(self, state: State, time: float) -> Estimate:
-        """Return the estimate at `time`; called once a control cycle."""
+    Attributes
+    ----------
+    time
+        s.
+    name
+        For instance "lock", "lock-lost" or "relock".
+    details
+        Figures for the record.
+    """
+
+    time: float
+    name: str
+    details: dict[str, Any]
+
+
+class Navigation(Protocol):
+    """Anything that turns measurements into an `Estimate`.
+
+    Attributes
+    ----------
+    events
+        What it has reported so far.
+    """
+
+    events: list[NavigationEvent]
+
+    def take(self, measurement: Any, time: float) -> None:
+        """Take in one measurement; what it cannot use changes nothing."""
+        ...
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the estimate at `time` with the mass (kg) that the computer keeps."""
         ...

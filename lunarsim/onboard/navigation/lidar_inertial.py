@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import normalised, quat_multiply
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import LidarScan
+from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import INERTIAL, InertialState, InitialErrors
 from lunarsim.onboard.navigation.place_search import Features, Match, Patch, features_of, search
 from lunarsim.onboard.navigation.registration import (
@@ -98,25 +99,6 @@ class _Key:
     attitude: Array
 
 
-@dataclass(frozen=True)
-class NavigationEvent:
-    """A change of the lock.
-
-    Attributes
-    ----------
-    time
-        s.
-    name
-        "lock", "lock-lost" or "relock".
-    moved
-        By how much the position was corrected then (3,), m.
-    """
-
-    time: float
-    name: str
-    moved: Array
-
-
 class LidarInertialFilter:
     """Error-state filter: inertial samples carry it, LiDAR scans tie it to a map.
 
@@ -177,6 +159,13 @@ class LidarInertialFilter:
         """Return the lander's state as the rest of the loop takes it."""
         return self.inertial.estimate(self.covariance, time, mass)
 
+    def take(self, measurement: Any, time: float) -> None:
+        """Take in inertial samples or a scan."""
+        if isinstance(measurement, InertialSamples):
+            self.propagate(measurement.angle, measurement.velocity)
+        elif isinstance(measurement, LidarScan):
+            self.update_scan(measurement, time)
+
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         transition, noise = self.inertial.propagate(
@@ -210,7 +199,7 @@ class LidarInertialFilter:
         if self.locked and time - self._agreed > self.settings.lost_s:
             self.locked = False
             self._patch.clear()
-            self.events.append(NavigationEvent(time, "lock-lost", np.zeros(3)))
+            self.events.append(NavigationEvent(time, "lock-lost", {"moved": 0.0}))
         self._remember(scan, width)
         return agreed
 
@@ -229,7 +218,9 @@ class LidarInertialFilter:
         self.locked = True
         self._agreed = time
         self._patch.clear()
-        self.events.append(NavigationEvent(time, name, self._moved))
+        self.events.append(
+            NavigationEvent(time, name, {"moved": float(np.linalg.norm(self._moved))})
+        )
 
     # --- the map --------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ one update, which equals the sequential one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,10 +21,11 @@ from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
+from lunarsim.messages.measurements import AltimeterReading, InertialSamples
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import INERTIAL, InertialState, InitialErrors
 from lunarsim.onboard.navigation.planar import inverse
 
@@ -83,6 +85,7 @@ class RockFilter:
         capacity: int = 128,
     ) -> None:
         self.inertial = inertial
+        self.events: list[NavigationEvent] = []
         self.ground = float(ground)
         self.count = 0
         self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
@@ -154,6 +157,13 @@ class RockFilter:
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it."""
         return self.inertial.estimate(self._p, time, mass)
+
+    def take(self, measurement: Any, time: float) -> None:
+        """Take in inertial samples or an altimeter's range; pictures come through the tracker."""
+        if isinstance(measurement, InertialSamples):
+            self.propagate(measurement.angle, measurement.velocity)
+        elif isinstance(measurement, AltimeterReading):
+            self.update_range(measurement.range, measurement.sigma)
 
     # --- time -----------------------------------------------------------------------------
 

@@ -11,11 +11,12 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.safety import plane_stochastic_safety, stochastic_safety
 
 
-class GaussianDemMapper:
+class GaussianDemMapper(HazardMapper):
     """Fuses flash LiDAR scans into a Gaussian DEM and judges landing safety on it.
 
     Parameters
@@ -72,3 +73,8 @@ class GaussianDemMapper:
     def hazard_map(self) -> HazardMap:
         """Return the map as it stands."""
         return self._map
+
+    @property
+    def blank(self) -> bool:
+        """Whether no scan had a return yet."""
+        return self.dem is None

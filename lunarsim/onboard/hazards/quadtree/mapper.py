@@ -11,6 +11,7 @@ from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.quadtree.calibration import features, measured
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.sites import Selection, SiteSelector
@@ -31,7 +32,7 @@ class _Held:
     attitude: Array
 
 
-class QuadtreeMapper:
+class QuadtreeMapper(HazardMapper):
     """Keeps a quadtree of scans and judges landing sites on it.
 
     Parameters
@@ -52,6 +53,8 @@ class QuadtreeMapper:
         Scans whose ground is uncertain by more than this in any direction (1 sigma, m) wait until
         navigation knows better, and are then placed anew. Infinite: taken as they come, so that
         what was seen before the first lock is smeared by the drift, as in the paper.
+    interval
+        Least time between two selections of sites while flying, s.
     """
 
     def __init__(
@@ -65,6 +68,7 @@ class QuadtreeMapper:
         interest: InterestMap | None = None,
         model: Logistic | None = None,
         hold_sigma: float = 0.5,
+        interval: float = 1.0,
     ) -> None:
         self.grid = grid
         west, east, south, north = grid.extent
@@ -77,6 +81,8 @@ class QuadtreeMapper:
         self._model = model
         self._hold_sigma = hold_sigma
         self._held: list[_Held] = []
+        self._interval = interval
+        self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = HazardMap.unobserved(grid)
 
@@ -120,13 +126,21 @@ class QuadtreeMapper:
             self._drawn = None
         return self.selection
 
-    def hazard_map(self) -> HazardMap:
-        """Return the map as it stands."""
-        self.select()
-        return self.last_map()
+    def refresh(self, time: float) -> None:
+        """Select sites anew if it is time to."""
+        if time >= self._refreshed + self._interval - 1e-9:
+            self._refreshed = time
+            self.select()
 
-    def last_map(self) -> HazardMap:
-        """Return the map as it was when sites were last judged."""
+    @property
+    def blank(self) -> bool:
+        """Whether no scan has been mapped yet."""
+        return self.map.count == 0
+
+    def hazard_map(self) -> HazardMap:
+        """Return the map as it was when sites were last selected."""
+        if self.selection is None:
+            self.select()
         if self._drawn is None:
             assert self.selection is not None
             self._drawn = self._draw(self.selection)

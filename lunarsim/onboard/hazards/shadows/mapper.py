@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.shadows.probability_map import ProbabilityMap
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -15,7 +16,7 @@ from lunarsim.onboard.perception.detector import Detections, DetectorSettings, d
 Array = NDArray[np.float64]
 
 
-class ShadowMapper:
+class ShadowMapper(HazardMapper):
     """Sees rocks by their shadows, tracks them, and maps the probability of hazard.
 
     Parameters
@@ -49,7 +50,7 @@ class ShadowMapper:
         self.grid = probability.grid
         self.sun = np.asarray(sun, dtype=np.float64)
         self.footprint = footprint
-        self.refresh = refresh
+        self.interval = refresh
         self.detector = detector or DetectorSettings()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
@@ -71,9 +72,14 @@ class ShadowMapper:
 
     def hazard_map(self) -> HazardMap:
         """Return the map, at most `refresh` seconds old."""
-        if self._time >= self._mapped + self.refresh - 1e-9 or (
+        if self._time >= self._mapped + self.interval - 1e-9 or (
             self._time > self._mapped == -np.inf
         ):
             self._map = self.probability.hazard_map(self.tracker, self.footprint)
             self._mapped = self._time
         return self._map
+
+    @property
+    def blank(self) -> bool:
+        """Whether no picture was taken yet."""
+        return self.seen is None

@@ -1,0 +1,5 @@
+"""Where sensors point, and when they measure."""
+
+from lunarsim.onboard.tasking.contract import Situation, Tasking
+
+__all__ = ["Situation", "Tasking"]

@@ -1,0 +1,48 @@
+"""The contract of tasking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.commands import SensorTask
+from lunarsim.onboard.navigation.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What tasking is told.
+
+    Attributes
+    ----------
+    time
+        s.
+    altitude
+        Of the pads above the site, m.
+    site
+        Where the lander is going (3,), m.
+    estimate
+        Where it is.
+    """
+
+    time: float
+    altitude: float
+    site: Array
+    estimate: Estimate
+
+
+class Tasking(Protocol):
+    """Anything that points and triggers one sensor."""
+
+    def task(self, situation: Situation) -> SensorTask | None:
+        """Return what the sensor is to do now, None for nothing; called once a cycle."""
+        ...
+
+    def stop(self) -> None:
+        """Ask for no more measurements."""
+        ...
