@@ -62,8 +62,8 @@ _FLIGHT = click.option(
 @main.command()
 @_SCENARIO
 @click.option(
-    "--policy", default="safest", show_default=True,
-    help="no-divert, safest, nearest-safe, fuel-aware or truth-oracle.",
+    "--policy", default=None, show_default="the scenario's",
+    help="A name that `lunarsim parts policy` lists, or module:Class.",
 )  # fmt: skip
 @_SEED
 @_FLIGHT
@@ -71,17 +71,19 @@ _FLIGHT = click.option(
     "--out", type=click.Path(path_type=Path), default=None,
     help="New folder for the record and figures.",
 )  # fmt: skip
-def fly(scenario: Path, policy: str, seed: int, flight: int, out: Path | None) -> None:
+def fly(scenario: Path, policy: str | None, seed: int, flight: int, out: Path | None) -> None:
     """Fly one descent of SCENARIO (a TOML file) and print how it ended."""
     from lunarsim.campaign.compare import check_folder, check_request
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
 
-    check_request([policy], 1, 1)
+    loaded = Scenario.load(scenario)
+    chosen = policy or loaded.policy.kind
+    check_request([chosen], 1, 1)
     if out is not None:
         check_folder(out)
-    simulation = Simulation(Scenario.load(scenario), flight_seed(seed, flight), policy)
+    simulation = Simulation(loaded, flight_seed(seed, flight), chosen)
     record = simulation.run()
     console = Console()
     verdict = record.verdict
@@ -99,7 +101,7 @@ def fly(scenario: Path, policy: str, seed: int, flight: int, out: Path | None) -
         from lunarsim.viz import draw_flight
 
         record.save(out)
-        draw_flight(simulation, record, out)
+        draw_flight(record, simulation.world, simulation.truth, out)
         console.print(f"record and figures in {out}")
 
 
@@ -283,7 +285,7 @@ def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
     """Draw the ground of SCENARIO: shaded relief, slopes, rocks."""
     from lunarsim.rng import Streams, flight_seed
     from lunarsim.scenario import Scenario
-    from lunarsim.simulation.build import build_world
+    from lunarsim.simulation.worlds import build_world
     from lunarsim.viz.terrain import draw_terrain
 
     loaded = Scenario.load(scenario)
@@ -307,19 +309,52 @@ def truth(scenario: Path, seed: int, flight: int, posting: float, size: float, o
     """Write true maps of SCENARIO's ground: elevation, slope, rocks, exact safety, shadow."""
     from lunarsim.rng import Streams, flight_seed
     from lunarsim.scenario import Scenario
-    from lunarsim.simulation.build import build_world, lander_of
+    from lunarsim.simulation.worlds import build_world
     from lunarsim.world.truth_products import TruthProducts, survey_grid
 
     loaded = Scenario.load(scenario)
     check_output("out", out, ".nc")
     world = build_world(loaded, Streams(flight_seed(seed, flight)))
     grid = survey_grid(world, loaded.target.position_m, size, posting)
-    maps = TruthProducts.of(world, lander_of(loaded), grid)
+    maps = TruthProducts.of(world, loaded.vehicle.make(), grid)
     maps.save(out)
     click.echo(
         f"{out}: {grid.rows} x {grid.cols} cells, {100 * maps.safe.mean():.1f} % exactly safe, "
         f"{100 * (maps.rock >= 0).mean():.1f} % under rocks, {100 * maps.shadow.mean():.1f} % dark"
     )
+
+
+@main.command()
+@click.argument("contract", required=False)
+def parts(contract: str | None) -> None:
+    """List the parts that scenarios choose from, or those of one CONTRACT."""
+    from lunarsim.scenario.reference import parts_list
+
+    for line in parts_list(contract):
+        click.echo(line)
+
+
+@main.group(cls=_Group)
+def scenario() -> None:
+    """Scenario files: what they may hold, and whether one is right."""
+
+
+@scenario.command()
+@click.option("--markdown", is_flag=True, help="As Markdown tables; else as text.")
+def reference(markdown: bool) -> None:
+    """Print every key of a scenario file with unit, default, bounds and meaning."""
+    from lunarsim.scenario.reference import reference_text
+
+    click.echo(reference_text(markdown=markdown))
+
+
+@scenario.command()
+@click.argument("file", type=click.Path(path_type=Path))
+def check(file: Path) -> None:
+    """Check a scenario FILE and print it whole, defaults included."""
+    from lunarsim.scenario import Scenario
+
+    click.echo(Scenario.load(file).to_toml(), nl=False)
 
 
 def _table(result: Any) -> Table:

@@ -3,6 +3,10 @@
 ENU
     Local Cartesian frame fixed to the ground: x east, y north, z up, metres. Its origin is the
     centre of the terrain at the terrain's mean elevation. Gravity is ``(0, 0, -g)``.
+Local and site
+    Two such frames. `local` is where the onboard computer keeps maps, sites and its own estimate:
+    it never jumps. `site` is the frame of the target and of prior maps. Navigation estimates the
+    shift between them (`Shift`); an error that it has is shared by lander and map.
 Body
     Fixed to the lander, origin at the centre of mass, z along the thrust (up through the
     vehicle when it stands), x forward, y left.
@@ -18,10 +22,33 @@ Angles
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """From the site frame to the local frame; both point the same way.
+
+    Attributes
+    ----------
+    offset
+        Local less site coordinates (3,), m.
+    """
+
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+
+    def to_local(self, points: ArrayLike) -> Array:
+        """Return local coordinates of points (..., 3) of the site frame."""
+        return np.asarray(points, dtype=np.float64) + self.offset
+
+    def to_site(self, points: ArrayLike) -> Array:
+        """Return site coordinates of points (..., 3) of the local frame."""
+        return np.asarray(points, dtype=np.float64) - self.offset
 
 
 def normalised(v: ArrayLike) -> Array:

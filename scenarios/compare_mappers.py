@@ -30,11 +30,11 @@ from lunarsim.onboard.hazards.gaussian_dem import fuse, gaussian_dem
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSelector
 from lunarsim.onboard.hazards.quadtree.mapper import rasterised
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.settings import settings_of
 from lunarsim.rng import flight_seed
 from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.build_quadtree import settings_of
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 
 HERE = Path(__file__).parent

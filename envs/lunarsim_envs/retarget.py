@@ -154,7 +154,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     def _to_next_decision(self, simulation: Simulation) -> None:
         """Fly until the navigation half of the cycle in which a decision is due, or the end."""
         while not simulation.done:
-            simulation.navigate()
+            simulation.update()
             if simulation.decision_due:
                 break
             simulation.move()

@@ -19,12 +19,13 @@ import pyarrow.parquet as pq
 
 import lunarsim
 from lunarsim.campaign.pool import outcomes
-from lunarsim.errors import InputError, suggestion
+from lunarsim.errors import InputError
 from lunarsim.evaluation.outcome import evaluate
-from lunarsim.onboard.policies.library import policy_names
+from lunarsim.onboard.policies.contract import RetargetingPolicy
+from lunarsim.parts import resolve
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation, build_world, lander_of
+from lunarsim.simulation import Simulation, build_world
 from lunarsim.world.truth import Truth
 
 Progress = Callable[[int], None]
@@ -57,7 +58,7 @@ class CompareResult:
 @dataclass(frozen=True)
 class _Task:
     scenario: Scenario
-    policies: tuple[str, ...]
+    policies: tuple[str | RetargetingPolicy, ...]
     root: int
     flight: int
     out: Path | None
@@ -77,7 +78,7 @@ def _fly_all(task: _Task) -> _Outcome:
     scenario = task.scenario
     seed = flight_seed(task.root, task.flight)
     world = build_world(scenario, Streams(seed))
-    truth = Truth.of(world, lander_of(scenario), scenario.mapper.posting_m)
+    truth = Truth.of(world, scenario.vehicle.make())
     # Scatter half sides of zero still mean a spot: look at a footprint's width around it.
     half = np.maximum(scenario.target.scatter_m, 2.0)
     centre = scenario.target.position_m
@@ -87,30 +88,39 @@ def _fly_all(task: _Task) -> _Outcome:
     )
     rows, seconds = [], {}
     for policy in task.policies:
+        name = policy_name(policy)
         began = time.perf_counter()
         simulation = Simulation(scenario, seed, policy, world=world, truth=truth)
         flight = simulation.run()
-        seconds[policy] = time.perf_counter() - began
-        rows.append({"flight": task.flight, **evaluate(simulation, flight)})
+        seconds[name] = time.perf_counter() - began
+        rows.append({"flight": task.flight, **evaluate(flight, truth), "policy": name})
         if task.out is not None:
-            flight.save(task.out / "flights" / policy / f"{task.flight:05d}")
+            flight.save(task.out / "flights" / name / f"{task.flight:05d}")
             if task.figures:
                 from lunarsim.viz import draw_flight  # noqa: PLC0415  (matplotlib is slow to load)
 
-                draw_flight(simulation, flight, task.out / "figures" / policy)
+                draw_flight(flight, world, truth, task.out / "figures" / name)
     return _Outcome(task.flight, rows, seconds, shares)
 
 
-def check_request(policies: Sequence[str], flights: int, jobs: int) -> None:
+def policy_name(policy: str | RetargetingPolicy) -> str:
+    """Return the name of a policy in tables and folders."""
+    name = policy if isinstance(policy, str) else policy.name
+    return name.rpartition(":")[2] if ":" in name else name
+
+
+def check_request(policies: Sequence[str | RetargetingPolicy], flights: int, jobs: int) -> None:
     """Raise `InputError` for a request that cannot be met."""
-    known = policy_names()
-    for name in policies:
-        if name not in known:
-            raise InputError("--policies", name, suggestion(name, known))
+    for policy in policies:
+        if isinstance(policy, str):
+            resolve("policy", policy, "--policies")
+        elif not (hasattr(policy, "decide") and isinstance(getattr(policy, "name", None), str)):
+            raise InputError("policies", policy, "an object with `name` and `decide(observation)`")
     if not policies:
-        raise InputError("--policies", "", "at least one of: " + ", ".join(known))
-    if len(set(policies)) < len(policies):
-        raise InputError("--policies", ",".join(policies), "each policy once")
+        raise InputError("--policies", "", "at least one; `lunarsim parts policy` lists them")
+    names = [policy_name(policy) for policy in policies]
+    if len(set(names)) < len(names):
+        raise InputError("--policies", ",".join(names), "each policy once")
     if flights < 1:
         raise InputError("--flights", flights, "at least 1")
     if jobs < 1:
@@ -127,7 +137,7 @@ def check_folder(out: Path) -> None:
 
 def compare(
     scenario: Scenario,
-    policies: Sequence[str],
+    policies: Sequence[str | RetargetingPolicy],
     *,
     flights: int,
     seed: int,
@@ -143,7 +153,7 @@ def compare(
     scenario
         The study.
     policies
-        Names of policies.
+        Policies: names, "module:Class", or objects that can be pickled where `jobs` is above 1.
     flights, seed, jobs
         Flights a policy, root seed, processes.
     out
@@ -184,7 +194,9 @@ def compare(
     done.sort(key=lambda outcome: outcome.flight)
     result = CompareResult(
         rows=[row for outcome in done for row in outcome.rows],
-        seconds={p: [outcome.seconds[p] for outcome in done] for p in policies},
+        seconds={
+            name: [outcome.seconds[name] for outcome in done] for name in map(policy_name, policies)
+        },
         safe_share=_mean([outcome.shares[0] for outcome in done]),
         safe_share_at_heading=_mean([outcome.shares[1] for outcome in done]),
         complete=complete,

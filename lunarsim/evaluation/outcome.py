@@ -1,28 +1,38 @@
-"""The figures of one flight, for the results table."""
+"""The figures of one flight, for the results table: from its record and the truth alone."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lunarsim.simulation import Simulation
+from lunarsim.evaluation.map_quality import MapQuality, map_quality
+from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
+from lunarsim.world.truth import Truth
 
-# Safe cells tried for reachability; they are spread over the scanned ground.
+Array = NDArray[np.float64]
+
+# Safe cells tried for reachability; they are spread over the mapped ground.
 _TRIES = 400
 
 
-def evaluate(simulation: Simulation, flight: Flight) -> dict[str, Any]:
+def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
     """Return one row of results: plain numbers, no wall-clock times.
 
     Map cells count where the map has observed them; a cell is called safe at p_safe > 0.5.
+
+    Parameters
+    ----------
+    flight
+        The record, as flown or as loaded.
+    truth
+        Exact safety of the world that it was flown in.
     """
     touchdown = flight.verdict.touchdown
-    truth = simulation.truth
-    start = flight.trajectory
-    site = np.array([start[f"site_{a}"][0] for a in "xyz"])
-    error = np.array([start[f"estimated_{a}"][0] - start[f"position_{a}"][0] for a in "xyz"])
+    nan = float("nan")
     row: dict[str, Any] = {
         "policy": flight.policy,
         "safe": flight.verdict.safe,
@@ -31,10 +41,7 @@ def evaluate(simulation: Simulation, flight: Flight) -> dict[str, Any]:
         "duration_s": flight.duration,
         "divert_m": flight.divert_distance,
         "decisions": len(flight.decisions),
-        "target_exactly_safe": bool(truth.safe_at((site - error)[:2])),
-    }
-    nan = float("nan")
-    row |= {
+        "target_exactly_safe": bool(truth.safe_at(first_aim(flight))),
         "touchdown_x_m": float(touchdown.position[0]) if touchdown else nan,
         "touchdown_y_m": float(touchdown.position[1]) if touchdown else nan,
         "touchdown_exactly_safe": bool(
@@ -47,27 +54,41 @@ def evaluate(simulation: Simulation, flight: Flight) -> dict[str, Any]:
         "roughness_m": touchdown.roughness if touchdown else nan,
         "tip_margin": touchdown.tip_margin if touchdown else nan,
     }
-    return row | _map_figures(simulation, flight)
-
-
-def _map_figures(simulation: Simulation, flight: Flight) -> dict[str, Any]:
-    """Compare the last map with the truth, cell by cell."""
-    empty = {"map_hits": 0, "map_false_safe": 0, "map_missed": 0, "safe_site_in_reach": False}
-    if flight.hazard_map is None or simulation.first_map_estimate is None:
-        return empty
-    hazard_map = flight.hazard_map
-    xy = hazard_map.grid.centres()
-    safe = simulation.truth.safe_at(xy - flight.map_error[:2])[hazard_map.observed]
-    called = hazard_map.p_safe[hazard_map.observed] > 0.5
-    spots = xy[hazard_map.observed][safe]
-    spots = spots[:: max(1, len(spots) // _TRIES)]
-    in_reach = False
-    if len(spots):
-        sites = np.column_stack((spots, np.full(len(spots), simulation.site[2])))
-        in_reach = bool(simulation.cost_of(sites, simulation.first_map_estimate).feasible.any())
-    return {
-        "map_hits": int((safe & called).sum()),
-        "map_false_safe": int((~safe & called).sum()),
-        "map_missed": int((safe & ~called).sum()),
-        "safe_site_in_reach": in_reach,
+    quality = MapQuality.none()
+    if flight.hazard_map is not None:
+        quality = map_quality(flight.hazard_map, truth, flight.map_error)
+    return row | {
+        "map_hits": quality.hits,
+        "map_false_safe": quality.false_safe,
+        "map_missed": quality.missed,
+        "safe_site_in_reach": safe_site_in_reach(flight, truth),
     }
+
+
+def first_aim(flight: Flight) -> Array:
+    """Return the true point (2,), m, that the lander aimed at before any divert."""
+    t = flight.trajectory
+    row = -1
+    if flight.decisions:
+        row = int(np.argmin(np.abs(t["time"] - flight.decisions[0]["time"])))
+    error = [t[f"estimated_{a}"][row] - t[f"position_{a}"][row] for a in "xy"]
+    return np.asarray(flight.sites[row, :2] - error)
+
+
+def safe_site_in_reach(flight: Flight, truth: Truth) -> bool:
+    """Tell whether the mapped ground held an exactly safe site within reach when first mapped."""
+    m, first = flight.hazard_map, flight.first_map
+    if m is None or first is None:
+        return False
+    xy = m.grid.centres()[m.observed]
+    spots = xy[truth.safe_at(xy - flight.map_error[:2])]
+    spots = spots[:: max(1, len(spots) // _TRIES)]
+    if len(spots) == 0:
+        return False
+    scenario = Scenario.from_toml(flight.scenario)
+    approach, lander = scenario.approach.make(), scenario.vehicle.make()
+    sites = np.column_stack((spots, np.full(len(spots), flight.sites[-1, 2])))
+    cost = divert_cost(
+        first, approach.end(sites, lander), lander, scenario.gravity_m_s2, limits=approach.limits
+    )
+    return bool(cost.feasible.any())

@@ -9,22 +9,6 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Command:
-    """What guidance asks of the vehicle for one control cycle.
-
-    Attributes
-    ----------
-    thrust
-        Thrust, N; 0 shuts the engine down, other values are held in the throttle range.
-    attitude
-        Wanted attitude, quaternion, body to ENU (4,).
-    """
-
-    thrust: float
-    attitude: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
 class SensorTask:
     """One measurement that a pointed sensor is to make.
 
@@ -38,3 +22,22 @@ class SensorTask:
 
     sensor: str
     mount: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is asked for one control cycle.
+
+    Attributes
+    ----------
+    thrust
+        N; 0 shuts the engine down, other values are held in the throttle range.
+    attitude
+        Wanted attitude, quaternion, body to ENU (4,).
+    tasks
+        Measurements to make at the end of the cycle.
+    """
+
+    thrust: float
+    attitude: NDArray[np.float64]
+    tasks: tuple[SensorTask, ...] = ()

@@ -124,8 +124,6 @@ class NavigationFix:
         ENU (3,), m and m/s.
     attitude
         Quaternion, body to ENU (4,).
-    rate
-        Body rate (3,), rad/s.
     covariance
         Of position, velocity and small rotation in ENU (9, 9), m, m/s, rad.
     """
@@ -134,24 +132,20 @@ class NavigationFix:
     position: Array
     velocity: Array
     attitude: Array
-    rate: Array
     covariance: Array
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """What the plant gave over one exchange.
+    """What the plant gave over one control cycle.
 
     Attributes
     ----------
     time
         Now, s.
-    mass
-        By the propellant gauge, kg.
     items
         Name of the sensor and what it measured, in the order in which it was.
     """
 
     time: float
-    mass: float
     items: tuple[tuple[str, Any], ...] = ()

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import normalised, quat_to_matrix, sensor_axes
+from lunarsim.frames import (
+    normalised,
+    quat_from_rotation_vector,
+    quat_to_matrix,
+    sensor_axes,
+)
 
 Array = NDArray[np.float64]
 
@@ -34,3 +39,13 @@ def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi
         wanted = np.cos(limit) * _REST + np.sin(limit) * aside
         return np.asarray(rotation.T @ sensor_axes(rotation @ wanted))
     return np.asarray(rotation.T @ sensor_axes(boresight))
+
+
+def within(mount: Array, limit: float) -> Array:
+    """Return a mount (3, 3), turned back to the gimbal's limit (rad) where it is beyond it."""
+    boresight = mount[:, 2]
+    if boresight @ _REST >= np.cos(limit) - 1e-9:
+        return mount
+    axis = normalised(np.cross(boresight, _REST))
+    excess = np.arccos(np.clip(boresight @ _REST, -1.0, 1.0)) - limit
+    return np.asarray(quat_to_matrix(quat_from_rotation_vector(axis * excess)) @ mount)

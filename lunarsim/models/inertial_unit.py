@@ -7,10 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.parts.quantity import quantity
 
 
 @dataclass(frozen=True)
-class InertialErrors:
+class TriadErrors:
     """Error model of one triad; u is rad for gyroscopes and m/s for accelerometers.
 
     Attributes
@@ -29,12 +30,12 @@ class InertialErrors:
         Least increment, u; 0: none. What is not yet a whole quantum is kept for the next sample.
     """
 
-    bias: float = 0.0
-    random_walk: float = 0.0
-    bias_walk: float = 0.0
-    scale_factor: float = 0.0
-    misalignment: float = 0.0
-    quantum: float = 0.0
+    bias: float = quantity(0.0, ge=0, help="of one power-on, 1 sigma, u/s")
+    random_walk: float = quantity(0.0, ge=0, help="white noise, u/sqrt(s)")
+    bias_walk: float = quantity(0.0, ge=0, help="walk of the bias, u/s per sqrt(s)")
+    scale_factor: float = quantity(0.0, ge=0, help="1 sigma")
+    misalignment: float = quantity(0.0, ge=0, help="of each axis towards each other, rad, 1 sigma")
+    quantum: float = quantity(0.0, ge=0, help="least increment, u")
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -44,5 +45,5 @@ class InertialErrors:
 
 
 # A tactical unit: 1 deg/h, 0.1 deg/sqrt(h), 100 ppm; 300 micro-g, 0.05 m/s/sqrt(h), 200 ppm.
-GYROSCOPES = InertialErrors(4.8e-6, 2.9e-5, 1e-7, 1e-4, 1e-4, 1e-6)
-ACCELEROMETERS = InertialErrors(2.9e-3, 8e-4, 1e-5, 2e-4, 1e-4, 1e-4)
+GYROSCOPES = TriadErrors(4.8e-6, 2.9e-5, 1e-7, 1e-4, 1e-4, 1e-6)
+ACCELEROMETERS = TriadErrors(2.9e-3, 8e-4, 1e-5, 2e-4, 1e-4, 1e-4)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.parts.quantity import quantity
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition; turns specific impulse into exhaust speed
 
@@ -49,26 +51,32 @@ class Lander:
         Angular rate at touchdown, rad/s.
     """
 
-    dry_mass: float = 1100.0
-    propellant_mass: float = 400.0
-    inertia_dry: tuple[float, float, float] = (1100.0, 1100.0, 1300.0)
-    inertia_full: tuple[float, float, float] = (1400.0, 1400.0, 1600.0)
-    thrust_min: float = 600.0
-    thrust_max: float = 6000.0
-    specific_impulse: float = 311.0
-    thrust_lag: float = 0.1
-    torque_max: tuple[float, float, float] = (600.0, 600.0, 300.0)
-    legs: int = 4
-    leg_radius: float = 2.35
-    pad_diameter: float = 0.3
-    com_height: float = 1.6
-    belly_clearance: float = 0.25
-    slope_limit: float = np.deg2rad(10.0)
-    roughness_limit: float = 0.25
-    vertical_speed_limit: float = 3.0
-    horizontal_speed_limit: float = 1.0
-    tilt_limit: float = np.deg2rad(6.0)
-    rate_limit: float = np.deg2rad(6.0)
+    dry_mass: float = quantity(1100.0, "kg", gt=0, help="without propellant")
+    propellant_mass: float = quantity(400.0, "kg", gt=0, help="full tanks")
+    inertia_dry: tuple[float, float, float] = quantity(
+        (1100.0, 1100.0, 1300.0), "kg m^2", gt=0, help="principal moments, tanks empty"
+    )
+    inertia_full: tuple[float, float, float] = quantity(
+        (1400.0, 1400.0, 1600.0), "kg m^2", gt=0, help="principal moments, tanks full"
+    )
+    thrust_min: float = quantity(600.0, "N", ge=0, help="of the running engine")
+    thrust_max: float = quantity(6000.0, "N", gt=0, help="of the engine")
+    specific_impulse: float = quantity(311.0, "s", gt=0)
+    thrust_lag: float = quantity(0.1, "s", ge=0, help="time constant of the engine")
+    torque_max: tuple[float, float, float] = quantity(
+        (600.0, 600.0, 300.0), "N m", gt=0, help="of the thrusters about each body axis"
+    )
+    legs: Literal[3, 4] = quantity(4, help="number of legs")
+    leg_radius: float = quantity(2.35, "m", gt=0, help="circle of the pads' centres")
+    pad_diameter: float = quantity(0.3, "m", gt=0)
+    com_height: float = quantity(1.6, "m", gt=0, help="centre of mass above the pads")
+    belly_clearance: float = quantity(0.25, "m", gt=0, help="underside above the pads")
+    slope_limit: float = quantity(10.0, "deg", gt=0, lt=45, help="of the ground landed on")
+    roughness_limit: float = quantity(0.25, "m", gt=0, help="of the ground landed on")
+    vertical_speed_limit: float = quantity(3.0, "m/s", gt=0, help="at touchdown")
+    horizontal_speed_limit: float = quantity(1.0, "m/s", gt=0, help="at touchdown")
+    tilt_limit: float = quantity(6.0, "deg", gt=0, lt=90, help="at touchdown")
+    rate_limit: float = quantity(6.0, "deg/s", gt=0, help="at touchdown")
 
     def __post_init__(self) -> None:
         positive = (
@@ -79,29 +87,29 @@ class Lander:
         for name in positive:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"lander.{name}", value, "a positive number")
+                raise InputError(f"vehicle.{name}", value, "a positive number")
         if self.legs not in (3, 4):
-            raise InputError("lander.legs", self.legs, "3 or 4")
+            raise InputError("vehicle.legs", self.legs, "3 or 4")
         if not 0.0 <= self.thrust_min < self.thrust_max:
             raise InputError(
-                "lander.thrust_min", self.thrust_min, f"0 or more and less than {self.thrust_max}"
+                "vehicle.thrust_min", self.thrust_min, f"0 or more and less than {self.thrust_max}"
             )
         if self.thrust_lag < 0.0:
-            raise InputError("lander.thrust_lag", self.thrust_lag, "0 or more seconds")
+            raise InputError("vehicle.thrust_lag", self.thrust_lag, "0 or more seconds")
         for name in ("inertia_dry", "inertia_full"):
             a, b, c = sorted(getattr(self, name))
             if not (a > 0.0 and a + b >= c):
                 raise InputError(
-                    f"lander.{name}",
+                    f"vehicle.{name}",
                     getattr(self, name),
                     "three positive moments, none larger than the sum of the others",
                 )
         if self.pad_diameter >= self.leg_radius:
             raise InputError(
-                "lander.pad_diameter", self.pad_diameter, f"less than {self.leg_radius}"
+                "vehicle.pad_diameter", self.pad_diameter, f"less than {self.leg_radius}"
             )
         if self.slope_limit >= np.pi / 4:
-            raise InputError("lander.slope_limit", self.slope_limit, "less than 45 deg")
+            raise InputError("vehicle.slope_limit", self.slope_limit, "less than 45 deg")
 
     @property
     def wet_mass(self) -> float:
@@ -126,18 +134,24 @@ class Lander:
             )
         )
 
+    def inertia(self, mass: float) -> NDArray[np.float64]:
+        """Return the principal moments (3,) at a mass (kg), kg m^2; linear in the propellant."""
+        full = (mass - self.dry_mass) / self.propellant_mass
+        dry, wet = np.asarray(self.inertia_dry), np.asarray(self.inertia_full)
+        return np.asarray(dry + full * (wet - dry))
+
     def check_hover(self, gravity: float) -> None:
         """Raise `InputError` unless the engine can hold the full lander against `gravity`."""
         weight = self.wet_mass * gravity
         if self.thrust_max <= weight:
             raise InputError(
-                "lander.thrust_max_n",
+                "vehicle.thrust_max_n",
                 self.thrust_max,
                 f"more than the lander's weight of {weight:.0f} N: it cannot hover",
             )
         if self.thrust_min >= self.dry_mass * gravity:
             raise InputError(
-                "lander.thrust_min_n",
+                "vehicle.thrust_min_n",
                 self.thrust_min,
                 f"less than the empty lander's weight of {self.dry_mass * gravity:.0f} N: "
                 "it cannot descend",

@@ -1,160 +1,120 @@
 """The onboard computer: measurements in, commands out.
 
-It knows its briefing and what its sensors told it, and nothing of the world. `step` does a whole
-control cycle; the loop calls its parts one by one where somebody outside decides where to land.
+It is built from a briefing and meets nothing else: no world, no true state, no loop. `step` does a
+whole control cycle; the loop calls its parts one by one where somebody outside decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.frames import Shift, quat_from_rotation_vector, quat_multiply
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
-from lunarsim.models.lander import Lander
+from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.onboard.control.thrust import thrust_to_command
-from lunarsim.onboard.guidance.apollo import ApolloGuidance
-from lunarsim.onboard.guidance.divert import DivertCost, DivertLimits, divert_cost
-from lunarsim.onboard.guidance.law import Target
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert import DivertCost, divert_cost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import candidate_sites
-from lunarsim.onboard.policies.contract import Candidates, Decision, Observation
-from lunarsim.onboard.tasking.contract import Situation, Tasking
+from lunarsim.onboard.policies.contract import (
+    Candidates,
+    Decision,
+    Observation,
+    RetargetingPolicy,
+)
+from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
 
 APPROACH, VERTICAL = 0, 1
 
 
-@dataclass(frozen=True)
-class Decisions:
-    """When a policy is asked, and what it chooses from.
-
-    Attributes
-    ----------
-    first_altitude, last_altitude
-        Between which decisions are due, m.
-    interval
-        s.
-    candidates, separation
-        Number of sites and least distance between them, m.
-    touchdown_sigma
-        Expected miss on the map, an axis, m.
-    """
-
-    first_altitude: float
-    last_altitude: float
-    interval: float
-    candidates: int
-    separation: float
-    touchdown_sigma: float
-
-
-@dataclass(frozen=True)
-class Approach:
-    """How the site is approached.
-
-    Attributes
-    ----------
-    vertical_altitude, vertical_speed
-        Where the vertical descent begins, m above the site, and its speed, m/s.
-    arrival_acceleration
-        At the end of the polynomial (3,), m/s^2.
-    time_to_go
-        Fixed, s; None: the cheapest admissible.
-    heading
-        Azimuth of body x, rad.
-    """
-
-    vertical_altitude: float
-    vertical_speed: float
-    arrival_acceleration: tuple[float, float, float]
-    time_to_go: float | None
-    heading: float
-
-
 class OnboardComputer:
-    """Navigation, mappers, tasking, guidance and control of one lander.
+    """Navigation, mappers, tasking, policy, guidance and control of one lander.
 
     Parameters
     ----------
-    lander, gravity
-        Figures that the mission knows.
+    briefing
+        All that it knows beforehand, its own software included.
+    policy
+        Decides where to land; None: somebody outside does, by `apply`.
+
+    Attributes
+    ----------
     site
-        Where to land (3,), m.
-    navigation, mappers, tasking
-        Parts.
-    approach, limits, decisions
-        Settings.
-    response_time
-        Lag with which the vehicle follows, s.
+        Where it is flying to, local frame (3,), m.
+    telemetry
+        What happened: time (s), name, details.
+    diverts
+        Decisions that changed the site: time (s), old site, decision.
+    mapped
+        Names of the mappers that took something in during this cycle.
     """
 
-    def __init__(
-        self,
-        *,
-        lander: Lander,
-        gravity: float,
-        site: Array,
-        navigation: Navigation,
-        mappers: dict[str, HazardMapper],
-        takes: dict[str, str],
-        tasking: Sequence[Tasking],
-        approach: Approach,
-        limits: DivertLimits,
-        decisions: Decisions,
-        response_time: float,
-    ) -> None:
-        self.lander = lander
-        self.gravity = gravity
-        self.limits = limits
-        self.approach = approach
-        self.decisions = decisions
-        self.navigation = navigation
-        self.mappers = mappers
-        self.takes = takes
-        self.tasking = tasking
-        self.site = site
+    def __init__(self, briefing: Briefing, policy: RetargetingPolicy | None = None) -> None:
+        software = briefing.software
+        self.briefing = briefing
+        self.policy = policy
+        self.lander = briefing.lander
+        self.approach = software.approach
+        self.decisions = software.decisions
+        self.navigation = software.navigation.build(briefing)
+        self.mappers: dict[str, HazardMapper] = {
+            name: part.build(briefing, self.navigation) for name, part in software.mappers.items()
+        }
+        self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
+        control = software.control
+        lag = control.response_time + self.lander.thrust_lag
+        self.guidance = software.guidance.build(briefing, lag)
+        self.vertical = VerticalDescent(briefing.weight, self.approach.vertical_speed)
+        self.attitude_loop = AttitudeLoop(control, self.lander, briefing.step)
+        self.site: Array = briefing.target.copy()
         self.phase = APPROACH
         self.time = 0.0
+        self.mass = self.lander.wet_mass
+        self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
         self.telemetry: list[tuple[float, str, dict[str, Any]]] = []
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
-        self.mapped = False
-        self.vertical = VerticalDescent(gravity, approach.vertical_speed)
-        self.guidance = ApolloGuidance(gravity, np.nan, lead=response_time)
-        self._estimate: Estimate | None = None
-        self._height = approach.vertical_altitude + lander.com_height
+        self.mapped: set[str] = set()
+        self._arrival = briefing.time_to_go
+        self._thrust = 0.0
+        self._shift = Shift()
         self._next_decision = 0.0
-        self._retimed = False
+        self._decided = False
         self._aim: tuple[HazardMap, FloatMap] | None = None
         self._events = 0
 
     # --- what is known --------------------------------------------------------------------
 
     @property
-    def estimate(self) -> Estimate:
-        """Where the lander believes it is."""
-        if self._estimate is None:
-            raise RuntimeError("no measurement has come in yet")
-        return self._estimate
-
-    @property
     def altitude(self) -> float:
         """Estimated height of the pads above the site, m."""
-        return float(self.estimate.position[2] - self.site[2] - self.lander.com_height)
+        return self._height(self.estimate)
+
+    def _height(self, estimate: Estimate) -> float:
+        return float(estimate.position[2] - self.site[2] - self.lander.com_height)
 
     @property
-    def mapper(self) -> HazardMapper:
-        """The mapper whose map the policy decides on."""
-        return next(iter(self.mappers.values()))
+    def time_to_go(self) -> float:
+        """Until the end of the approach is to be reached, s."""
+        return self._arrival - self.time
+
+    @property
+    def mapper(self) -> HazardMapper | None:
+        """The mapper whose map decides; None for a lander without one."""
+        if not self.mappers:
+            return None
+        return self.mappers[self.decisions.map or next(iter(self.mappers))]
 
     @property
     def decision_due(self) -> bool:
@@ -162,39 +122,37 @@ class OnboardComputer:
         window = self.decisions
         return (
             self.phase == APPROACH
+            and self.mapper is not None
             and window.last_altitude <= self.altitude <= window.first_altitude
             and self.time >= self._next_decision - 1e-9
         )
 
     def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
-        """Return what it costs to fly from here to each of the sites (n, 3)."""
+        """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
         return divert_cost(
             estimate or self.estimate,
-            sites + np.array([0.0, 0.0, self._height]),
+            self.approach.end(sites, self.lander),
             self.lander,
-            self.gravity,
-            arrival_velocity=(0.0, 0.0, -self.approach.vertical_speed),
-            limits=self.limits,
+            self.briefing.weight,
+            limits=self.approach.limits,
         )
 
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
-        section = self.decisions
-        hazard_map = self.mapper.hazard_map()
+        mapper = self.mapper
+        if mapper is None:
+            raise RuntimeError("this lander has no mapper: there is nothing to decide on")
+        hazard_map = mapper.hazard_map()
         if self._aim is None or self._aim[0] is not hazard_map:
-            self._aim = (hazard_map, hazard_map.dispersed(section.touchdown_sigma))
+            self._aim = (hazard_map, hazard_map.dispersed(self.decisions.touchdown_sigma))
         aim = self._aim[1]
         self.candidates = candidate_sites(
             hazard_map,
             aim,
-            self.estimate,
             self.site,
-            self.lander,
-            self.gravity,
-            count=section.candidates,
-            separation=section.separation,
-            approach_height=self._height,
-            limits=self.limits,
+            self.cost_of,
+            count=self.decisions.candidates,
+            separation=self.decisions.separation,
         )
         row, col = (int(v) for v in hazard_map.grid.cell(self.site[:2]))
         inside = bool(hazard_map.grid.contains(self.site[:2]))
@@ -207,61 +165,74 @@ class OnboardComputer:
             site=self.site,
             site_p_safe=float(aim[row, col]) if seen else float("nan"),
             site_propellant=float(self.cost_of(self.site[None, :]).propellant[0]),
-            time_to_go=self.guidance.time_to_go(self.time),
-            propellant=self.estimate.mass - self.lander.dry_mass,
+            time_to_go=self.time_to_go,
+            propellant=self.mass - self.lander.dry_mass,
         )
 
     # --- a cycle --------------------------------------------------------------------------
 
-    def take(self, measurements: Measurements) -> None:
-        """Navigate and map by what has been measured."""
+    def step(self, measurements: Measurements) -> Command:
+        """Do a whole control cycle."""
+        self.update(measurements)
+        if self.policy is not None and self.decision_due:
+            self.apply(self.policy.decide(self.observe()))
+        return self.command()
+
+    def update(self, measurements: Measurements) -> None:
+        """Navigate and map by what has been measured since the last cycle."""
+        elapsed = measurements.time - self.time
+        # The tanks are not gauged: what the engine was asked for has been burnt.
+        burnt = self._thrust * elapsed / self.lander.exhaust_velocity
+        self.mass = max(self.mass - burnt, self.lander.dry_mass)
         self.time = measurements.time
-        self.mapped = False
-        if not measurements.items:
-            self._estimate = self.navigation.estimate(measurements.time, measurements.mass)
-        for name, measurement in measurements.items:
-            before = self._estimate
-            self.navigation.take(measurement, measurements.time)
-            after = self.navigation.estimate(measurements.time, measurements.mass)
-            self._estimate = after
-            if isinstance(measurement, InertialSamples):
-                continue
-            for key, mapper in self.mappers.items():
-                if before is not None:
-                    mapper.correct(before, after)
-                if self.takes[key] == name:
-                    mapper.update(measurement, after)
-                    self.mapped = True
-            # What a mapper told of the lander counts at once.
-            self._estimate = self.navigation.estimate(measurements.time, measurements.mass)
-            self._follow_navigation()
+        self.mapped = set()
+        for sensor, measurement in measurements.items:
+            self._take(sensor, measurement)
+        self.estimate = self.navigation.estimate(self.time, self.mass)
+        for mapper in self.mappers.values():
+            mapper.refresh(self.time)
+        if not self._decided and self.approach.time_to_go is None and elapsed == 0.0:
+            # The plan was made for the planned start: begin from where the lander is.
+            self._retime()
+
+    def _take(self, sensor: str, measurement: Any) -> None:
+        before = self.navigation.estimate(self.time, self.mass)
+        self.navigation.take(sensor, measurement, self.time)
+        self._follow_navigation()
+        if isinstance(measurement, InertialSamples):
+            return
+        after = self.navigation.estimate(self.time, self.mass)
+        for name, mapper in self.mappers.items():
+            mapper.correct(before, after)
+            if self.briefing.software.mappers[name].sensor == sensor:
+                mapper.update(measurement, after)
+                self.mapped.add(name)
 
     def _follow_navigation(self) -> None:
-        """Note what navigation reports; a path planned from far off is planned afresh."""
+        """Note what navigation reports, and move the briefed target where it is known to lie."""
+        shift = self.navigation.site_to_local
+        if not np.array_equal(shift.offset, self._shift.offset):
+            self._shift = shift
+            if not self.diverts:
+                self.site = shift.to_local(self.briefing.target)
+            for mapper in self.mappers.values():
+                if mapper.blank:
+                    mapper.recentre(shift.to_local(self.briefing.target))
         for event in self.navigation.events[self._events :]:
             self.telemetry.append((event.time, event.name, dict(event.details)))
             if event.name == "lock" and self.approach.time_to_go is None:
-                self.retime()
+                # A path planned from tens of metres off is planned afresh.
+                self.estimate = self.navigation.estimate(self.time, self.mass)
+                self._retime()
         self._events = len(self.navigation.events)
-
-    def tasks(self) -> list[SensorTask]:
-        """Return what pointed sensors are to measure."""
-        situation = Situation(self.time, self.altitude, self.site, self.estimate)
-        tasks = (part.task(situation) for part in self.tasking)
-        return [task for task in tasks if task is not None]
-
-    def refresh(self) -> None:
-        """Let mappers do what is due."""
-        for mapper in self.mappers.values():
-            mapper.refresh(self.time)
 
     def apply(self, decision: Decision) -> bool:
         """Carry out a decision; return False if its site is out of reach (the old one stays)."""
         self._next_decision = self.time + self.decisions.interval
-        first, self._retimed = not self._retimed, True
+        first, self._decided = not self._decided, True
         if decision.site is None:
             if first and self.approach.time_to_go is None:
-                self.retime()
+                self._retime()
             return True
         site = np.asarray(decision.site, dtype=np.float64)
         time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
@@ -272,10 +243,10 @@ class OnboardComputer:
             return False
         self.diverts.append((self.time, self.site, decision))
         self.site = site
-        self.guidance.arrival = self.time + time_to_go
+        self._arrival = self.time + time_to_go
         return True
 
-    def retime(self) -> None:
+    def _retime(self) -> None:
         """Choose the time-to-go to the present site afresh.
 
         A divert does so anyway. Without this a lander that keeps its site would fly on the
@@ -283,30 +254,46 @@ class OnboardComputer:
         """
         time_to_go = float(self.cost_of(self.site[None, :]).time_to_go[0])
         if np.isfinite(time_to_go):
-            self.guidance.arrival = self.time + time_to_go
+            self._arrival = self.time + time_to_go
 
     def command(self) -> Command:
-        """Return what the vehicle is to do until the next cycle."""
+        """Return what vehicle and sensors are to do until the next cycle."""
         if self.phase == APPROACH and (
-            self.altitude <= self.approach.vertical_altitude
-            or self.guidance.time_to_go(self.time) <= 0.0
+            self.altitude <= self.approach.vertical_altitude or self.time_to_go <= 0.0
         ):
             self.phase = VERTICAL
             self.telemetry.append((self.time, "vertical-descent", {"altitude": self.altitude}))
+        end: PhaseEnd
         if self.phase == APPROACH:
-            target = Target(
-                self.site + np.array([0.0, 0.0, self._height]),
-                np.array([0.0, 0.0, -self.approach.vertical_speed]),
-                np.asarray(self.approach.arrival_acceleration),
-            )
-            thrust = self.guidance.command(self.estimate, target, self.time)
-            tilt = self.limits.max_tilt
+            end = self.approach.end(self.site, self.lander)
+            wanted = self.guidance.command(self.estimate, end, self.time, self.time_to_go)
+            tilt = self.approach.max_tilt
         else:
-            landed = self.site + np.array([0.0, 0.0, self.lander.com_height])
-            thrust = self.vertical.command(self.estimate, Target(landed), self.time)
+            end = self.approach.ground(self.site, self.lander)
+            wanted = self.vertical.command(self.estimate, end, self.time)
             tilt = self.vertical.lean
-        return thrust_to_command(
-            thrust, self.estimate.mass, self.lander, self.approach.heading, tilt
+        asked = thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
+        command = replace(asked, tasks=self._tasks())
+        self._thrust = command.thrust
+        self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
+        return command
+
+    def _tasks(self) -> tuple[SensorTask, ...]:
+        """Return what pointed sensors are to measure at the end of the cycle."""
+        soon = self._ahead(self.briefing.cycle)
+        situation = Situation(soon.time, self._height(soon), self.site, soon)
+        tasks = (part.task(situation) for part in self.tasking)
+        return tuple(task for task in tasks if task is not None)
+
+    def _ahead(self, seconds: float) -> Estimate:
+        """Return the estimate carried on with present velocity and rate."""
+        e = self.estimate
+        turn = quat_from_rotation_vector(e.rate * seconds)
+        return replace(
+            e,
+            time=e.time + seconds,
+            position=e.position + seconds * e.velocity,
+            attitude=quat_multiply(e.attitude, turn),
         )
 
     def stop_sensors(self) -> None:

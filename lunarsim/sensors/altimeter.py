@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading
+from lunarsim.models.instruments import FixedBeam
+from lunarsim.parts.quantity import quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -32,11 +35,16 @@ class RadarAltimeter:
         Greatest angle between beam and surface normal with a return, rad.
     """
 
-    boresight: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    noise_ratio: float = 0.01
-    noise_floor: float = 0.1
-    max_range: float = 3000.0
-    max_incidence: float = np.deg2rad(60.0)
+    boresight: tuple[float, float, float] = quantity(
+        (0.0, 0.0, -1.0), help="unit vector, body axes"
+    )
+    noise_ratio: float = quantity(0.01, ge=0, help="1 sigma over the range")
+    noise_floor: float = quantity(0.1, "m", ge=0, help="1 sigma, in quadrature")
+    max_range: float = quantity(3000.0, "m", gt=0)
+    max_incidence: float = quantity(60.0, "deg", gt=0, le=90, help="no return beyond")
+
+    gives: ClassVar[type] = AltimeterReading
+    tasked: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not np.isclose(np.linalg.norm(self.boresight), 1.0, atol=1e-6):
@@ -48,6 +56,10 @@ class RadarAltimeter:
             raise InputError("altimeter.max_range", self.max_range, "a positive length")
         if not 0.0 < self.max_incidence <= np.pi / 2:
             raise InputError("altimeter.max_incidence", self.max_incidence, "up to pi/2")
+
+    def calibration(self) -> FixedBeam:
+        """Return what the onboard computer may know of it."""
+        return FixedBeam(self.boresight)
 
     def measure(
         self,

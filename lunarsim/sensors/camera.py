@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -14,7 +14,9 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
+from lunarsim.models.instruments import PointedInstrument
 from lunarsim.models.pinhole import View
+from lunarsim.parts.quantity import quantity
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -255,3 +257,56 @@ class Camera(CameraModel):
         narrow: NDArray[np.unsignedinteger[Any]]
         narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
         return narrow
+
+
+@dataclass(frozen=True)
+class FramingCamera:
+    """A framing camera on a gimbal.
+
+    Attributes
+    ----------
+    width, height, field_of_view
+        Pixels, and the angle that the width covers, rad.
+    gimbal_limit
+        Farthest that it points from straight down, rad.
+
+    The rest as in `Camera`.
+    """
+
+    width: int = quantity(640, ge=1, help="pixels")
+    height: int = quantity(480, ge=1, help="pixels")
+    field_of_view: float = quantity(60.0, "deg", gt=0, lt=170, help="of the width")
+    distortion: tuple[float, float, float, float, float] = quantity(
+        (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"
+    )
+    exposure: float = quantity(2e-3, "s", gt=0)
+    sensitivity: float = quantity(5e7, "e-/s", gt=0, help="for I/F = 1")
+    blur_sigma: float = quantity(0.6, "px", ge=0)
+    motion_blur: bool = quantity(True)
+    shot_noise: bool = quantity(True)
+    read_noise: float = quantity(12.0, "e-", ge=0)
+    full_well: float = quantity(20_000.0, "e-", gt=0)
+    bits: int = quantity(8, ge=1, le=16)
+    gimbal_limit: float = quantity(
+        180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
+    )
+
+    gives: ClassVar[type] = Picture
+    tasked: ClassVar[bool] = True
+
+    def camera(self) -> Camera:
+        """Return the camera."""
+        return Camera.with_field_of_view(
+            self.width, self.height, float(np.rad2deg(self.field_of_view)),
+            distortion=self.distortion, exposure=self.exposure, sensitivity=self.sensitivity,
+            blur_sigma=self.blur_sigma, motion_blur=self.motion_blur, shot_noise=self.shot_noise,
+            read_noise=self.read_noise, full_well=self.full_well, bits=self.bits,
+        )  # fmt: skip
+
+    def build(self, rng: np.random.Generator, step: float) -> Camera:
+        """Return the camera of one flight."""
+        return self.camera()
+
+    def calibration(self) -> PointedInstrument:
+        """Return what the onboard computer may know of it; pictures bring their geometry."""
+        return PointedInstrument(self.gimbal_limit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,4 +33,26 @@ class Sensor(Protocol):
         mount
             Rotation (3, 3), sensor to body, that a gimbal holds.
         """
+        ...
+
+
+class SensorPart(Protocol):
+    """What the registry knows of a sensor: a frozen dataclass of its figures.
+
+    A part that keeps something from one measurement to the next has a method
+    ``build(rng, step) -> Sensor`` besides; without it the part itself measures.
+
+    Attributes
+    ----------
+    gives
+        Type of its measurements.
+    tasked
+        Whether it measures only when tasked; else once a control cycle.
+    """
+
+    gives: ClassVar[type]
+    tasked: ClassVar[bool]
+
+    def calibration(self) -> Any:
+        """Return what the onboard computer may know of it; for a tasked one with its gimbal."""
         ...

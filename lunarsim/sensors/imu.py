@@ -2,21 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
 from lunarsim.messages.measurements import InertialSamples
-from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, InertialErrors
+from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadErrors
+from lunarsim.models.instruments import InertialInstrument
+from lunarsim.parts.quantity import quantity
+from lunarsim.sensors import _imu_kernels as kernels
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InertialUnit:
+    """Gyroscopes and accelerometers, sampled once a step of the simulation.
+
+    Attributes
+    ----------
+    gyroscopes, accelerometers
+        Their errors; left out: a tactical unit.
+    """
+
+    gyroscopes: TriadErrors = quantity(GYROSCOPES, help="errors, in rad")
+    accelerometers: TriadErrors = quantity(ACCELEROMETERS, help="errors, in m/s")
+
+    gives: ClassVar[type] = InertialSamples
+    tasked: ClassVar[bool] = False
+
+    def build(self, rng: np.random.Generator, step: float) -> Imu:
+        """Return the unit of one power-on."""
+        return Imu(rng, 1.0 / step, self.gyroscopes, self.accelerometers)
+
+    def calibration(self) -> InertialInstrument:
+        """Return what the onboard computer may know of it."""
+        return InertialInstrument(self.gyroscopes, self.accelerometers)
 
 
 class _Triad:
     """Three axes with errors drawn once, and a bias that walks."""
 
-    def __init__(self, errors: InertialErrors, step: float, rng: np.random.Generator) -> None:
+    def __init__(self, errors: TriadErrors, step: float, rng: np.random.Generator) -> None:
         self.errors = errors
         self.step = step
         self.rng = rng
@@ -26,22 +57,24 @@ class _Triad:
         self.matrix = np.eye(3) + mixed
         self.remainder = np.zeros(3)
 
-    def increments(self, truth: Array) -> Array:
-        """Return increments (n, 3) for the mean rates `truth` (n, 3) of n samples."""
+    def offsets(self, n: int) -> Array:
+        """Return what the next n increments have besides the truth (n, 3)."""
         e, dt = self.errors, self.step
-        n = len(truth)
         walk = e.bias_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
         noise = e.random_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
         bias = self.bias + np.cumsum(walk, axis=0)
         self.bias = bias[-1].copy()
-        steps = (truth @ self.matrix.T + bias) * dt + noise
-        if e.quantum == 0.0:
-            return np.asarray(steps)
-        # The sum is rounded, not the increments, so that no angle or velocity is lost.
-        total = self.remainder + np.cumsum(steps, axis=0)
-        whole = e.quantum * np.rint(total / e.quantum)
-        self.remainder = total[-1] - whole[-1]
-        return np.diff(whole, axis=0, prepend=np.zeros((1, 3)))
+        return np.asarray(bias * dt + noise)
+
+    def increments(self, truth: Array) -> Array:
+        """Return increments (n, 3) for true increments (n, 3)."""
+        out = np.empty_like(truth)
+        offsets = self.offsets(len(truth))
+        for n in range(len(truth)):
+            kernels.sample(
+                truth[n], self.matrix, offsets[n], self.errors.quantum, self.remainder, out[n]
+            )
+        return out
 
 
 class Imu:
@@ -61,15 +94,15 @@ class Imu:
         self,
         rng: np.random.Generator,
         rate: float = 100.0,
-        gyroscopes: InertialErrors = GYROSCOPES,
-        accelerometers: InertialErrors = ACCELEROMETERS,
+        gyroscopes: TriadErrors = GYROSCOPES,
+        accelerometers: TriadErrors = ACCELEROMETERS,
     ) -> None:
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError("imu.rate", rate, "a positive number of samples a second")
         self.step = 1.0 / rate
         first, second = rng.spawn(2)
-        self._gyroscopes = _Triad(gyroscopes, self.step, first)
-        self._accelerometers = _Triad(accelerometers, self.step, second)
+        self.gyroscopes = _Triad(gyroscopes, self.step, first)
+        self.accelerometers = _Triad(accelerometers, self.step, second)
 
     def measure(self, rate: ArrayLike, specific_force: ArrayLike) -> tuple[Array, Array]:
         """Return what the unit gives for consecutive samples.
@@ -92,11 +125,13 @@ class Imu:
         force = np.atleast_2d(np.asarray(specific_force, dtype=np.float64))
         if rate.shape != force.shape or rate.shape[1:] != (3,):
             raise InputError("imu.specific_force", force.shape, f"the shape of rate, {rate.shape}")
-        angle = self._gyroscopes.increments(rate)
-        velocity = self._accelerometers.increments(force)
+        angle = self.gyroscopes.increments(rate * self.step)
+        velocity = self.accelerometers.increments(force * self.step)
         return angle.reshape(shape), velocity.reshape(shape)
 
-    def sense(self, rows: Array, step: float, gravity: float, time: float) -> InertialSamples:
+    def sense(
+        self, rows: Array, step: float, gravity: float, time: float, angle: Array | None = None
+    ) -> InertialSamples:
         """Return the samples of a stretch of true motion.
 
         Parameters
@@ -109,11 +144,15 @@ class Imu:
             Downward acceleration, m/s^2.
         time
             Of the last row, s.
+        angle
+            What the gyroscopes gave already (n, 3), rad; left out: they are sampled here.
         """
         q = rows[:, 6:10]
-        turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(q[:-1]), q[1:]))
+        if angle is None:
+            turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(q[:-1]), q[1:]))
+            angle = self.gyroscopes.increments(turn)
         middle = q[:-1] + np.where((q[:-1] * q[1:]).sum(1) < 0.0, -1.0, 1.0)[:, None] * q[1:]
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-        force = np.diff(rows[:, 3:6], axis=0) / step + [0.0, 0.0, gravity]
-        angle, velocity = self.measure(turn / step, quat_rotate(quat_conjugate(middle), force))
+        gained = np.diff(rows[:, 3:6], axis=0) + np.array([0.0, 0.0, gravity * step])
+        velocity = self.accelerometers.increments(quat_rotate(quat_conjugate(middle), gained))
         return InertialSamples(time, angle, velocity)

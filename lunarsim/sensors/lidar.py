@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.camera import DOWN
+from lunarsim.models.instruments import PointedInstrument
+from lunarsim.parts.quantity import quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -44,22 +46,34 @@ class FlashLidar:
         Greatest angle between ray and surface normal that gives a return, rad.
     photons
         Mean photons of a return from 500 m at normal incidence. They fall with the cosine of the
-        incidence and the square of the range, and a pixel without a photon has no return; infinite:
+        incidence and the square of the range, and a pixel without a photon has no return; None:
         none is lost.
     divergence
         Half angle of the beam at 1/e^2 of its peak, rad; 0: a line. The range is the mean over the
         footprint.
+    gimbal_limit
+        Greatest angle of the boresight from straight down through the lander, rad.
     """
 
-    rows: int = 256
-    cols: int = 256
-    half_width: float = 0.1
-    noise_ratio: float = 0.05 / 3.0 / 500.0
-    max_range: float = 2000.0
-    spacing: Literal["tangent", "angle"] = "tangent"
-    max_incidence: float = np.pi / 2
-    photons: float = np.inf
-    divergence: float = 0.0
+    rows: int = quantity(256, ge=2, help="of the detector")
+    cols: int = quantity(256, ge=2, help="of the detector")
+    half_width: float = quantity(0.1, gt=0, lt=2, help="tangent of half the field of view")
+    noise_ratio: float = quantity(
+        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="1 sigma over the range, along the ray"
+    )
+    max_range: float = quantity(2000.0, "m", gt=0)
+    spacing: Literal["tangent", "angle"] = quantity("tangent", help="pixels even in this")
+    max_incidence: float = quantity(90.0, "deg", gt=0, le=90, help="no return beyond")
+    photons: float | None = quantity(
+        None, gt=0, help="mean of a return from 500 m head-on; left out: no return is lost"
+    )
+    divergence: float = quantity(0.0, "mrad", ge=0, lt=100, help="half angle at 1/e^2")
+    gimbal_limit: float = quantity(
+        180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
+    )
+
+    gives: ClassVar[type] = LidarScan
+    tasked: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.rows < 2 or self.cols < 2:
@@ -74,10 +88,14 @@ class FlashLidar:
             raise InputError("lidar.spacing", self.spacing, "tangent or angle")
         if not 0.0 < self.max_incidence <= np.pi / 2:
             raise InputError("lidar.max_incidence", self.max_incidence, "up to pi/2")
-        if not self.photons > 0.0:
+        if self.photons is not None and not self.photons > 0.0:
             raise InputError("lidar.photons", self.photons, "a positive number")
         if not 0.0 <= self.divergence < 0.1:
             raise InputError("lidar.divergence", self.divergence, "from 0 to 0.1 rad")
+
+    def calibration(self) -> PointedInstrument:
+        """Return what the onboard computer may know of it."""
+        return PointedInstrument(self.gimbal_limit)
 
     def directions(self) -> Array:
         """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""
@@ -133,7 +151,7 @@ class FlashLidar:
         sigma = self.noise_ratio * true
         measured = true + sigma * rng.standard_normal(true.size)
         lost = ~(incidence <= self.max_incidence)
-        if np.isfinite(self.photons):
+        if self.photons is not None:
             mean = self.photons * cosine * (_REFERENCE_RANGE / true) ** 2
             lost |= rng.random(mean.size) < np.exp(-mean)
         for values in (measured, sigma, incidence):

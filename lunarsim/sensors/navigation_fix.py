@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import NavigationFix
+from lunarsim.parts.quantity import quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -17,8 +19,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ErrorBudget:
-    """Standard deviations, each an axis.
+class NavigationFixes:
+    """Fixes of position, velocity and attitude with errors of a known budget.
 
     Attributes
     ----------
@@ -32,11 +34,21 @@ class ErrorBudget:
         Constant misalignment of a flight, rad.
     """
 
-    position_bias: float = 5.0
-    position_drift: float = 0.1
-    drift_time: float = 60.0
-    velocity: float = 0.02
-    attitude: float = np.deg2rad(0.03)
+    position_bias: float = quantity(5.0, "m", ge=0, help="constant, 1 sigma an axis")
+    position_drift: float = quantity(0.1, "m", ge=0, help="Gauss-Markov, 1 sigma an axis")
+    drift_time: float = quantity(60.0, "s", gt=0, help="time constant of the drift")
+    velocity: float = quantity(0.02, "m/s", ge=0, help="Gauss-Markov, 1 sigma an axis")
+    attitude: float = quantity(0.03, "deg", ge=0, help="constant, 1 sigma an axis")
+
+    gives: ClassVar[type] = NavigationFix
+    tasked: ClassVar[bool] = False
+
+    def build(self, rng: np.random.Generator, step: float) -> FixInstrument:
+        """Return the instrument of one flight."""
+        return FixInstrument(self, rng)
+
+    def calibration(self) -> None:
+        """Return what the onboard computer may know of it: a fix carries its covariance."""
 
     def __post_init__(self) -> None:
         for name in ("position_bias", "position_drift", "velocity", "attitude"):
@@ -61,7 +73,7 @@ class FixInstrument:
         Source of the constant errors of this flight; `measure` is to be given the same one.
     """
 
-    def __init__(self, budget: ErrorBudget, rng: np.random.Generator) -> None:
+    def __init__(self, budget: NavigationFixes, rng: np.random.Generator) -> None:
         self.budget = budget
         self._bias = budget.position_bias * rng.standard_normal(3)
         self._misalignment = quat_from_rotation_vector(budget.attitude * rng.standard_normal(3))
@@ -100,6 +112,5 @@ class FixInstrument:
             state.position + self._bias + self._drift,
             state.velocity + self._velocity,
             quat_multiply(self._misalignment, state.attitude),
-            state.rate,
             self._covariance,
         )

@@ -1,7 +1,7 @@
-"""The closed loop: one clock, its recorder, and the record of a flight."""
+"""The whole loop: plant, onboard computer, what joins them, and the record of a flight."""
 
-from lunarsim.simulation.build import build_world, lander_of
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.loop import Simulation
+from lunarsim.simulation.worlds import build_world
 
-__all__ = ["Flight", "Simulation", "build_world", "lander_of"]
+__all__ = ["Flight", "Simulation", "build_world"]

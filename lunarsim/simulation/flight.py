@@ -3,15 +3,19 @@
 A flight is saved as one folder:
 
 ``flight.json``
-    Scenario, seed, policy, verdict, decisions, events.
+    Scenario, seed, policy, target, verdict, decisions, events.
 ``trajectory.parquet``
     One row a control cycle (pandas, polars, DuckDB).
-``hazard_map.nc``
-    The last hazard map, NetCDF-4 with coordinates and units (xarray).
+``maps/NAME.nc``
+    The last hazard map of each mapper, NetCDF-4 with coordinates and units (xarray).
+``maps/NAME.TABLE.parquet``
+    What else a mapper keeps, for instance the rocks that it tracks.
 ``scans.parquet``
-    LiDAR returns in the estimated frame, thinned.
+    LiDAR returns in the local frame, thinned.
 ``candidates.parquet``
     Sites that the policy chose from at the last decision.
+
+`Flight.load` gives back what was saved, to the last bit.
 """
 
 from __future__ import annotations
@@ -21,14 +25,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.vehicle.touchdown import Verdict
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.vehicle.touchdown import Touchdown, Verdict
 
 Array = NDArray[np.float64]
 
@@ -43,10 +49,50 @@ COLUMNS: dict[str, str] = {
     "thrust": "N",
     **{f"estimated_{a}": "m" for a in "xyz"},
     **{f"estimated_velocity_{a}": "m/s" for a in "xyz"},
+    "estimated_mass": "kg",
     **{f"site_{a}": "m" for a in "xyz"},
     "time_to_go": "s",
     "phase": "0 approach, 1 vertical descent",
 }
+_SCAN_COLUMNS = ("x", "y", "z", "time")
+_CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
+_LAYERS = {"p_safe": "1", "observed": "1", "elevation": "m", "variance": "m2"}
+
+
+@dataclass(frozen=True)
+class MapRecord:
+    """The last map of one mapper.
+
+    Attributes
+    ----------
+    hazard_map
+        In the local frame, to 16 significant bits.
+    error
+        Local less true coordinates when it was last drawn (3,), m: subtract it for the true frame.
+    tables
+        What else the mapper keeps: name to columns (n,), local frame.
+    """
+
+    hazard_map: HazardMap
+    error: Array
+    tables: dict[str, dict[str, Array]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        m = self.hazard_map
+        layers = {
+            name: None if layer is None else _rounded(layer)
+            for name in ("p_safe", "elevation", "variance")
+            for layer in (getattr(m, name),)
+        }
+        p_safe = layers.pop("p_safe")
+        assert p_safe is not None
+        object.__setattr__(self, "hazard_map", HazardMap(m.grid, p_safe, m.observed, **layers))
+
+
+def _rounded(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a layer to 16 significant bits: beyond any sensor here, and far shorter packed."""
+    bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32) & np.uint32(0xFFFFFF00)
+    return np.asarray(bits.view(np.float32))
 
 
 @dataclass
@@ -63,38 +109,69 @@ class Flight:
         Name of the policy.
     verdict
         How it ended.
+    target
+        Where the mission wanted to land (3,), true frame, m.
     trajectory
-        Columns (n,) by name; see `COLUMNS`.
+        Columns (n,) by name, from cycle 0 on: the site is that before the cycle's decision; see
+        `COLUMNS`.
     decisions
         One dictionary a decision that changed the site.
     events
         One dictionary an event: time, name, details.
-    hazard_map
-        The last map, or None if nothing was mapped.
-    map_error
-        Estimated minus true position when the map was last drawn (3,), m.
+    maps
+        The last map of each mapper that mapped anything, by name.
+    decided_on
+        Name of the mapper whose map decided.
+    first_map
+        Where the computer believed the lander to be when something was first mapped, or None; its
+        covariance is not kept.
     scans
-        LiDAR returns, estimated ENU and scan time (n, 4), thinned.
+        LiDAR returns, local frame, and scan time (n, 4), thinned, float32.
     candidates
-        Sites at the last decision: estimated ENU, p_safe, propellant (n, 5).
+        Sites at the last decision: local frame, p_safe, propellant (n, 5), float32.
     """
 
     scenario: str
     seed: dict[str, Any]
     policy: str
     verdict: Verdict
+    target: Array
     trajectory: dict[str, Array]
     decisions: list[dict[str, Any]] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
-    hazard_map: HazardMap | None = None
-    map_error: Array = field(default_factory=lambda: np.zeros(3))
-    scans: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    candidates: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    maps: dict[str, MapRecord] = field(default_factory=dict)
+    decided_on: str = ""
+    first_map: Estimate | None = None
+    scans: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
+    candidates: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 5), np.float32))
+
+    def __post_init__(self) -> None:
+        self.scans = np.asarray(self.scans, dtype=np.float32)
+        self.candidates = np.asarray(self.candidates, dtype=np.float32)
+        self.decisions = _plain(self.decisions)
+        self.events = _plain(self.events)
+
+    @property
+    def hazard_map(self) -> HazardMap | None:
+        """The map that decided, or None if it was never drawn."""
+        record = self.maps.get(self.decided_on)
+        return None if record is None else record.hazard_map
+
+    @property
+    def map_error(self) -> Array:
+        """Local less true coordinates of that map (3,), m."""
+        record = self.maps.get(self.decided_on)
+        return np.zeros(3) if record is None else record.error
 
     @property
     def positions(self) -> Array:
         """True positions (n, 3), m."""
         return np.column_stack([self.trajectory[f"position_{a}"] for a in "xyz"])
+
+    @property
+    def sites(self) -> Array:
+        """Where the computer was flying to, before each cycle's decision (n, 3), local frame, m."""
+        return np.column_stack([self.trajectory[f"site_{a}"] for a in "xyz"])
 
     @property
     def propellant_used(self) -> float:
@@ -109,9 +186,13 @@ class Flight:
 
     @property
     def divert_distance(self) -> float:
-        """Distance over the ground from the first site to the last, m."""
-        x, y = self.trajectory["site_x"], self.trajectory["site_y"]
-        return float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
+        """Distance over the ground from the site before the first divert to the last one, m."""
+        if not self.decisions:
+            return 0.0
+        first, last = self.decisions[0]["from"], self.decisions[-1]["to"]
+        return float(np.hypot(last[0] - first[0], last[1] - first[1]))
+
+    # --- files ----------------------------------------------------------------------------
 
     def save(self, folder: str | Path) -> Path:
         """Write the flight into `folder`, which is made; return it."""
@@ -120,28 +201,69 @@ class Flight:
         table = pa.table({name: self.trajectory[name] for name in COLUMNS})
         units = {f"unit:{name}": unit for name, unit in COLUMNS.items()}
         pq.write_table(table.replace_schema_metadata(units), folder / "trajectory.parquet")
-        for name, columns in (
-            ("scans", ("x", "y", "z", "time")),
-            ("candidates", ("x", "y", "z", "p_safe", "propellant")),
-        ):
-            data = getattr(self, name).astype(np.float32)
-            cloud = pa.table({column: data[:, i] for i, column in enumerate(columns)})
-            pq.write_table(cloud, folder / f"{name}.parquet")
-        if self.hazard_map is not None:
-            _save_map(self.hazard_map, self.map_error, folder / "hazard_map.nc")
-        record = {
+        for name, columns in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
+            data = getattr(self, name)
+            cloud = {column: data[:, i] for i, column in enumerate(columns)}
+            pq.write_table(pa.table(cloud), folder / f"{name}.parquet")
+        for name, record in self.maps.items():
+            _save_map(name, record, folder / "maps")
+        text = json.dumps(self._record(), indent=1)
+        (folder / "flight.json").write_text(text, encoding="utf-8")
+        return folder
+
+    def _record(self) -> dict[str, Any]:
+        first = self.first_map
+        return {
             "scenario": self.scenario,
             "seed": self.seed,
             "policy": self.policy,
+            "target": _plain(self.target),
             "verdict": _plain(asdict(self.verdict)),
-            "decisions": _plain(self.decisions),
-            "events": _plain(self.events),
+            "decisions": self.decisions,
+            "events": self.events,
+            "decided_on": self.decided_on,
+            "maps": list(self.maps),
+            "first_map": None if first is None else _plain(asdict(first) | {"covariance": None}),
             "propellant_used_kg": self.propellant_used,
             "divert_distance_m": self.divert_distance,
             "duration_s": self.duration,
         }
-        (folder / "flight.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Flight:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the folder holds no flight.
+        """
+        folder = Path(folder)
+        file = folder / "flight.json"
+        if not file.is_file():
+            raise InputError("flight", str(folder), "a folder that holds flight.json")
+        try:
+            record = json.loads(file.read_text(encoding="utf-8"))
+            first = record["first_map"]
+            return cls(
+                scenario=record["scenario"],
+                seed=record["seed"],
+                policy=record["policy"],
+                verdict=_verdict(record["verdict"]),
+                target=np.array(record["target"]),
+                trajectory=_columns(folder / "trajectory.parquet"),
+                decisions=record["decisions"],
+                events=record["events"],
+                maps={name: _load_map(name, folder / "maps") for name in record["maps"]},
+                decided_on=record["decided_on"],
+                first_map=None if first is None else _estimate(first),
+                scans=_rows(folder / "scans.parquet", _SCAN_COLUMNS),
+                candidates=_rows(folder / "candidates.parquet", _CANDIDATE_COLUMNS),
+            )
+        except (KeyError, json.JSONDecodeError, pa.ArrowInvalid, FileNotFoundError) as error:
+            raise InputError(
+                "flight", str(folder), f"a whole record of this version ({error!r})"
+            ) from None
 
 
 def _plain(value: Any) -> Any:
@@ -157,31 +279,70 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _save_map(hazard_map: HazardMap, error: Array, path: Path) -> None:
-    grid = hazard_map.grid
-    with h5netcdf.File(path, "w") as file:
-        file.dimensions = {"y": grid.rows, "x": grid.cols}
-        file.attrs["posting_m"] = grid.posting
-        file.attrs["navigation_error_m"] = np.asarray(error)
-        file.attrs["frame"] = "estimated ENU; subtract navigation_error_m for the true frame"
-        for name, values in (("x", grid.x), ("y", grid.y)):
-            axis = file.create_variable(name, (name,), data=values)
-            axis.attrs["units"] = "m"
-        layers: dict[str, tuple[Any, str]] = {
-            "p_safe": (hazard_map.p_safe, "1"),
-            "observed": (hazard_map.observed.astype(np.int8), "1"),
-            "elevation": (hazard_map.elevation, "m"),
-            "variance": (hazard_map.variance, "m2"),
-        }
-        for name, (data, unit) in layers.items():
-            if data is None:
-                continue
-            if data.dtype == np.float32:
-                # 16 significant bits are beyond any sensor here and compress far better.
-                stored = (data.view(np.uint32) & np.uint32(0xFFFFFF00)).view(np.float32)
-            else:
-                stored = data
-            layer = file.create_variable(
-                name, ("y", "x"), data=stored, compression="gzip", compression_opts=1, shuffle=True
-            )
-            layer.attrs["units"] = unit
+def _verdict(record: dict[str, Any]) -> Verdict:
+    touchdown = record["touchdown"]
+    if touchdown is not None:
+        touchdown = Touchdown(**touchdown | {"position": np.array(touchdown["position"])})
+    return Verdict(record["safe"], tuple(record["failed"]), touchdown)
+
+
+def _estimate(record: dict[str, Any]) -> Estimate:
+    arrays = {k: np.array(record[k]) for k in ("position", "velocity", "attitude", "rate")}
+    unknown = np.full((9, 9), np.nan)
+    return Estimate(time=record["time"], mass=record["mass"], covariance=unknown, **arrays)
+
+
+def _columns(path: Path) -> dict[str, Array]:
+    table = pq.read_table(path)
+    return {name: np.array(table[name].to_numpy()) for name in table.column_names}
+
+
+def _rows(path: Path, columns: tuple[str, ...]) -> NDArray[np.float32]:
+    found = _columns(path)
+    return np.column_stack([found[c] for c in columns]).astype(np.float32)
+
+
+def _save_map(name: str, record: MapRecord, folder: Path) -> None:
+    import xarray as xr  # noqa: PLC0415  (loads slowly)
+
+    folder.mkdir(exist_ok=True)
+    m, grid = record.hazard_map, record.hazard_map.grid
+    layers = {
+        layer: (("y", "x"), data.astype(np.int8) if layer == "observed" else data, {"units": unit})
+        for layer, unit in _LAYERS.items()
+        if (data := getattr(m, layer)) is not None
+    }
+    dataset = xr.Dataset(
+        layers,
+        {"x": ("x", grid.x, {"units": "m"}), "y": ("y", grid.y, {"units": "m"})},
+        {
+            "frame": "local ENU; subtract navigation_error_m for the true frame",
+            "posting_m": grid.posting,
+            "x0_m": grid.x0,
+            "y0_m": grid.y0,
+            "navigation_error_m": np.asarray(record.error),
+        },
+    )
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+    dataset.to_netcdf(
+        folder / f"{name}.nc", engine="h5netcdf", encoding=dict.fromkeys(layers, packed)
+    )
+    for table, columns in record.tables.items():
+        pq.write_table(pa.table(columns), folder / f"{name}.{table}.parquet")
+
+
+def _load_map(name: str, folder: Path) -> MapRecord:
+    import xarray as xr  # noqa: PLC0415  (loads slowly)
+
+    with xr.open_dataset(folder / f"{name}.nc", engine="h5netcdf") as data:
+        layers = {layer: data[layer].to_numpy() for layer in _LAYERS if layer in data}
+        rows, cols = layers["p_safe"].shape
+        a = data.attrs
+        grid = Grid(float(a["x0_m"]), float(a["y0_m"]), float(a["posting_m"]), rows, cols)
+        error = np.array(a["navigation_error_m"], dtype=np.float64)
+    layers["observed"] = layers["observed"].astype(np.bool_)
+    tables = {
+        path.name.removeprefix(f"{name}.").removesuffix(".parquet"): _columns(path)
+        for path in sorted(folder.glob(f"{name}.*.parquet"))
+    }
+    return MapRecord(HazardMap(grid, **layers), error, tables)

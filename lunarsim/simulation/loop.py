@@ -2,31 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.messages.measurements import Measurements
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance.divert import DivertCost
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Decision, Observation, RetargetingPolicy
-from lunarsim.onboard.policies.library import TRUTH_ORACLE, make_policy
+from lunarsim.parts import resolve, settings_of
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
-from lunarsim.simulation import build
-from lunarsim.simulation.assembly import assemble
+from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.mission import draw_start, draw_target
-from lunarsim.simulation.oracle import TruthOracle
-from lunarsim.simulation.recorder import Recorder
-from lunarsim.vehicle import State, Verdict
+from lunarsim.simulation.mission import plan
+from lunarsim.simulation.plant import Plant
+from lunarsim.simulation.recorder import Recorder, Tap
+from lunarsim.simulation.worlds import build_world
+from lunarsim.vehicle import Dynamics, State, Verdict
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
+
+
+def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> Any:
+    """Return a policy: an object as it is, a name by the registry with its defaults.
+
+    The scenario's own settings are taken where it names that kind itself.
+
+    Raises
+    ------
+    InputError
+        If there is no such policy.
+    """
+    if not isinstance(policy, str):
+        return policy
+    if policy == scenario.policy.kind:
+        return scenario.policy.make()
+    return settings_of(resolve("policy", policy, "policy"))().make()
 
 
 class Simulation:
@@ -46,6 +63,8 @@ class Simulation:
         The true world; drawn from the seed when left out.
     truth
         Exact safety of that world, if it has been evaluated already.
+    tap
+        Where all messages go that cross the wall, if anywhere.
 
     Attributes
     ----------
@@ -66,48 +85,33 @@ class Simulation:
         *,
         world: World | None = None,
         truth: Truth | None = None,
+        tap: Tap | None = None,
     ) -> None:
         self.scenario = scenario
         self.streams = Streams(seed)
-        lander = build.lander_of(scenario)
-        world = world if world is not None else build.build_world(scenario, self.streams)
+        self.policy = make_policy(scenario, policy)
+        world = world if world is not None else build_world(scenario, self.streams)
         self._truth = truth
-        target = draw_target(scenario, world, lander, self.streams)
-        upright = draw_start(scenario, world, lander, self.streams, target)
-        self.plant, self.computer = assemble(
-            scenario, world, lander, upright, target, self.streams, None
+        state, briefing = plan(scenario, world, self.streams)
+        clock = scenario.simulation.make()
+        self.plant = Plant(
+            world,
+            Dynamics(briefing.lander, world.gravity, clock.step),
+            state,
+            {
+                name: (part.make(), self.streams.get(f"sensors.{name}"))
+                for name, part in scenario.sensors.items()
+            },
+            steps=clock.steps,
+            max_time=clock.max_time,
         )
-        command = self.computer.command()
-        start = replace(
-            upright,
-            attitude=command.attitude,
-            thrust=min(max(command.thrust, lander.thrust_min), lander.thrust_max),
-        )
-        self.plant, self.computer = assemble(
-            scenario, world, lander, start, target, self.streams, self.computer
-        )
-        self.recorder = Recorder()
-        self.map_error = np.zeros(3)
-        self.first_map_estimate: Estimate | None = None
-        self._measured(self.plant.sense())
-        self._fresh = True
-        self.policy = self._resolve(policy)
-
-    def _resolve(self, policy: RetargetingPolicy | str | None) -> RetargetingPolicy | None:
-        if not isinstance(policy, str):
-            return policy
-        if policy != TRUTH_ORACLE:
-            return make_policy(policy)
-        truth = self.truth
-        return TruthOracle(
-            truth.safety,
-            truth.elevation,
-            lambda: self.navigation_error,
-            self.lander,
-            self.scenario.gravity_m_s2,
-            self.scenario.guidance.vertical_altitude_m + self.lander.com_height,
-            self.computer.limits,
-        )
+        knows = getattr(self.policy, "knows_truth", False)
+        self.computer = OnboardComputer(briefing, None if knows else self.policy)
+        self.recorder = Recorder(briefing.target)
+        self._tap = tap
+        if tap is not None:
+            tap.briefing = briefing
+        self._measurements = self.plant.measure()
 
     # --- taps -----------------------------------------------------------------------------
 
@@ -137,13 +141,18 @@ class Simulation:
         return self.plant.verdict
 
     @property
+    def done(self) -> bool:
+        """True once the flight has ended."""
+        return self.plant.verdict is not None
+
+    @property
     def estimate(self) -> Estimate:
-        """Where the computer believes the lander to be."""
+        """Where the computer believes the lander to be, local frame."""
         return self.computer.estimate
 
     @property
     def site(self) -> Array:
-        """Where the computer is flying to (3,), its frame, m."""
+        """Where the computer is flying to (3,), local frame, m."""
         return self.computer.site
 
     @property
@@ -155,27 +164,27 @@ class Simulation:
     def truth(self) -> Truth:
         """Exact safety of the world, evaluated when first asked for."""
         if self._truth is None:
-            self._truth = Truth.of(self.world, self.lander, self.scenario.mapper.posting_m)
+            self._truth = Truth.of(self.world, self.lander)
         return self._truth
 
     @property
     def navigation_error(self) -> Array:
-        """Estimated minus true position (3,), m."""
+        """Estimated position, local frame, less the true one (3,), m.
+
+        What local frame and true frame differ by: a point of a map less this is where it truly is.
+        """
         return self.estimate.position - self.state.position
 
     @property
-    def done(self) -> bool:
-        """True once the flight has ended."""
-        return self.plant.verdict is not None
+    def site_error(self) -> Array:
+        """Estimated position in the site frame less the true one (3,), m."""
+        shift = self.computer.navigation.site_to_local
+        return np.asarray(shift.to_site(self.estimate.position) - self.state.position)
 
     @property
     def decision_due(self) -> bool:
         """True when the policy is to be asked in this cycle."""
         return self.computer.decision_due
-
-    def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
-        """Return what it costs to fly from here to each of the sites (n, 3)."""
-        return self.computer.cost_of(sites, estimate)
 
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
@@ -187,52 +196,50 @@ class Simulation:
         """Hand a decision to the computer; return False if its site is out of reach."""
         return self.computer.apply(decision)
 
-    def _measured(self, measurements: Measurements) -> None:
-        """Hand measurements to the computer, and note them."""
-        self.computer.take(measurements)
-        for name, measurement in measurements.items:
-            self.recorder.measurement(name, measurement, self.estimate, self.altitude)
-        if self.computer.mapped:
-            self.map_error = self.navigation_error
-            if self.first_map_estimate is None:
-                self.first_map_estimate = self.estimate
+    def update(self) -> None:
+        """Do the first half of a cycle: the computer takes in what was measured."""
+        if self.done:
+            raise RuntimeError("the flight has ended")
+        self._take(self._measurements)
+        c = self.computer
+        self.recorder.row(self.time, self.state, c.estimate, c.site, c.time_to_go, c.phase)
 
-    def navigate(self) -> None:
-        """Do the first half of a cycle: measure, navigate and map."""
-        if not self._fresh:
-            self._measured(self.plant.sense())
-        self._fresh = False
-        tasks = self.computer.tasks()
-        if tasks:
-            self._measured(self.plant.perform(tasks))
-        self.computer.refresh()
+    def _take(self, measurements: Measurements) -> None:
+        self.computer.update(measurements)
+        self.recorder.measured(measurements, self.computer, self.navigation_error)
+
+    def decide(self) -> None:
+        """Ask the policy, if there is one and a decision is due."""
+        if self.policy is None or not self.decision_due:
+            return
+        observation = self.observe()
+        if getattr(self.policy, "knows_truth", False):
+            decision = self.policy.decide_by_truth(
+                observation, self.truth, self.navigation_error, self.computer.cost_of
+            )
+        else:
+            decision = self.policy.decide(observation)
+        if not isinstance(decision, Decision):
+            raise InputError("policy", self.policy.name, "a policy whose decide returns a Decision")
+        self.apply(decision)
 
     def move(self) -> None:
-        """Do the second half of a cycle: command the vehicle and move it."""
-        computer = self.computer
-        command = computer.command()
-        left = computer.guidance.time_to_go(self.time)
-        self.recorder.row(self.time, self.state, self.estimate, self.site, left, computer.phase)
-        self.plant.advance(command)
+        """Do the second half of a cycle: the computer commands, the plant moves and measures."""
+        before = self._measurements
+        command = self.computer.command()
+        cycle = fly_cycle(self.plant, self.computer.attitude_loop, command)
+        self._measurements = cycle.measurements
+        if self._tap is not None:
+            self._tap.exchange(before, command, cycle.torques)
         if self.plant.verdict is not None:
-            self._measured(self.plant.sense())
-            self.recorder.row(self.time, self.state, self.estimate, self.site, 0.0, computer.phase)
-            verdict = self.plant.verdict
-            computer.telemetry.append(
-                (
-                    self.time,
-                    "touchdown" if verdict.touchdown else "end",
-                    {"failed": list(verdict.failed)},
-                )
-            )
+            self._take(self._measurements)
+            c = self.computer
+            self.recorder.row(self.time, self.state, c.estimate, c.site, 0.0, c.phase)
 
     def step(self) -> None:
         """Advance one control cycle."""
-        if self.done:
-            raise RuntimeError("the flight has ended")
-        self.navigate()
-        if self.policy is not None and self.decision_due:
-            self.apply(self.policy.decide(self.observe()))
+        self.update()
+        self.decide()
         self.move()
 
     def run(self) -> Flight:
@@ -241,26 +248,13 @@ class Simulation:
             self.step()
         return self.flight()
 
-    def _last_map(self) -> HazardMap | None:
-        """Return the map, or None if nothing was ever seen."""
-        if self.computer.mapper.blank or self.first_map_estimate is None:
-            return None
-        return self.computer.mapper.hazard_map()
-
     def flight(self) -> Flight:
         """Return the record of the flight so far."""
         seed = self.streams.seed
-        computer = self.computer
-        return Flight(
+        return self.recorder.flight(
+            self.computer,
             scenario=self.scenario.to_toml(),
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
             verdict=self.verdict or Verdict(False, ("unfinished",), None),
-            trajectory=self.recorder.trajectory(),
-            decisions=self.recorder.decisions(computer.diverts),
-            events=self.recorder.events(computer.telemetry),
-            hazard_map=self._last_map(),
-            map_error=self.map_error,
-            scans=self.recorder.scans,
-            candidates=self.recorder.choice(computer.candidates),
         )

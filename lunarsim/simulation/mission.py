@@ -1,22 +1,35 @@
-"""What the mission fixes before a flight: the target, and where the descent begins."""
+"""The mission: where a flight starts and lands, and the briefing that its computer gets.
+
+It is written on the plant's side, since it knows the truth and adds to it what a mission errs by.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import attitude_from_thrust
+from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
+from lunarsim.messages.briefing import Briefing, Software, StartEstimate
+from lunarsim.models.gravity import UniformGravity
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.control.thrust import thrust_to_command
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.mission import MissionTarget, Start, StartKnowledge
 from lunarsim.vehicle import State
 from lunarsim.world import World
+from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
 
 
-def draw_target(scenario: Scenario, world: World, lander: Lander, streams: Streams) -> Array:
+def draw_target(target: MissionTarget, terrain: Terrain, lander: Lander, streams: Streams) -> Array:
     """Return the target on the true ground (3,), m.
 
     Raises
@@ -24,12 +37,11 @@ def draw_target(scenario: Scenario, world: World, lander: Lander, streams: Strea
     InputError
         If it may lie off the map.
     """
-    section = scenario.target
-    offset = streams.get("target").uniform(-1.0, 1.0, 2) * np.asarray(section.scatter_m)
-    xy = np.asarray(section.position_m) + offset
-    west, east, south, north = world.terrain.bounds
-    reach = np.abs(section.scatter_m)
-    low, high = section.position_m - reach, section.position_m + reach
+    offset = streams.get("target").uniform(-1.0, 1.0, 2) * np.asarray(target.scatter)
+    xy = np.asarray(target.position) + offset
+    west, east, south, north = terrain.bounds
+    reach = np.abs(target.scatter)
+    low, high = target.position - reach, target.position + reach
     room = lander.leg_radius + lander.pad_diameter
     if (
         low[0] < west + room
@@ -39,44 +51,142 @@ def draw_target(scenario: Scenario, world: World, lander: Lander, streams: Strea
     ):
         raise InputError(
             "target.position_m",
-            section.position_m,
-            f"within the map with its scatter of {section.scatter_m} m: east {west + room:.0f} "
+            target.position,
+            f"within the map with its scatter of {target.scatter} m: east {west + room:.0f} "
             f"to {east - room:.0f}, north {south + room:.0f} to {north - room:.0f} m",
         )
     # The mission knows the relief under its site, not the rocks on it.
-    elevation = float(type(world.terrain)(world.terrain.relief).elevation(xy))
+    elevation = float(Terrain(terrain.relief).elevation(xy))
     if not np.isfinite(elevation):
         raise InputError("target.position_m", tuple(xy), "a point with a measured elevation")
     return np.array([xy[0], xy[1], elevation])
 
 
-def draw_start(
-    scenario: Scenario, world: World, lander: Lander, streams: Streams, site: Array
-) -> State:
+def draw_start(start: Start, world: World, lander: Lander, streams: Streams, site: Array) -> State:
     """Return the true state at the start, upright.
 
     Raises
     ------
     InputError
-        If it may lie under the ground.
+        If it lies under the ground.
     """
-    section = scenario.start
     rng = streams.get("start")
-    position = (
-        site + np.asarray(section.position_m) + section.position_sigma_m * rng.standard_normal(3)
-    )
-    velocity = np.asarray(section.velocity_m_s) + section.velocity_sigma_m_s * (
-        rng.standard_normal(3)
-    )
+    position = site + np.asarray(start.position) + start.position_sigma * rng.standard_normal(3)
+    velocity = np.asarray(start.velocity) + start.velocity_sigma * rng.standard_normal(3)
     ground = float(world.terrain.elevation(position[:2]))
     if not np.isfinite(ground):
         ground = world.terrain.z_range[1]
     if position[2] - lander.com_height <= ground:
         raise InputError(
             "start.position_m",
-            section.position_m,
+            start.position,
             f"above the ground, which lies {ground - site[2]:.0f} m from the target's level",
         )
     mass = lander.wet_mass
-    up = attitude_from_thrust([0.0, 0.0, 1.0], np.deg2rad(section.heading_deg))
-    return State(position, velocity, up, np.zeros(3), mass, mass * scenario.gravity_m_s2)
+    up = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
+    return State(position, velocity, up, np.zeros(3), mass, mass * world.gravity)
+
+
+def plan_time_to_go(
+    state: State, target: Array, approach: Approach, lander: Lander, gravity: float
+) -> float:
+    """Return the duration of the approach from a state, s.
+
+    Raises
+    ------
+    InputError
+        If the target cannot be reached.
+    """
+    if approach.time_to_go is not None:
+        return approach.time_to_go
+    here = _as_estimate(state)
+    end = approach.end(target[None, :], lander)
+    time_to_go = divert_cost(here, end, lander, gravity, limits=approach.limits).time_to_go[0]
+    if not np.isfinite(time_to_go):
+        raise InputError(
+            "start.position_m",
+            tuple(float(v) for v in state.position - target),
+            "a start from which the target can be reached within thrust, tilt, glideslope and "
+            "propellant: no time-to-go is admissible",
+        )
+    return float(time_to_go)
+
+
+def _as_estimate(state: State) -> Estimate:
+    return Estimate(
+        0.0,
+        state.position,
+        state.velocity,
+        state.attitude,
+        state.rate,
+        state.mass,
+        np.zeros((9, 9)),
+    )
+
+
+def steered(state: State, briefing: Briefing) -> State:
+    """Return a start with the attitude and thrust that guidance asks for there."""
+    software, lander = briefing.software, briefing.lander
+    law = software.guidance.build(briefing, software.control.response_time + lander.thrust_lag)
+    end = software.approach.end(briefing.target, lander)
+    wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
+    command = thrust_to_command(
+        wanted, state.mass, lander, briefing.heading, software.approach.max_tilt
+    )
+    return replace(state, attitude=command.attitude, thrust=command.thrust)
+
+
+def told(state: State, knowledge: StartKnowledge, rng: np.random.Generator) -> StartEstimate:
+    """Return a start as the computer is told it: the truth plus errors."""
+    drawn = rng.standard_normal((3, 3))
+    turn = quat_from_rotation_vector(knowledge.attitude * drawn[2])
+    return StartEstimate(
+        state.position + knowledge.position * drawn[0],
+        state.velocity + knowledge.velocity * drawn[1],
+        quat_multiply(state.attitude, turn),
+        knowledge.position,
+        knowledge.velocity,
+        knowledge.attitude,
+    )
+
+
+def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Briefing]:
+    """Return the true start of a flight, and what its computer is told.
+
+    Raises
+    ------
+    InputError
+        If the scenario cannot be flown: see the message.
+    """
+    lander: Lander = scenario.vehicle.make()
+    lander.check_hover(scenario.gravity_m_s2)
+    start: Start = scenario.start.make()
+    target = draw_target(scenario.target.make(), world.terrain, lander, streams)
+    state = draw_start(start, world, lander, streams, target)
+    software: Software = scenario.software()
+    time_to_go = plan_time_to_go(state, target, software.approach, lander, world.gravity)
+    prior = None
+    if scenario.prior_map is not None:
+        middle = scenario.target.make().position
+        prior = scenario.prior_map.make().build(world.terrain, middle, streams.get("prior"))
+    clock = scenario.simulation.make()
+    upright = Briefing(
+        software=software,
+        lander=lander,
+        instruments={name: s.make().calibration() for name, s in scenario.sensors.items()},
+        gravity=UniformGravity(scenario.gravity_m_s2),
+        target=target,
+        heading=start.heading,
+        start=told(state, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),
+        time_to_go=time_to_go,
+        sun=world.light.direction,
+        rocks=scenario.expected_rocks.make(),
+        prior_map=prior,
+        step=clock.step,
+        cycle=clock.cycle,
+    )
+    state = steered(state, upright)
+    knowledge = (
+        StartKnowledge() if scenario.start_knowledge is None else scenario.start_knowledge.make()
+    )
+    return state, replace(upright, start=told(state, knowledge, streams.get("navigation")))

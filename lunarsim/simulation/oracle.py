@@ -1,18 +1,19 @@
-"""The upper bound: a policy that is told the truth."""
+"""The upper bound: a policy that is told the truth, and so lives with the loop."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance.divert import DivertLimits, divert_cost
+from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.policies.contract import Decision, Observation
-from lunarsim.safety import SafetyMap
+from lunarsim.parts.quantity import hidden, quantity
+from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 
@@ -22,37 +23,45 @@ _TRIES = 64
 
 @dataclass(frozen=True)
 class TruthOracle:
-    """Flies to the nearest site that is exactly safe with room around it.
+    """Flies to the nearest site that is exactly safe with room around it; it is told the truth.
 
     Attributes
     ----------
-    truth
-        The exact safety map of the true terrain.
-    elevation
-        True elevation on its grid (rows, cols), m.
-    navigation_error
-        Returns estimated minus true position now (3,), m: the oracle knows it too.
-    lander, gravity, approach_height, limits
-        For the cost of the divert.
     room
         Distance to the nearest unsafe cell that is enough, m.
     """
 
-    truth: SafetyMap
-    elevation: NDArray[np.float32]
-    navigation_error: Callable[[], Array]
-    lander: Lander
-    gravity: float
-    approach_height: float
-    limits: DivertLimits
-    room: float = 1.0
-    name: str = "truth-oracle"
+    room: float = quantity(1.0, "m", ge=0, help="to the nearest unsafe cell that is enough")
+    name: str = hidden("truth-oracle")
+
+    knows_truth: ClassVar[bool] = True
 
     def decide(self, observation: Observation) -> Decision:
-        """Keep a site with room around it, else pick the nearest such site within reach."""
-        error = self.navigation_error()
-        grid = self.truth.grid
-        clearance = ndimage.distance_transform_edt(self.truth.safe) * grid.posting
+        """Refuse: it has to be told the truth."""
+        raise RuntimeError("the truth oracle decides by decide_by_truth: the loop tells it")
+
+    def decide_by_truth(
+        self,
+        observation: Observation,
+        truth: Truth,
+        error: Array,
+        cost_of: Callable[[Array], DivertCost],
+    ) -> Decision:
+        """Keep a site with room around it, else pick the nearest such site within reach.
+
+        Parameters
+        ----------
+        observation
+            As other policies are shown it.
+        truth
+            Exact safety of the true terrain.
+        error
+            Estimated minus true position now (3,), m.
+        cost_of
+            Returns what it costs to fly to sites (n, 3), local frame.
+        """
+        grid = truth.safety.grid
+        clearance = ndimage.distance_transform_edt(truth.safety.safe) * grid.posting
         here = observation.site - error
         row, col = (int(v) for v in grid.cell(here[:2]))
         if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= self.room:
@@ -66,15 +75,9 @@ class TruthOracle:
         distance = np.hypot(xy[:, 0] - here[0], xy[:, 1] - here[1])
         order = np.argsort(distance, kind="stable")
         order = order[:: max(1, len(order) // _TRIES)]
-        z = self.elevation[cells[order, 0], cells[order, 1]].astype(np.float64)
+        z = truth.elevation[cells[order, 0], cells[order, 1]].astype(np.float64)
         sites = np.column_stack((xy[order], z)) + error
-        cost = divert_cost(
-            observation.estimate,
-            sites + np.array([0.0, 0.0, self.approach_height]),
-            self.lander,
-            self.gravity,
-            limits=self.limits,
-        )
+        cost = cost_of(sites)
         reachable = np.flatnonzero(cost.feasible)
         if reachable.size == 0:
             return Decision.keep("no truly safe site within reach")

@@ -12,9 +12,9 @@ from lunarsim.errors import InputError, check_output
 from lunarsim.frames import matrix_to_quat, sensor_axes
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.camera import Camera, Exposure
+from lunarsim.sensors.camera import Camera, Exposure, FramingCamera
 from lunarsim.sensors.rendering import renderer_of
-from lunarsim.simulation.build import build_world, camera_of
+from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State
 from lunarsim.world import World
 
@@ -66,6 +66,13 @@ def metered(camera: Camera, world: World, state: State) -> float:
     return 0.9 * camera.full_well / (camera.sensitivity * bright)
 
 
+def camera_of(scenario: Scenario) -> Camera:
+    """Return the scenario's first camera; a standard one where the lander carries none."""
+    parts = [part.make() for part in scenario.sensors.values()]
+    found = next((part for part in parts if isinstance(part, FramingCamera)), FramingCamera())
+    return found.camera()
+
+
 def take_picture(
     scenario: Scenario, *, altitude: float, out: Path, sun_elevation_deg: float | None = None,
     sun_azimuth_deg: float | None = None, off_nadir_deg: float = 0.0, heading_deg: float = 0.0,
@@ -86,9 +93,7 @@ def take_picture(
         check_output("truth", truth, ".npz")
     changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
     given = {name: value for name, value in changes.items() if value is not None}
-    data = scenario.model_dump()
-    data["sun"] |= given
-    scenario = Scenario.from_dict(data)
+    scenario = scenario.changed(sun=given)
     camera = camera_of(scenario)
     if ideal:
         camera = replace(

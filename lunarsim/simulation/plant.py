@@ -5,16 +5,18 @@ It takes commands and gives measurements; what the onboard computer makes of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
-from lunarsim.messages.commands import Command, SensorTask
-from lunarsim.messages.measurements import InertialSamples, Measurements
-from lunarsim.sensors.contract import Sensor
+from lunarsim.messages.commands import SensorTask
+from lunarsim.messages.measurements import Measurements
+from lunarsim.models.gimbal import within
+from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
 from lunarsim.world import World
@@ -35,11 +37,22 @@ class Instrument:
         What measures, and the source of its noise.
     tasked
         Whether it measures only when told to; else once a cycle.
+    gimbal_limit
+        Greatest angle of its boresight from body -z, rad.
     """
 
     sensor: Sensor
     rng: np.random.Generator
     tasked: bool
+    gimbal_limit: float
+
+    @classmethod
+    def of(cls, part: SensorPart, rng: np.random.Generator, step: float) -> Instrument:
+        """Return the sensor of one flight; `step` is that of the integration, s."""
+        build = getattr(part, "build", None)
+        sensor: Any = part if build is None else build(rng, step)
+        limit = getattr(part.calibration(), "gimbal_limit", np.pi)
+        return cls(sensor, rng, part.tasked, limit)
 
 
 class Plant:
@@ -49,14 +62,17 @@ class Plant:
     ----------
     world, dynamics, state
         The world, how the vehicle moves in it, and where it starts.
-    instruments
-        By name.
-    imu
-        The inertial unit, by name, or None.
+    sensors
+        Parts by name, each with its random stream.
     steps
         Integration steps in a control cycle.
     max_time
         A flight that is not over by then is, s.
+
+    Attributes
+    ----------
+    state, time, verdict
+        Now; the verdict is None in flight.
     """
 
     def __init__(
@@ -64,9 +80,8 @@ class Plant:
         world: World,
         dynamics: Dynamics,
         state: State,
+        sensors: Mapping[str, tuple[SensorPart, np.random.Generator]],
         *,
-        instruments: dict[str, Instrument],
-        imu: tuple[str, Imu] | None,
         steps: int,
         max_time: float,
     ) -> None:
@@ -76,49 +91,67 @@ class Plant:
         self.state = state
         self.time = 0.0
         self.verdict: Verdict | None = None
-        self._instruments = instruments
-        self._imu = imu
-        self._steps = steps
+        self.steps = steps
+        made = {
+            name: Instrument.of(part, rng, dynamics.step) for name, (part, rng) in sensors.items()
+        }
+        units: list[tuple[str, Any]] = [(name, one.sensor) for name, one in made.items()]
+        self.imus: dict[str, Imu] = {n: u for n, u in units if isinstance(u, Imu)}
+        self._instruments = {n: i for n, i in made.items() if n not in self.imus}
         self._max_time = max_time
-        self._samples: tuple[str, InertialSamples] | None = None
 
-    def sense(self) -> Measurements:
-        """Return what the inertial unit gathered and what sensors that need no telling measure."""
-        items: list[tuple[str, object]] = [] if self._samples is None else [self._samples]
-        self._samples = None
-        for name, instrument in self._instruments.items():
-            if not instrument.tasked:
-                items.append((name, self._measure(instrument, None)))
-        return Measurements(self.time, self.state.mass, tuple(items))
+    def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
+        """Return what sensors measure now: those that need no telling, and those told to."""
+        items: list[tuple[str, object]] = [
+            (name, self._measure(name, None))
+            for name, instrument in self._instruments.items()
+            if not instrument.tasked
+        ]
+        items += [(task.sensor, self._measure(task.sensor, task.mount)) for task in tasks]
+        return Measurements(self.time, tuple(items))
 
-    def perform(self, tasks: Sequence[SensorTask]) -> Measurements:
-        """Return what pointed sensors measure when told to."""
-        items = tuple(
-            (task.sensor, self._measure(self._instruments[task.sensor], task.mount))
-            for task in tasks
-        )
-        return Measurements(self.time, self.state.mass, items)
+    def _measure(self, name: str, mount: Array | None) -> object:
+        i = self._instruments[name]
+        held = None if mount is None else within(mount, i.gimbal_limit)
+        return i.sensor.measure(self.world, self.state, self.time, i.rng, held)
 
-    def _measure(self, instrument: Instrument, mount: Array | None) -> object:
-        return instrument.sensor.measure(self.world, self.state, self.time, instrument.rng, mount)
+    def moved(
+        self,
+        history: Array,
+        gyroscopes: Mapping[str, Array],
+        tasks: Sequence[SensorTask] = (),
+    ) -> Measurements:
+        """Take over where a control cycle has brought the vehicle; return what was measured.
 
-    def advance(self, command: Command) -> None:
-        """Move for one control cycle, or until a pad touches the ground."""
-        step = self.dynamics.step
-        history = self.dynamics.advance(self.state, command, self._steps)
+        Parameters
+        ----------
+        history
+            State vectors after each step (n, 15); what comes after a touchdown does not count.
+        gyroscopes
+            What gyroscopes gave already on the way, by name (n, 3), rad.
+        tasks
+            Measurements to make at the end.
+        """
         touched = self._first_contact(history)
-        steps = self._steps if touched is None else touched + 1
+        steps = len(history) if touched is None else touched + 1
         rows = np.vstack((self.state.as_vector(), history[:steps]))
         self.state = State.from_vector(rows[-1])
-        self.time += steps * step
-        if self._imu is not None:
-            name, imu = self._imu
-            self._samples = (name, imu.sense(rows, step, self.world.gravity, self.time))
-        if touched is not None:
-            self.verdict = judge_touchdown(
-                self.lander, self.state, self.world.terrain, self.world.gravity
-            )
-        elif self.state.position[2] < self.world.terrain.z_range[0] - 1.0:
+        self.time += steps * self.dynamics.step
+        samples: list[tuple[str, object]] = []
+        for name, imu in self.imus.items():
+            angle = gyroscopes[name][:steps] if name in gyroscopes else None
+            sensed = imu.sense(rows, self.dynamics.step, self.world.gravity, self.time, angle)
+            samples.append((name, sensed))
+        self._judge(touched is not None)
+        measured = self.measure(tasks if self.verdict is None else ())
+        return Measurements(self.time, (*samples, *measured.items))
+
+    def _judge(self, touched: bool) -> None:
+        """Set the verdict if the flight is over."""
+        terrain = self.world.terrain
+        if touched:
+            self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
+        elif self.state.position[2] < terrain.z_range[0] - 1.0:
             self.verdict = Verdict(False, ("off-map",), None)
         elif self.time >= self._max_time:
             self.verdict = Verdict(False, ("time-limit",), None)

@@ -1,17 +1,22 @@
-"""Collects what happens in a flight."""
+"""Collects what happens in a flight, on both sides of the wall."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.messages.measurements import LidarScan, Picture
+from lunarsim.messages.briefing import Briefing
+from lunarsim.messages.commands import Command
+from lunarsim.messages.measurements import LidarScan, Measurements, Picture
+from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates, Decision
-from lunarsim.simulation.flight import COLUMNS
+from lunarsim.simulation.flight import COLUMNS, Flight, MapRecord
 from lunarsim.vehicle.state import State
+from lunarsim.vehicle.touchdown import Verdict
 
 Array = NDArray[np.float64]
 
@@ -23,14 +28,43 @@ _SCAN_INTERVAL = 0.5
 _RUN = 1.0
 
 
-class Recorder:
-    """Rows, events, decisions and scans of one flight."""
+@dataclass
+class Tap:
+    """All messages that crossed the wall in a flight.
 
-    def __init__(self) -> None:
+    Attributes
+    ----------
+    briefing
+        What the computer was built from.
+    exchanges
+        A cycle each: measurements in, command out, torques of the attitude loop (n, 3).
+    """
+
+    briefing: Briefing | None = None
+    exchanges: list[tuple[Measurements, Command, Array]] = field(default_factory=list)
+
+    def exchange(self, measurements: Measurements, command: Command, torques: Array) -> None:
+        """Keep one cycle."""
+        self.exchanges.append((measurements, command, torques))
+
+
+class Recorder:
+    """Rows, events, decisions, scans and maps of one flight.
+
+    Parameters
+    ----------
+    target
+        Where the mission wants to land (3,), m.
+    """
+
+    def __init__(self, target: Array) -> None:
+        self._target = target
         self._rows: list[Array] = []
         self._scans: list[Array] = []
         self._seen: list[dict[str, Any]] = []
         self._last: dict[str, float] = {}
+        self._errors: dict[str, Array] = {}
+        self._first_map: Estimate | None = None
 
     def row(
         self,
@@ -49,42 +83,39 @@ class Recorder:
                     state.as_vector(),
                     estimate.position,
                     estimate.velocity,
+                    [estimate.mass],
                     site,
                     [time_to_go, phase],
                 )
             )
         )
 
-    def events(self, telemetry: list[tuple[float, str, dict[str, Any]]]) -> list[dict[str, Any]]:
-        """Return what happened, each as a dictionary."""
-        told = [{"time": time, "name": name, **details} for time, name, details in telemetry]
-        return sorted(self._seen + told, key=lambda event: float(event["time"]))
+    def trajectory(self) -> dict[str, Array]:
+        """Return the rows so far as columns."""
+        table = np.array(self._rows).reshape(-1, len(COLUMNS))
+        return {name: table[:, i].copy() for i, name in enumerate(COLUMNS)}
 
-    def decisions(self, diverts: list[tuple[float, Array, Decision]]) -> list[dict[str, Any]]:
-        """Return the decisions that changed the site, each as a dictionary."""
-        return [
-            {"time": time, "from": old, "to": new.site, "reason": new.reason, **new.details}
-            for time, old, new in diverts
-        ]
+    def measured(self, measurements: Measurements, computer: OnboardComputer, error: Array) -> None:
+        """Note what the computer has just taken in; `error` is that of its position, m."""
+        for sensor, measurement in measurements.items:
+            if isinstance(measurement, LidarScan | Picture):
+                self._pointed(sensor, measurement, computer)
+        for name in computer.mapped:
+            self._errors[name] = error
+            if self._first_map is None:
+                self._first_map = computer.estimate
 
-    def choice(self, candidates: Candidates | None) -> Array:
-        """Return the sites that the policy chose from last (n, 5)."""
-        if candidates is None:
-            return np.zeros((0, 5))
-        return np.column_stack((candidates.position, candidates.p_safe, candidates.propellant))
-
-    def measurement(
-        self, sensor: str, measurement: Any, estimate: Estimate, altitude: float
+    def _pointed(
+        self, sensor: str, measurement: LidarScan | Picture, computer: OnboardComputer
     ) -> None:
         """Note the first of a run of scans or pictures, and keep some returns of scans."""
-        if isinstance(measurement, LidarScan):
-            self._keep(measurement, estimate)
-        elif not isinstance(measurement, Picture):
-            return
         time = measurement.time
+        seen = {"time": time, "name": "picture", "sensor": sensor, "altitude": computer.altitude}
+        if isinstance(measurement, LidarScan):
+            self._keep(measurement, computer.estimate)
+            seen |= {"name": "scan", "returns": int(np.isfinite(measurement.range).sum())}
         if time > self._last.get(sensor, -np.inf) + _RUN:
-            name = "scan" if isinstance(measurement, LidarScan) else "picture"
-            self._seen.append({"time": time, "name": name, "sensor": sensor, "altitude": altitude})
+            self._seen.append(seen)
         self._last[sensor] = time
 
     def _keep(self, scan: LidarScan, estimate: Estimate) -> None:
@@ -97,12 +128,52 @@ class Recorder:
         if len(points):
             self._scans.append(np.column_stack((points, np.full(len(points), scan.time))))
 
-    @property
-    def scans(self) -> Array:
-        """All kept returns (n, 4)."""
-        return np.concatenate(self._scans) if self._scans else np.zeros((0, 4))
+    def flight(
+        self,
+        computer: OnboardComputer,
+        *,
+        scenario: str,
+        seed: dict[str, Any],
+        policy: str,
+        verdict: Verdict,
+    ) -> Flight:
+        """Return the record so far."""
+        maps = {
+            name: MapRecord(
+                mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.tables()
+            )
+            for name, mapper in computer.mappers.items()
+            if name in self._errors and not mapper.blank
+        }
+        decided = computer.decisions.map or next(iter(computer.mappers), "")
+        ending = "touchdown" if verdict.touchdown else "end"
+        last = [{"time": computer.time, "name": ending, "failed": list(verdict.failed)}]
+        if verdict.failed == ("unfinished",):
+            last = []
+        told = [{"time": time, "name": name, **more} for time, name, more in computer.telemetry]
+        return Flight(
+            scenario=scenario,
+            seed=seed,
+            policy=policy,
+            verdict=verdict,
+            target=self._target,
+            trajectory=self.trajectory(),
+            decisions=[_as_dict(*divert) for divert in computer.diverts],
+            events=sorted(self._seen + told + last, key=lambda event: float(event["time"])),
+            maps=maps,
+            decided_on=decided,
+            first_map=self._first_map,
+            scans=np.vstack([np.zeros((0, 4)), *self._scans]).astype(np.float32),
+            candidates=_table(computer.candidates).astype(np.float32),
+        )
 
-    def trajectory(self) -> dict[str, Array]:
-        """Return the rows as columns."""
-        table = np.array(self._rows)
-        return {name: table[:, i].copy() for i, name in enumerate(COLUMNS)}
+
+def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:
+    return {"time": time, "from": old, "to": new.site, "reason": new.reason, **new.details}
+
+
+def _table(candidates: Candidates | None) -> Array:
+    """Return the sites that the policy chose from last (n, 5)."""
+    if candidates is None:
+        return np.zeros((0, 5))
+    return np.column_stack((candidates.position, candidates.p_safe, candidates.propellant))

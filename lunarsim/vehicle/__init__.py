@@ -1,6 +1,6 @@
 """The lander: geometry and masses, propulsion, rigid-body motion, touchdown."""
 
-from lunarsim.vehicle.dynamics import AttitudeMode, Dynamics
+from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
     Ground,
@@ -12,7 +12,6 @@ from lunarsim.vehicle.touchdown import (
 )
 
 __all__ = [
-    "AttitudeMode",
     "Dynamics",
     "Ground",
     "State",

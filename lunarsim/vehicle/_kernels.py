@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lunarsim._frame_kernels import rotation_between
 from lunarsim._jit import kernel
 
 
@@ -67,33 +68,28 @@ def rk4_step(y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_d
 
 
 @kernel()
-def attitude_error(q, target, out):
-    """Write the rotation vector (body axes) from attitude q to `target`; return its length."""
-    # conj(q) * target
-    x = q[3] * target[0] - q[0] * target[3] - q[1] * target[2] + q[2] * target[1]
-    y = q[3] * target[1] - q[1] * target[3] - q[2] * target[0] + q[0] * target[2]
-    z = q[3] * target[2] - q[2] * target[3] - q[0] * target[1] + q[1] * target[0]
-    w = q[3] * target[3] + q[0] * target[0] + q[1] * target[1] + q[2] * target[2]
-    if w < 0.0:
-        x, y, z, w = -x, -y, -z, -w
-    s = np.sqrt(x * x + y * y + z * z)
-    angle = 2.0 * np.arctan2(s, w)
-    scale = angle / s if s > 1e-12 else 2.0
-    out[0] = scale * x
-    out[1] = scale * y
-    out[2] = scale * z
-    return angle
+def advance_body(y, dt, thrust, torque, figures, inertia, work):
+    """Advance y by one step under a thrust and torques in place.
+
+    `figures` is gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3) the
+    principal moments with tanks empty and full.
+    """
+    dry = figures[3]
+    if y[13] <= dry:  # tanks empty
+        thrust = 0.0
+        y[14] = 0.0
+    rk4_step(
+        y, dt, thrust, torque, figures[0], figures[1], figures[2], dry, figures[4], inertia[0],
+        inertia[1], work,
+    )  # fmt: skip
+    y[13] = max(y[13], dry)
 
 
 @kernel()
-def advance(
-    y, steps, dt, thrust_command, target, mode, rate_limit, frequency, damping, torque_max,
-    gravity, exhaust, lag, dry, wet, i_dry, i_wet,
-):  # fmt: skip
-    """Advance y by `steps` steps under a held command; return every state (steps, 15).
+def advance_ideal(y, steps, dt, thrust, target, slew, figures, inertia):
+    """Advance y by `steps` steps with an ideal attitude actuator; return every state (steps, 15).
 
-    `mode` 0 slews the attitude along the great circle at no more than `rate_limit`; mode 1
-    applies proportional-derivative torques within `torque_max`.
+    The attitude goes along the great circle to `target` at no more than `slew` (rad/s).
     """
     history = np.empty((steps, 15))
     work = np.empty((5, 15))
@@ -101,40 +97,25 @@ def advance(
     phi = np.empty(3)
     q = np.empty(4)
     for n in range(steps):
-        command = thrust_command
-        if y[13] <= dry:  # tanks empty
-            command = 0.0
-            y[14] = 0.0
-        angle = attitude_error(y[6:10], target, phi)
-        if mode == 0:
-            turn = min(angle, rate_limit * dt)
-            share = turn / angle if angle > 1e-12 else 0.0
-            half = 0.5 * turn
-            sinc = 0.5 * share * (np.sin(half) / half if half > 1e-9 else 1.0)
-            rx = phi[0] * sinc
-            ry = phi[1] * sinc
-            rz = phi[2] * sinc
-            rw = np.cos(half)
-            q[0] = y[9] * rx + y[6] * rw + y[7] * rz - y[8] * ry
-            q[1] = y[9] * ry - y[6] * rz + y[7] * rw + y[8] * rx
-            q[2] = y[9] * rz + y[6] * ry - y[7] * rx + y[8] * rw
-            q[3] = y[9] * rw - y[6] * rx - y[7] * ry - y[8] * rz
-            for s in range(3):
-                y[10 + s] = 0.0
-            rk4_step(y, dt, command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work)
-            for s in range(4):
-                y[6 + s] = q[s]
-            for s in range(3):
-                y[10 + s] = share * phi[s] / dt
-        else:
-            full = (y[13] - dry) / (wet - dry)
-            for s in range(3):
-                inertia = i_dry[s] + full * (i_wet[s] - i_dry[s])
-                # Large errors saturate the rate asked for, not only the torque.
-                wanted = min(max(frequency / (2.0 * damping) * phi[s], -rate_limit), rate_limit)
-                t = inertia * 2.0 * damping * frequency * (wanted - y[10 + s])
-                torque[s] = min(max(t, -torque_max[s]), torque_max[s])
-            rk4_step(y, dt, command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, work)
-        y[13] = max(y[13], dry)
+        angle = rotation_between(y[6:10], target, phi)
+        turn = min(angle, slew * dt)
+        share = turn / angle if angle > 1e-12 else 0.0
+        half = 0.5 * turn
+        sinc = 0.5 * share * (np.sin(half) / half if half > 1e-9 else 1.0)
+        rx = phi[0] * sinc
+        ry = phi[1] * sinc
+        rz = phi[2] * sinc
+        rw = np.cos(half)
+        q[0] = y[9] * rx + y[6] * rw + y[7] * rz - y[8] * ry
+        q[1] = y[9] * ry - y[6] * rz + y[7] * rw + y[8] * rx
+        q[2] = y[9] * rz + y[6] * ry - y[7] * rx + y[8] * rw
+        q[3] = y[9] * rw - y[6] * rx - y[7] * ry - y[8] * rz
+        for s in range(3):
+            y[10 + s] = 0.0
+        advance_body(y, dt, thrust, torque, figures, inertia, work)
+        for s in range(4):
+            y[6 + s] = q[s]
+        for s in range(3):
+            y[10 + s] = share * phi[s] / dt
         history[n] = y
     return history

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.vehicle import _kernels as k
 from lunarsim.vehicle.state import State
 
-AttitudeMode = Literal["slerp", "pd"]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,59 +33,55 @@ class Dynamics:
         Downward acceleration, m/s^2.
     step
         Integration step, s.
-    attitude_mode
-        ``"slerp"``: the attitude follows the command along the shortest arc at no more than
-        `rate_limit` (section IV.A.3 of the shadow EKF paper). ``"pd"``: quaternion
-        proportional-derivative torques within the limits of the reaction control system.
-    rate_limit
-        Slew rate limit, rad/s.
-    frequency, damping
-        Natural frequency (rad/s) and damping ratio of the attitude loop, for ``"pd"``.
     """
 
     lander: Lander
     gravity: float
     step: float = 0.01
-    attitude_mode: AttitudeMode = "pd"
-    rate_limit: float = np.deg2rad(15.0)
-    frequency: float = 4.0
-    damping: float = 0.9
 
     def __post_init__(self) -> None:
-        for name in ("gravity", "step", "rate_limit", "frequency", "damping"):
+        for name in ("gravity", "step"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"dynamics.{name}", value, "a positive number")
 
     @property
-    def response_time(self) -> float:
-        """Lag (s) with which the thrust vector follows a slowly changing command."""
-        attitude = 2.0 * self.damping / self.frequency if self.attitude_mode == "pd" else 0.0
-        return attitude + self.lander.thrust_lag
+    def figures(self) -> Array:
+        """Gravity, exhaust velocity, thrust lag, dry and wet mass, as kernels take them (5,)."""
+        v = self.lander
+        return np.array([self.gravity, v.exhaust_velocity, v.thrust_lag, v.dry_mass, v.wet_mass])
 
-    def advance(self, state: State, command: Command, steps: int) -> NDArray[np.float64]:
-        """Return the state vectors (steps, 15) after each step under a held command."""
-        lander = self.lander
-        thrust = command.thrust
-        if thrust > 0.0:
-            thrust = min(max(thrust, lander.thrust_min), lander.thrust_max)
-        history = k.advance(
-            state.as_vector(),
-            steps,
-            self.step,
-            thrust,
-            np.ascontiguousarray(command.attitude, dtype=np.float64),
-            0 if self.attitude_mode == "slerp" else 1,
-            self.rate_limit,
-            self.frequency,
-            self.damping,
-            np.asarray(lander.torque_max, dtype=np.float64),
-            self.gravity,
-            lander.exhaust_velocity,
-            lander.thrust_lag,
-            lander.dry_mass,
-            lander.wet_mass,
-            np.asarray(lander.inertia_dry, dtype=np.float64),
-            np.asarray(lander.inertia_full, dtype=np.float64),
+    @property
+    def inertia(self) -> Array:
+        """Principal moments with tanks empty and full, as kernels take them (2, 3), kg m^2."""
+        return np.array([self.lander.inertia_dry, self.lander.inertia_full], dtype=np.float64)
+
+    def thrust(self, wanted: float) -> float:
+        """Return what the engine makes of a wanted thrust (N): 0, or within the throttle range."""
+        return (
+            min(max(wanted, self.lander.thrust_min), self.lander.thrust_max) if wanted > 0 else 0.0
         )
-        return np.asarray(history)
+
+    def advance(self, state: State, thrust: float, torque: Array) -> State:
+        """Return the state a step later under a thrust (N) and torques (3,), N m."""
+        y = state.as_vector()
+        limit = np.asarray(self.lander.torque_max)
+        k.advance_body(
+            y, self.step, self.thrust(thrust), np.clip(torque, -limit, limit), self.figures,
+            self.inertia, np.empty((5, 15)),
+        )  # fmt: skip
+        return State.from_vector(y)
+
+    def advance_ideal(self, state: State, command: Command, slew_limit: float, steps: int) -> Array:
+        """Return the state vectors (steps, 15) with an ideal attitude actuator.
+
+        The attitude follows the command along the shortest arc at no more than `slew_limit` (rad/s;
+        section IV.A.3 of the shadow EKF paper).
+        """
+        return np.asarray(
+            k.advance_ideal(
+                state.as_vector(), steps, self.step, self.thrust(command.thrust),
+                np.ascontiguousarray(command.attitude, dtype=np.float64), slew_limit, self.figures,
+                self.inertia,
+            )
+        )  # fmt: skip

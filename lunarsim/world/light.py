@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
+from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
@@ -30,11 +32,11 @@ class Light:
         "lambert" or "lunar-lambert" (McEwen 1991).
     """
 
-    azimuth: float = 1.5 * np.pi
-    elevation: float = np.pi / 9
-    albedo: float = 0.12
-    ambient: float = 0.0
-    photometry: str = "lunar-lambert"
+    azimuth: float = quantity(270.0, "deg", help="of the Sun, clockwise from north")
+    elevation: float = quantity(20.0, "deg", ge=-90, le=90, help="of the Sun above the horizon")
+    albedo: float = quantity(0.12, gt=0, le=1, help="normal albedo")
+    ambient: float = quantity(0.0, ge=0, le=1, help="I/F of shadows over the albedo")
+    photometry: Literal["lambert", "lunar-lambert"] = quantity("lunar-lambert")
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.azimuth):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -9,6 +11,7 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
+from lunarsim.parts.quantity import quantity
 from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -17,6 +20,51 @@ Array = NDArray[np.float64]
 _SAMPLES = 4
 # A patch out of date shows bumps of this width, m.
 _BUMP = 2.0
+
+
+@dataclass(frozen=True)
+class PriorSurvey:
+    """A survey of the ground about the target that the lander brings along as a map.
+
+    Attributes
+    ----------
+    size, posting
+        Side of the square, and its posts, m.
+    sigma
+        Noise of each post, m.
+    offset
+        By which the whole map is wrong (3,), m.
+    stale_share, stale_side, stale_sigma
+        See `survey`.
+    """
+
+    size: float = quantity(300.0, "m", gt=0, help="side of the square about the target")
+    posting: float = quantity(0.5, "m", gt=0)
+    sigma: float = quantity(0.1, "m", gt=0, help="noise of each post")
+    offset: tuple[float, float, float] = quantity(
+        (0.0, 0.0, 0.0), "m", help="by which the whole map is wrong"
+    )
+    stale_share: float = quantity(0.0, ge=0, lt=1, help="of the map out of date")
+    stale_side: float = quantity(12.0, "m", gt=0, help="of the patches out of date")
+    stale_sigma: float = quantity(0.4, "m", ge=0, help="of what they show besides the ground")
+
+    def build(
+        self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator
+    ) -> PriorMap:
+        """Return the map about a point (east, north; m)."""
+        grid = Grid.centred(centre, self.size, self.posting)
+        made = survey(
+            terrain,
+            grid,
+            rng,
+            sigma=self.sigma,
+            stale_share=self.stale_share,
+            stale_side=self.stale_side,
+            stale_sigma=self.stale_sigma,
+        )
+        east, north, up = self.offset
+        moved = Grid(grid.x0 + east, grid.y0 + north, grid.posting, grid.rows, grid.cols)
+        return PriorMap(moved, made.elevation + up, made.sigma)
 
 
 def survey(

@@ -12,6 +12,9 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap, exact_safety
 from lunarsim.world import World
 
+# Of the yardstick, m: its own, so that no map's setting changes what maps are judged by.
+POSTING = 0.2
+
 
 @dataclass(frozen=True)
 class Truth:
@@ -32,7 +35,7 @@ class Truth:
     lander: Lander
 
     @classmethod
-    def of(cls, world: World, lander: Lander, posting: float) -> Truth:
+    def of(cls, world: World, lander: Lander, posting: float = POSTING) -> Truth:
         """Evaluate the whole terrain at a posting (m)."""
         west, east, south, north = world.terrain.bounds
         grid = Grid.centred(

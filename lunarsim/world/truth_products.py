@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,20 +66,20 @@ class TruthProducts:
 
     def save(self, path: Path) -> None:
         """Write the maps to a NetCDF file with coordinates and units."""
-        with h5netcdf.File(path, "w") as file:
-            file.dimensions = {"north": self.grid.rows, "east": self.grid.cols}
-            for name, values in (("north", self.grid.y), ("east", self.grid.x)):
-                file.create_variable(name, (name,), data=values).attrs["units"] = "m"
-            maps: tuple[tuple[str, NDArray[Any], str], ...] = (
-                ("elevation", self.elevation, "m"),
-                ("slope", self.slope, "rad"),
-                ("rock", self.rock, "1"),
-                ("safe", self.safe.astype(np.int8), "1"),
-                ("shadow", self.shadow.astype(np.int8), "1"),
-            )
-            for name, data, units in maps:
-                variable = file.create_variable(name, ("north", "east"), data=data)
-                variable.attrs["units"] = units
+        import xarray as xr  # noqa: PLC0415  (loads slowly)
+
+        maps: tuple[tuple[str, NDArray[Any], str], ...] = (
+            ("elevation", self.elevation, "m"),
+            ("slope", self.slope, "rad"),
+            ("rock", self.rock, "1"),
+            ("safe", self.safe.astype(np.int8), "1"),
+            ("shadow", self.shadow.astype(np.int8), "1"),
+        )
+        units = {"units": "m"}
+        xr.Dataset(
+            {name: (("north", "east"), data, {"units": unit}) for name, data, unit in maps},
+            {"north": ("north", self.grid.y, units), "east": ("east", self.grid.x, units)},
+        ).to_netcdf(path, engine="h5netcdf")
 
 
 def survey_grid(world: World, centre: tuple[float, float], size: float, posting: float) -> Grid:

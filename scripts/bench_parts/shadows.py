@@ -14,14 +14,14 @@ def _rock_filter(count, seed=0):
     import numpy as np
 
     from lunarsim.models.gimbal import gimbal_mount
-    from lunarsim.onboard.navigation.inertial import InertialState
+    from lunarsim.onboard.navigation.inertial import StrapdownState
     from lunarsim.onboard.navigation.rock_filter import RockFilter
     from lunarsim.sensors.camera import Camera
 
     rng = np.random.default_rng(seed)
     position = np.array([-20.0, 10.0, 80.0])
     level = np.array([0.0, 0.0, 0.0, 1.0])
-    rocks = RockFilter(InertialState(position, np.zeros(3), level, 1.622), capacity=count)
+    rocks = RockFilter(StrapdownState(position, np.zeros(3), level, 1.622), capacity=count)
     camera = replace(Camera(), mount=gimbal_mount(level, -position))
     xy = rng.uniform(-30.0, 30.0, (count, 2))
     noise = np.tile(0.25 * np.eye(2), (count, 1, 1))

@@ -5,7 +5,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector
-from lunarsim.models.inertial_unit import InertialErrors
+from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.sensors.altimeter import RadarAltimeter
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import State
@@ -26,8 +26,8 @@ def allan_deviation(increments, step, samples):
 
 @pytest.mark.parametrize("seconds", [0.1, 1.0, 10.0])
 def test_allan_deviation_of_white_noise(seconds):
-    errors = InertialErrors(random_walk=3e-4)
-    imu = Imu(np.random.default_rng(1), 100.0, errors, InertialErrors())
+    errors = TriadErrors(random_walk=3e-4)
+    imu = Imu(np.random.default_rng(1), 100.0, errors, TriadErrors())
     angle, _ = imu.measure(STILL, STILL)
     samples = round(seconds * 100)
     # Relative error of the estimate: about one over the root of the number of intervals.
@@ -38,8 +38,8 @@ def test_allan_deviation_of_white_noise(seconds):
 
 @pytest.mark.parametrize("seconds", [10.0, 40.0])
 def test_allan_deviation_of_a_walking_bias(seconds):
-    errors = InertialErrors(bias_walk=2e-4)
-    imu = Imu(np.random.default_rng(2), 100.0, InertialErrors(), errors)
+    errors = TriadErrors(bias_walk=2e-4)
+    imu = Imu(np.random.default_rng(2), 100.0, TriadErrors(), errors)
     _, velocity = imu.measure(STILL, STILL)
     samples = round(seconds * 100)
     intervals = 3 * len(STILL) / samples
@@ -48,10 +48,10 @@ def test_allan_deviation_of_a_walking_bias(seconds):
 
 
 def test_constants_of_a_power_on_have_their_spread():
-    errors = InertialErrors(bias=1e-3, scale_factor=1e-2, misalignment=5e-3)
+    errors = TriadErrors(bias=1e-3, scale_factor=1e-2, misalignment=5e-3)
     rows = []
     for seed in range(3000):
-        imu = Imu(np.random.default_rng(seed), 100.0, errors, InertialErrors())
+        imu = Imu(np.random.default_rng(seed), 100.0, errors, TriadErrors())
         still, _ = imu.measure(np.zeros(3), np.zeros(3))
         turning, _ = imu.measure([1.0, 0.0, 0.0], np.zeros(3))
         rows.append(np.concatenate((still, turning - still)) * 100.0)
@@ -63,7 +63,7 @@ def test_constants_of_a_power_on_have_their_spread():
 
 
 def test_quantised_sums_lose_nothing():
-    errors = InertialErrors(quantum=1e-3)
+    errors = TriadErrors(quantum=1e-3)
     imu = Imu(np.random.default_rng(0), 100.0, errors, errors)
     total = np.zeros(3)
     for _ in range(997):
@@ -74,7 +74,7 @@ def test_quantised_sums_lose_nothing():
 
 
 def test_one_by_one_or_together_without_noise_is_the_same():
-    errors = InertialErrors(bias=1e-3, scale_factor=1e-2, misalignment=1e-3, quantum=1e-4)
+    errors = TriadErrors(bias=1e-3, scale_factor=1e-2, misalignment=1e-3, quantum=1e-4)
     rate = np.random.default_rng(5).normal(size=(50, 3))
     at_once, _ = Imu(np.random.default_rng(3), 50.0, errors, errors).measure(rate, rate)
     imu = Imu(np.random.default_rng(3), 50.0, errors, errors)
@@ -85,7 +85,7 @@ def test_bad_units_are_refused():
     with pytest.raises(InputError, match=r"imu\.rate"):
         Imu(np.random.default_rng(0), 0.0)
     with pytest.raises(InputError, match=r"imu\.bias"):
-        InertialErrors(bias=-1.0)
+        TriadErrors(bias=-1.0)
     with pytest.raises(InputError, match=r"imu\.specific_force"):
         Imu(np.random.default_rng(0)).measure(np.zeros((2, 3)), np.zeros((3, 3)))
 

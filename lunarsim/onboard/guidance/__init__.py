@@ -1,22 +1,5 @@
-"""Guidance: where to fly, and the thrust that gets there."""
+"""How to fly to a site: laws, where phases end, what a divert costs."""
 
-from lunarsim.onboard.guidance.apollo import (
-    ApolloGuidance,
-    PolynomialTrajectory,
-    terminal_polynomial,
-)
-from lunarsim.onboard.guidance.divert import DivertCost, DivertLimits, divert_cost
-from lunarsim.onboard.guidance.law import GuidanceLaw, Target
-from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
 
-__all__ = [
-    "ApolloGuidance",
-    "DivertCost",
-    "DivertLimits",
-    "GuidanceLaw",
-    "PolynomialTrajectory",
-    "Target",
-    "VerticalDescent",
-    "divert_cost",
-    "terminal_polynomial",
-]
+__all__ = ["GuidanceLaw", "PhaseEnd"]

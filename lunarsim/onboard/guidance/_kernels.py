@@ -9,19 +9,20 @@ from lunarsim._jit import kernel
 
 @kernel()
 def survey(
-    r, v, targets, v_f, a_f, times, samples, gravity, thrust_least, thrust_most, tan_tilt, glide,
-    out_dv, out_time,
+    r, v, targets, v_f, a_f, times, samples, gravity, mass, exhaust, thrust_least, thrust_most,
+    tan_tilt, glide, out,
 ):  # fmt: skip
     """Find for each target the admissible time-to-go that takes the least velocity increment.
 
-    Writes the increment (inf where no time is admissible) and the time. A trajectory is
-    admissible when its thrust acceleration stays within [thrust_least, thrust_most], leans no
+    Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
+    (N) and the greatest tangent of its lean on that path. A trajectory is admissible when its
+    thrust, with the mass that is left by then, stays within [thrust_least, thrust_most], leans no
     more than tan_tilt from the vertical, and its path stays above the cone of slope `glide`
     around the target.
     """
     for n in range(targets.shape[0]):
-        out_dv[n] = np.inf
-        out_time[n] = np.nan
+        out[n, 0] = np.inf
+        out[n, 1:] = np.nan
         for m in range(times.size):
             big_t = times[m]
             c0 = a_f + 12.0 * (targets[n] - r) / big_t**2 - 6.0 * (v_f + v) / big_t
@@ -30,6 +31,10 @@ def survey(
             c1 = (6.0 * dv - 2.0 * da * big_t) / big_t**2
             c2 = (3.0 * da * big_t - 6.0 * dv) / big_t**3
             total = 0.0
+            burnt = 0.0
+            before = 0.0
+            peak = 0.0
+            lean = 0.0
             good = True
             for s in range(samples + 1):
                 t = big_t * s / samples
@@ -38,7 +43,12 @@ def survey(
                 az = c0[2] + t * (c1[2] + t * c2[2]) + gravity
                 side = np.hypot(ax, ay)
                 size = np.hypot(side, az)
-                if size > thrust_most or size < thrust_least or side > tan_tilt * az:
+                if s > 0:
+                    # Trapezia are enough for the mass; the increment below is Simpson's.
+                    burnt += 0.5 * (before + size) * big_t / samples
+                before = size
+                thrust = mass * np.exp(-burnt / exhaust) * size
+                if thrust > thrust_most or thrust < thrust_least or side > tan_tilt * az:
                     good = False
                     break
                 x = r[0] + t * (v[0] + t * (c0[0] / 2 + t * (c1[0] / 6 + t * c2[0] / 12)))
@@ -48,10 +58,14 @@ def survey(
                 if z - targets[n, 2] < glide * away - 0.5:
                     good = False
                     break
+                peak = max(peak, thrust)
+                lean = max(lean, side / az)
                 # Simpson's rule over an even number of intervals.
                 weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
                 total += weight * size
             total *= big_t / samples / 3.0
-            if good and total < out_dv[n]:
-                out_dv[n] = total
-                out_time[n] = big_t
+            if good and total < out[n, 0]:
+                out[n, 0] = total
+                out[n, 1] = big_t
+                out[n, 2] = peak
+                out[n, 3] = lean

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.onboard.guidance.law import Target
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
@@ -47,7 +49,7 @@ class PolynomialTrajectory:
 
 
 def terminal_polynomial(
-    position: ArrayLike, velocity: ArrayLike, target: Target, time_to_go: float
+    position: ArrayLike, velocity: ArrayLike, end: PhaseEnd, time_to_go: float
 ) -> PolynomialTrajectory:
     """Solve the boundary value problem of the Apollo law.
 
@@ -64,20 +66,35 @@ def terminal_polynomial(
     r = np.asarray(position, dtype=np.float64)
     v = np.asarray(velocity, dtype=np.float64)
     big_t = time_to_go
-    c0 = (
-        target.acceleration
-        + 12.0 * (target.position - r) / big_t**2
-        - 6.0 * (target.velocity + v) / big_t
-    )
-    da = target.acceleration - c0
-    dv = target.velocity - v - c0 * big_t
+    c0 = end.acceleration + 12.0 * (end.position - r) / big_t**2 - 6.0 * (end.velocity + v) / big_t
+    da = end.acceleration - c0
+    dv = end.velocity - v - c0 * big_t
     c1 = (6.0 * dv - 2.0 * da * big_t) / big_t**2
     c2 = (3.0 * da * big_t - 6.0 * dv) / big_t**3
     return PolynomialTrajectory(r, v, np.stack((c0, c1, c2)), big_t)
 
 
+@dataclass(frozen=True)
+class ApolloLaw:
+    """The Apollo polynomial law (Klumpp 1974).
+
+    Attributes
+    ----------
+    least_time_to_go
+        Below this time-to-go the loop is open, s.
+    """
+
+    least_time_to_go: float = quantity(
+        1.5, "s", gt=0, help="below it the last polynomial is flown out open loop"
+    )
+
+    def build(self, briefing: Briefing, lag: float) -> ApolloGuidance:
+        """Return the law of one flight."""
+        return ApolloGuidance(briefing.weight, lead=lag, least_time_to_go=self.least_time_to_go)
+
+
 class ApolloGuidance:
-    """The polynomial law with a clock: it is to arrive at `arrival`.
+    """The polynomial law in flight.
 
     The vehicle answers a command with a lag, so the boundary value problem is solved from
     where the lander will be a `lead` from now. The acceleration until then is that of the
@@ -88,24 +105,14 @@ class ApolloGuidance:
     ----------
     gravity
         Downward acceleration, m/s^2.
-    arrival
-        Time at which the target is to be reached, s.
     lead
         Lag of attitude and engine that is made up for, s.
     least_time_to_go
         Below this time-to-go the loop is open, s.
     """
 
-    def __init__(
-        self,
-        gravity: float,
-        arrival: float,
-        *,
-        lead: float = 0.0,
-        least_time_to_go: float = 1.5,
-    ) -> None:
+    def __init__(self, gravity: float, *, lead: float = 0.0, least_time_to_go: float = 1.5) -> None:
         self.gravity = np.array([0.0, 0.0, -gravity])
-        self.arrival = arrival
         self.lead = lead
         self.least_time_to_go = least_time_to_go
         self._lagged = np.zeros(3)
@@ -113,20 +120,16 @@ class ApolloGuidance:
         self._time: float | None = None
         self._last: tuple[float, PolynomialTrajectory] | None = None
 
-    def time_to_go(self, time: float) -> float:
-        """Return the time left to the target, s."""
-        return self.arrival - time
-
-    def command(self, estimate: Estimate, target: Target, time: float) -> Array:
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
         self._follow(time)
-        left = self.time_to_go(time) - self.lead
+        left = time_to_go - self.lead
         if left >= self.least_time_to_go or self._last is None:
             a, lead = self._lagged, self.lead
             position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
             velocity = estimate.velocity + lead * a
             left = max(left, self.least_time_to_go)
-            trajectory = terminal_polynomial(position, velocity, target, left)
+            trajectory = terminal_polynomial(position, velocity, end, left)
             self._last = (time, trajectory)
             self._command = trajectory.c[0]
         else:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance import _kernels as k
+from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -18,7 +19,7 @@ _TIMES = 48  # candidate times-to-go
 
 
 @dataclass(frozen=True)
-class DivertLimits:
+class PathLimits:
     """What a trajectory must respect.
 
     Attributes
@@ -41,7 +42,7 @@ class DivertLimits:
 
 @dataclass(frozen=True)
 class DivertCost:
-    """Cost of reaching each of n targets.
+    """Cost of reaching each of n sites.
 
     Attributes
     ----------
@@ -49,27 +50,31 @@ class DivertCost:
         kg (n,); inf where no admissible trajectory exists or the tanks do not hold it.
     time_to_go
         Best time-to-go (n,), s; NaN where infeasible.
+    peak_thrust, peak_tilt
+        Greatest thrust (N) and lean of the thrust from the vertical (rad) on the way (n,); NaN
+        where infeasible.
     """
 
     propellant: Array
     time_to_go: Array
+    peak_thrust: Array
+    peak_tilt: Array
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """Tell which targets can be reached (n,)."""
+        """Tell which sites can be reached (n,)."""
         return np.isfinite(self.propellant)
 
 
 def divert_cost(
     estimate: Estimate,
-    targets: ArrayLike,
+    end: PhaseEnd,
     lander: Lander,
     gravity: float,
     *,
-    arrival_velocity: ArrayLike = (0.0, 0.0, -2.0),
-    limits: DivertLimits | None = None,
+    limits: PathLimits | None = None,
 ) -> DivertCost:
-    """Find the cheapest admissible polynomial trajectory to each target.
+    """Find the cheapest admissible polynomial trajectory to each end of an approach.
 
     The integral of the thrust acceleration (Eq. 10 of the quadtree paper) is minimised over a
     range of times-to-go.
@@ -78,41 +83,44 @@ def divert_cost(
     ----------
     estimate
         Where the lander is.
-    targets
-        Ends of the approach (n, 3), estimated ENU, m.
+    end
+        Of the approach, for n sites.
     lander, gravity
         Thrust range, propellant, weight.
-    arrival_velocity
-        Velocity at the target (3,), m/s.
     limits
         What the trajectory must respect.
     """
-    limits = limits or DivertLimits()
-    targets = np.ascontiguousarray(np.atleast_2d(targets), dtype=np.float64)
+    limits = limits or PathLimits()
+    targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
     gap = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
     slowest = max(20.0, 3.0 * float(gap.max(initial=1.0)) / max(speed, 5.0))
     times = np.geomspace(3.0, slowest, _TIMES)
-    dv = np.empty(len(targets))
-    best = np.empty(len(targets))
+    found = np.empty((len(targets), 4))
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     k.survey(
         np.ascontiguousarray(estimate.position),
         np.ascontiguousarray(estimate.velocity),
         targets,
-        np.asarray(arrival_velocity, dtype=np.float64),
-        np.zeros(3),
+        np.asarray(end.velocity, dtype=np.float64),
+        np.asarray(end.acceleration, dtype=np.float64),
         times,
         _SAMPLES,
         gravity,
-        (lander.thrust_min + margin) / estimate.mass,
-        (lander.thrust_max - margin) / estimate.mass,
+        estimate.mass,
+        lander.exhaust_velocity,
+        lander.thrust_min + margin,
+        lander.thrust_max - margin,
         np.tan(limits.max_tilt),
         np.tan(limits.glideslope),
-        dv,
-        best,
+        found,
     )
-    propellant = estimate.mass * -np.expm1(-dv / lander.exhaust_velocity)
+    propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
     left = estimate.mass - lander.dry_mass - limits.reserve
-    propellant = np.where(propellant <= left, propellant, np.inf)
-    return DivertCost(propellant, np.where(np.isfinite(propellant), best, np.nan))
+    good = propellant <= left
+    return DivertCost(
+        np.where(good, propellant, np.inf),
+        np.where(good, found[:, 1], np.nan),
+        np.where(good, found[:, 2], np.nan),
+        np.where(good, np.arctan(found[:, 3]), np.nan),
+    )

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.apollo import PolynomialTrajectory, terminal_polynomial
-from lunarsim.onboard.guidance.law import Target
+from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def steepest(trajectory: PolynomialTrajectory) -> tuple[float, float]:
 
 
 def limited_time_to_go(
-    position: ArrayLike, velocity: ArrayLike, target: Target, *, jerk: float, snap: float
+    position: ArrayLike, velocity: ArrayLike, target: PhaseEnd, *, jerk: float, snap: float
 ) -> float:
     """Return the least time-to-go (s) whose polynomial keeps both limits; NaN above 1000 s.
 
@@ -118,7 +118,7 @@ def site_cost(
     sites = np.atleast_2d(np.asarray(sites, dtype=np.float64)).reshape(-1, 3)
     times, totals = np.full(len(sites), np.nan), np.full(len(sites), np.inf)
     for n, site in enumerate(sites):
-        target = Target(site, np.asarray(arrival_velocity, dtype=np.float64))
+        target = PhaseEnd(site, np.asarray(arrival_velocity, dtype=np.float64))
         times[n] = limited_time_to_go(
             estimate.position, estimate.velocity, target, jerk=jerk, snap=snap
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.guidance.law import Target
+from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
 
 
@@ -41,19 +41,19 @@ class VerticalDescent:
     lean_low: float = np.deg2rad(2.0)
     lean_height: float = 8.0
 
-    def command(self, estimate: Estimate, target: Target, time: float) -> NDArray[np.float64]:
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        The target's position is that of the centre of mass on the ground.
+        The end's position is that of the centre of mass on the ground.
         """
-        offset = estimate.position[:2] - target.position[:2]
+        offset = estimate.position[:2] - end.position[:2]
         sideways = (
             -(self.frequency**2) * offset
             - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
         )
         up = self.gravity + self.speed_gain * (-self.speed - float(estimate.velocity[2]))
         up = max(up, 0.3 * self.gravity)
-        height = float(estimate.position[2] - target.position[2])
+        height = float(estimate.position[2] - end.position[2])
         share = min(max(height / self.lean_height, 0.0), 1.0)
         limit = up * np.tan(self.lean_low + share * (self.lean - self.lean_low))
         size = float(np.hypot(*sideways))

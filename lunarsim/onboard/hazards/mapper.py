@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.messages.briefing import Briefing
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+
+Array = NDArray[np.float64]
 
 
 class HazardMapper(ABC):
@@ -28,5 +37,59 @@ class HazardMapper(ABC):
     def correct(self, before: Estimate, after: Estimate) -> None:  # noqa: B027
         """Move what depends on the pose by what navigation has just learnt of it."""
 
+    def recentre(self, centre: Array) -> None:  # noqa: B027
+        """Lay the map about another point (3,), local frame, m; only called while it is blank."""
+
     def refresh(self, time: float) -> None:  # noqa: B027
         """Do what is due at `time` (s); called once a cycle, after measurements."""
+
+    def tables(self) -> dict[str, dict[str, Array]]:
+        """Return what else is worth a record: name to columns (n,), local frame."""
+        return {}
+
+
+class MapperPart(Protocol):
+    """What the registry knows of a mapper: a frozen dataclass of its settings.
+
+    Attributes
+    ----------
+    takes
+        Type of measurements that it maps.
+    navigation
+        Part of navigation that it cannot work without, or None.
+    sensor
+        Name of the sensor whose measurements it maps.
+    """
+
+    takes: ClassVar[type]
+    navigation: ClassVar[type | None]
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor whose measurements it maps."""
+        ...
+
+    def build(self, briefing: Briefing, navigation: Navigation) -> HazardMapper:
+        """Return the mapper of one flight, its map about the target.
+
+        Raises
+        ------
+        InputError
+            If the map is smaller than the lander's footprint or its posting is too coarse.
+        """
+        ...
+
+
+def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:
+    """Return the cells of a hazard map about a point.
+
+    Raises
+    ------
+    InputError
+        If the map is smaller than the lander's footprint or its posting is too coarse.
+    """
+    if posting > 0.5 * lander.leg_radius:
+        raise InputError("posting_m", posting, f"at most {0.5 * lander.leg_radius} m")
+    if size < 4.0 * lander.leg_radius + 1.0:
+        raise InputError("size_m", size, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m")
+    return Grid.centred(centre, size, posting)

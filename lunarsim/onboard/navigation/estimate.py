@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lunarsim.frames import Shift
+from lunarsim.messages.briefing import Briefing
 
 Array = NDArray[np.float64]
 
@@ -20,7 +23,7 @@ class Estimate:
     time
         s.
     position, velocity
-        ENU (3,), m and m/s.
+        Local frame (3,), m and m/s.
     attitude
         Quaternion, body to ENU (4,).
     rate
@@ -28,7 +31,7 @@ class Estimate:
     mass
         kg.
     covariance
-        Of position, velocity and small rotation in ENU (9, 9), m, m/s, rad.
+        Of position (in the site frame), velocity and small rotation in ENU (9, 9), m, m/s, rad.
     """
 
     time: float
@@ -70,10 +73,37 @@ class Navigation(Protocol):
 
     events: list[NavigationEvent]
 
-    def take(self, measurement: Any, time: float) -> None:
-        """Take in one measurement; what it cannot use changes nothing."""
+    @property
+    def site_to_local(self) -> Shift:
+        """Where the site frame is taken to lie in the local one."""
+        ...
+
+    def take(self, sensor: str, measurement: Any, time: float) -> None:
+        """Take in one measurement of a named sensor; what it cannot use changes nothing."""
         ...
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the estimate at `time` with the mass (kg) that the computer keeps."""
+        ...
+
+
+class NavigationPart(Protocol):
+    """What the registry knows of a navigation: a frozen dataclass of its settings.
+
+    Attributes
+    ----------
+    needs
+        Types of measurements without which it cannot work.
+    takes
+        Types that it uses if there are any, besides.
+    uses_prior_map
+        Whether it cannot work without a prior map.
+    """
+
+    needs: ClassVar[tuple[type, ...]]
+    takes: ClassVar[tuple[type, ...]]
+    uses_prior_map: ClassVar[bool]
+
+    def build(self, briefing: Briefing) -> Navigation:
+        """Return the navigation of one flight."""
         ...

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
-from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, InertialErrors
+from lunarsim.messages.briefing import Briefing
+from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadErrors
+from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
 from lunarsim.onboard.navigation.estimate import Estimate
 
@@ -22,7 +24,7 @@ INERTIAL = 15
 
 
 @dataclass(frozen=True)
-class InitialErrors:
+class StartSigmas:
     """Standard deviations at the start, each an axis.
 
     Attributes
@@ -44,7 +46,7 @@ class InitialErrors:
                 raise InputError(f"navigation.{name}", value, "a positive number")
 
 
-class InertialState:
+class StrapdownState:
     """Position, velocity, attitude and biases, carried by inertial samples.
 
     Parameters
@@ -67,8 +69,8 @@ class InertialState:
         gravity: float,
         *,
         step: float = 0.01,
-        gyroscopes: InertialErrors = GYROSCOPES,
-        accelerometers: InertialErrors = ACCELEROMETERS,
+        gyroscopes: TriadErrors = GYROSCOPES,
+        accelerometers: TriadErrors = ACCELEROMETERS,
     ) -> None:
         self._x = np.concatenate(
             (position, velocity, np.zeros(3), normalised(attitude), np.zeros(3))
@@ -99,7 +101,31 @@ class InertialState:
             gyroscopes.bias,
         )
 
-    def covariance(self, errors: InitialErrors) -> Array:
+    @classmethod
+    def of(cls, briefing: Briefing) -> tuple[StrapdownState, StartSigmas]:
+        """Return the state that a briefing starts with, and its standard deviations.
+
+        Raises
+        ------
+        InputError
+            If there is no inertial unit.
+        """
+        unit = next(
+            (i for i in briefing.instruments.values() if isinstance(i, InertialInstrument)), None
+        )
+        if unit is None:
+            raise InputError("sensors", sorted(briefing.instruments), "an inertial unit among them")
+        s = briefing.start
+        sigmas = StartSigmas(
+            max(s.position_sigma, 1e-3), max(s.velocity_sigma, 1e-4), max(s.attitude_sigma, 1e-6)
+        )
+        state = cls(
+            s.position, s.velocity, s.attitude, briefing.weight, step=briefing.step,
+            gyroscopes=unit.gyroscopes, accelerometers=unit.accelerometers,
+        )  # fmt: skip
+        return state, sigmas
+
+    def covariance(self, errors: StartSigmas) -> Array:
         """Return the covariance (15, 15) of the error state at the start."""
         sigmas = (
             errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,

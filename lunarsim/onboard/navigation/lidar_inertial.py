@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import normalised, quat_multiply
+from lunarsim.errors import InputError
+from lunarsim.frames import Shift, normalised, quat_multiply
 from lunarsim.grid import Grid
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.inertial import INERTIAL, InertialState, InitialErrors
+from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.place_search import Features, Match, Patch, features_of, search
 from lunarsim.onboard.navigation.registration import (
     Fit,
@@ -99,6 +101,28 @@ class _Key:
     attitude: Array
 
 
+@dataclass(frozen=True)
+class PriorMapNavigation:
+    """Inertial unit and LiDAR scans that find their place on a prior map (quadtree paper)."""
+
+    needs: ClassVar[tuple[type, ...]] = (InertialSamples, LidarScan)
+    takes: ClassVar[tuple[type, ...]] = ()
+    uses_prior_map: ClassVar[bool] = True
+
+    def build(self, briefing: Briefing) -> LidarInertialFilter:
+        """Return the filter of one flight.
+
+        Raises
+        ------
+        InputError
+            If there is no prior map.
+        """
+        if briefing.prior_map is None:
+            raise InputError("prior_map", None, "a table: this navigation finds its place on it")
+        state, sigmas = StrapdownState.of(briefing)
+        return LidarInertialFilter(state, sigmas, briefing.prior_map)
+
+
 class LidarInertialFilter:
     """Error-state filter: inertial samples carry it, LiDAR scans tie it to a map.
 
@@ -122,8 +146,8 @@ class LidarInertialFilter:
 
     def __init__(
         self,
-        inertial: InertialState,
-        errors: InitialErrors,
+        inertial: StrapdownState,
+        errors: StartSigmas,
         prior: PriorMap,
         settings: RegistrationSettings | None = None,
     ) -> None:
@@ -142,6 +166,7 @@ class LidarInertialFilter:
         self._key: _Key | None = None
         self._shared = 0.0
         self._moved = np.zeros(3)
+        self._offset = np.zeros(3)
 
     # --- state ----------------------------------------------------------------------------
 
@@ -157,9 +182,15 @@ class LidarInertialFilter:
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it."""
-        return self.inertial.estimate(self.covariance, time, mass)
+        found = self.inertial.estimate(self.covariance, time, mass)
+        return replace(found, position=self.site_to_local.to_local(found.position))
 
-    def take(self, measurement: Any, time: float) -> None:
+    @property
+    def site_to_local(self) -> Shift:
+        """Where the map lies in the local frame, which does not jump when the map is found."""
+        return Shift(self._offset.copy())
+
+    def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Take in inertial samples or a scan."""
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
@@ -239,7 +270,7 @@ class LidarInertialFilter:
         )
         if not self._believable(result):
             return False
-        if not self._apply(_POSE, result.information, result.vector, s.gate):
+        if not self._apply(_POSE, result.information, result.vector, s.gate, jump=not self.locked):
             return False
         self._uses[posts] += 1
         self._variance[posts] = self._of_uses(self._uses[posts])
@@ -304,6 +335,7 @@ class LidarInertialFilter:
             jacobian.T @ information @ jacobian,
             jacobian.T @ information @ match.shift,
             s.gate,
+            jump=True,
         )
 
     def _take_height(self, jacobian: Array, match: Match, before: float) -> None:
@@ -313,7 +345,9 @@ class LidarInertialFilter:
         if 9.0 * variance < before:
             row = jacobian[2]
             information = np.outer(row, row) / variance
-            if self._apply(_POSE, information, row * match.up / variance, self.settings.gate):
+            if self._apply(
+                _POSE, information, row * match.up / variance, self.settings.gate, jump=True
+            ):
                 # Earlier scans lie where the lander was thought to be.
                 self._patch.clear()
 
@@ -360,11 +394,18 @@ class LidarInertialFilter:
     # --- correction -----------------------------------------------------------------------
 
     def _apply(
-        self, part: NDArray[np.int64], information: Array, vector: Array, gate: float
+        self,
+        part: NDArray[np.int64],
+        information: Array,
+        vector: Array,
+        gate: float,
+        *,
+        jump: bool = False,
     ) -> bool:
         """Take in information on a part of the error state, unless its correction is too unlikely.
 
         Written without the inverse of the covariance, which is singular while two poses coincide.
+        What is learnt in a `jump` is where the map lies: the local frame stays where it is.
         """
         p = self.covariance
         own = p[np.ix_(part, part)]
@@ -380,6 +421,8 @@ class LidarInertialFilter:
         self.covariance = p - p[:, part] @ gain @ p[part]
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
         self._moved = error[:3].copy()
+        if jump:
+            self._offset -= self._moved
         self.inertial.correct(error[:INERTIAL])
         if self._key is not None:
             self._correct_key(error[_CLONE])

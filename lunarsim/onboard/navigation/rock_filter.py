@@ -10,8 +10,9 @@ one update, which equals the sequential one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +21,15 @@ from scipy.linalg.blas import dtrsm
 from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_to_matrix
+from lunarsim.frames import Shift, quat_to_matrix
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import AltimeterReading, InertialSamples
 from lunarsim.models.camera import CameraModel
+from lunarsim.models.instruments import FixedBeam
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.inertial import INERTIAL, InertialState, InitialErrors
+from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.planar import inverse
 
 Array = NDArray[np.float64]
@@ -61,6 +64,25 @@ class Sight:
     by_rock: Array
 
 
+@dataclass(frozen=True)
+class RockNavigation:
+    """Inertial unit, altimeter, and the rocks that a camera sees by their shadows."""
+
+    needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
+    takes: ClassVar[tuple[type, ...]] = (AltimeterReading,)
+    uses_prior_map: ClassVar[bool] = False
+
+    def build(self, briefing: Briefing) -> RockFilter:
+        """Return the filter of one flight; its rocks stand at the level of the target."""
+        state, sigmas = StrapdownState.of(briefing)
+        beams = {
+            name: instrument.boresight
+            for name, instrument in briefing.instruments.items()
+            if isinstance(instrument, FixedBeam)
+        }
+        return RockFilter(state, sigmas, ground=float(briefing.target[2]), beams=beams)
+
+
 class RockFilter:
     """Lander and rocks in one filter.
 
@@ -74,22 +96,26 @@ class RockFilter:
         Elevation of the plane on which rocks stand, m.
     capacity
         Rocks for which room is made at first; it grows as needed.
+    beams
+        Boresights (3,), body axes, of altimeters by name; straight down where left out.
     """
 
     def __init__(
         self,
-        inertial: InertialState,
-        errors: InitialErrors | None = None,
+        inertial: StrapdownState,
+        errors: StartSigmas | None = None,
         *,
         ground: float = 0.0,
         capacity: int = 128,
+        beams: Mapping[str, ArrayLike] | None = None,
     ) -> None:
         self.inertial = inertial
         self.events: list[NavigationEvent] = []
+        self._beams = dict(beams or {})
         self.ground = float(ground)
         self.count = 0
         self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
-        self._p[:INERTIAL, :INERTIAL] = inertial.covariance(errors or InitialErrors())
+        self._p[:INERTIAL, :INERTIAL] = inertial.covariance(errors or StartSigmas())
         self._xy = np.zeros((capacity, 2))
         self._r = np.zeros((capacity, 2))
         self._rests = np.zeros(capacity, bool)
@@ -158,12 +184,18 @@ class RockFilter:
         """Return the lander's state as the rest of the loop takes it."""
         return self.inertial.estimate(self._p, time, mass)
 
-    def take(self, measurement: Any, time: float) -> None:
+    @property
+    def site_to_local(self) -> Shift:
+        """The local frame is the site frame as the start knew it."""
+        return Shift()
+
+    def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Take in inertial samples or an altimeter's range; pictures come through the tracker."""
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
         elif isinstance(measurement, AltimeterReading):
-            self.update_range(measurement.range, measurement.sigma)
+            boresight = self._beams.get(sensor, (0.0, 0.0, -1.0))
+            self.update_range(measurement.range, measurement.sigma, boresight)
 
     # --- time -----------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 """Retargeting policies: keep the site, or fly to another.
 
 A policy sees only what an onboard computer would; one that is allowed the truth says so in its
-name.
+name and lives with the loop.
 """
 
 from lunarsim.onboard.policies.contract import (
@@ -10,13 +10,5 @@ from lunarsim.onboard.policies.contract import (
     Observation,
     RetargetingPolicy,
 )
-from lunarsim.onboard.policies.library import POLICIES, make_policy
 
-__all__ = [
-    "POLICIES",
-    "Candidates",
-    "Decision",
-    "Observation",
-    "RetargetingPolicy",
-    "make_policy",
-]
+__all__ = ["Candidates", "Decision", "Observation", "RetargetingPolicy"]

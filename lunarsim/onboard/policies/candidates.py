@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance.divert import DivertLimits, divert_cost
+from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates
 
 Array = NDArray[np.float64]
@@ -47,15 +47,11 @@ def best_cells(
 def candidate_sites(
     hazard_map: HazardMap,
     aim: FloatMap,
-    estimate: Estimate,
     site: Array,
-    lander: Lander,
-    gravity: float,
+    cost_of: Callable[[Array], DivertCost],
     *,
     count: int,
     separation: float,
-    approach_height: float,
-    limits: DivertLimits,
 ) -> Candidates:
     """Return the sites that a policy may choose from, and what each costs to reach.
 
@@ -68,16 +64,12 @@ def candidate_sites(
         The map.
     aim
         Probability of landing safely when aiming at each cell: `HazardMap.dispersed`.
-    estimate, site
-        Where the lander is and where it is going (3,).
-    lander, gravity
-        For the cost of the divert.
+    site
+        Where the lander is going (3,).
+    cost_of
+        Returns what it costs to fly to sites (n, 3).
     count, separation
         Number of sites and least distance between them, m.
-    approach_height
-        Height of the centre of mass above the site at the end of the approach, m.
-    limits
-        What trajectories must respect.
     """
     grid = hazard_map.grid
     distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
@@ -98,7 +90,5 @@ def candidate_sites(
     else:
         z = np.full(len(cells), site[2])
     position = np.column_stack((xy, z))
-    cost = divert_cost(
-        estimate, position + np.array([0.0, 0.0, approach_height]), lander, gravity, limits=limits
-    )
+    cost = cost_of(position)
     return Candidates(position, p_safe, distance[cells[:, 0], cells[:, 1]], cost.propellant)

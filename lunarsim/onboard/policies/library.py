@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsim.errors import InputError, suggestion
-from lunarsim.onboard.policies.contract import Decision, Observation, RetargetingPolicy
+from lunarsim.onboard.policies.contract import Decision, Observation
+from lunarsim.parts.quantity import hidden, quantity
 
 
 def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
@@ -28,7 +27,7 @@ def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
 class NoDivert:
     """Land where the mission said, whatever the map shows."""
 
-    name: str = "no-divert"
+    name: str = hidden("no-divert")
 
     def decide(self, observation: Observation) -> Decision:
         """Keep the site."""
@@ -46,8 +45,8 @@ class Safest:
         same ground must not send the lander to and fro.
     """
 
-    gain: float = 0.7
-    name: str = "safest"
+    gain: float = quantity(0.7, ge=0, help="least gain that is worth a change, log-odds")
+    name: str = hidden("safest")
 
     def decide(self, observation: Observation) -> Decision:
         """Pick the best reachable candidate if it beats the present site."""
@@ -72,8 +71,8 @@ class NearestSafe:
         Probability that counts as safe.
     """
 
-    enough: float = 0.95
-    name: str = "nearest-safe"
+    enough: float = quantity(0.95, gt=0, lt=1, help="probability that counts as safe")
+    name: str = hidden("nearest-safe")
 
     def decide(self, observation: Observation) -> Decision:
         """Pick the nearest reachable candidate that is safe enough, else the safest."""
@@ -100,9 +99,9 @@ class FuelAware:
         Least gain of the score that is worth a change of site.
     """
 
-    price: float = 0.25
-    gain: float = 0.7
-    name: str = "fuel-aware"
+    price: float = quantity(0.25, ge=0, help="log-odds that a kilogram is worth")
+    gain: float = quantity(0.7, ge=0, help="least gain that is worth a change, log-odds")
+    name: str = hidden("fuel-aware")
 
     def decide(self, observation: Observation) -> Decision:
         """Pick the reachable site with the best log-odds less the price of its propellant."""
@@ -126,30 +125,3 @@ def _log_odds(p: np.ndarray | float) -> np.ndarray:
     """
     p = np.clip(np.nan_to_num(np.asarray(p, dtype=np.float64), nan=0.0), 1e-6, 0.999)
     return np.asarray(np.log(p / (1.0 - p)))
-
-
-POLICIES: dict[str, Callable[[], RetargetingPolicy]] = {
-    "no-divert": NoDivert,
-    "safest": Safest,
-    "nearest-safe": NearestSafe,
-    "fuel-aware": FuelAware,
-}
-TRUTH_ORACLE = "truth-oracle"
-
-
-def policy_names() -> list[str]:
-    """Return the names of all policies."""
-    return [*POLICIES, TRUTH_ORACLE]
-
-
-def make_policy(name: str) -> RetargetingPolicy:
-    """Return a policy by name (the truth oracle is made by the simulation, which has the truth).
-
-    Raises
-    ------
-    InputError
-        If no policy has this name.
-    """
-    if name not in POLICIES:
-        raise InputError("policy", name, suggestion(name, policy_names()))
-    return POLICIES[name]()

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import SensorTask
 from lunarsim.onboard.navigation.estimate import Estimate
 
@@ -21,19 +22,33 @@ class Situation:
     Attributes
     ----------
     time
-        s.
+        Of the task, s.
     altitude
-        Of the pads above the site, m.
+        Then, of the pads above the site, m.
     site
         Where the lander is going (3,), m.
     estimate
-        Where it is.
+        Where it will be when the task is done: at the end of the cycle that is to come.
     """
 
     time: float
     altitude: float
     site: Array
     estimate: Estimate
+
+
+class TaskingPart(Protocol):
+    """What the registry knows of a schedule: a frozen dataclass of its settings."""
+
+    def build(self, sensor: str, briefing: Briefing) -> Tasking:
+        """Return the schedule of one flight.
+
+        Raises
+        ------
+        InputError
+            If the sensor cannot do it.
+        """
+        ...
 
 
 class Tasking(Protocol):

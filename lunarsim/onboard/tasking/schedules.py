@@ -2,19 +2,110 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import SensorTask
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.tasking.contract import Situation
+from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
 
+def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
+    if rate * briefing.cycle > 1.0 + 1e-9:
+        raise InputError(
+            f"tasking.{sensor}.{key}",
+            rate,
+            f"at most {1.0 / briefing.cycle:g}, one measurement a control cycle",
+        )
+
+
+@dataclass(frozen=True)
 class AtAltitudes:
+    """One measurement at each of some altitudes.
+
+    Attributes
+    ----------
+    altitudes
+        Above the site, m.
+    boresight
+        "site" or "nadir".
+    """
+
+    altitudes: tuple[float, ...] = quantity((350.0, 160.0), "m", gt=0, help="above the site")
+    boresight: Literal["site", "nadir"] = quantity("site", help="where it looks")
+
+    def build(self, sensor: str, briefing: Briefing) -> AltitudeSchedule:
+        """Return the schedule of one flight."""
+        limit = briefing.instruments[sensor].gimbal_limit
+        return AltitudeSchedule(sensor, self.altitudes, self.boresight == "site", limit)
+
+
+@dataclass(frozen=True)
+class Periodic:
+    """Measurements of the site at a fixed rate below an altitude.
+
+    Attributes
+    ----------
+    rate
+        Hz.
+    first_altitude
+        Above the site, m.
+    """
+
+    rate: float = quantity(10.0, "Hz", gt=0)
+    first_altitude: float = quantity(400.0, "m", gt=0, help="of the first, above the site")
+
+    def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:
+        """Return the schedule of one flight."""
+        _check_rate(sensor, "rate_hz", self.rate, briefing)
+        limit = briefing.instruments[sensor].gimbal_limit
+        return PeriodicSchedule(sensor, self.rate, self.first_altitude, limit)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A square about the site swept row by row, then a dwell on the site.
+
+    Attributes
+    ----------
+    size
+        Side of the square, m.
+    duration
+        Of the sweep, s.
+    rate, dwell_rate
+        While it sweeps, and on the site, Hz.
+    last_altitude
+        Below it the sensor is turned away, m.
+    """
+
+    size: float = quantity(90.0, "m", gt=0, help="side of the square")
+    duration: float = quantity(20.0, "s", gt=0, help="then it dwells on the site")
+    rate: float = quantity(20.0, "Hz", gt=0, help="while it sweeps")
+    dwell_rate: float = quantity(5.0, "Hz", gt=0, help="on the site")
+    last_altitude: float = quantity(15.0, "m", ge=0, help="below it the sensor is turned away")
+
+    def build(self, sensor: str, briefing: Briefing) -> SweepSchedule:
+        """Return the schedule of one flight."""
+        _check_rate(sensor, "rate_hz", self.rate, briefing)
+        _check_rate(sensor, "dwell_rate_hz", self.dwell_rate, briefing)
+        return SweepSchedule(
+            sensor, size=self.size, duration=self.duration, rate=self.rate,
+            dwell_rate=self.dwell_rate, last_altitude=self.last_altitude,
+            limit=briefing.instruments[sensor].gimbal_limit,
+        )  # fmt: skip
+
+
+class AltitudeSchedule:
     """One measurement at each of some altitudes, of the site or straight down.
 
     Parameters
@@ -53,7 +144,7 @@ class AtAltitudes:
         self._pending.clear()
 
 
-class Periodic:
+class PeriodicSchedule:
     """Measurements of the site at a fixed rate below an altitude.
 
     Parameters
@@ -89,17 +180,15 @@ class Periodic:
         self._next = np.inf
 
 
-class Sweep:
+class SweepSchedule:
     """A square swept row by row, then a dwell on the site.
 
     Parameters
     ----------
     sensor
         Name of the sensor.
-    centre
-        Of the square (3,), m.
     size
-        Side of the square, m.
+        Side of the square about the site, m.
     duration
         Of the sweep, s.
     rate, dwell_rate
@@ -113,7 +202,6 @@ class Sweep:
     def __init__(
         self,
         sensor: str,
-        centre: Array,
         *,
         size: float,
         duration: float,
@@ -123,7 +211,6 @@ class Sweep:
         limit: float,
     ) -> None:
         self._sensor = sensor
-        self._centre = centre.copy()
         self._size = size
         self._duration = duration
         self._rate, self._dwell_rate = rate, dwell_rate
@@ -139,21 +226,21 @@ class Sweep:
             return None
         sweeping = s.time < self._duration
         self._next = s.time + 1.0 / (self._rate if sweeping else self._dwell_rate)
-        aim = self._spot() if sweeping else s.site
+        aim = s.site + self._offset() if sweeping else s.site
         self._count += 1
         mount = gimbal_mount(s.estimate.attitude, aim - s.estimate.position, self._limit)
         return SensorTask(self._sensor, mount)
 
-    def _spot(self) -> Array:
-        """Return the point of the square to look at next (3,), m."""
+    def _offset(self) -> Array:
+        """Return where to look at next from the middle of the square (3,), m."""
         rows = max(2, round(np.sqrt(self._duration * self._rate)))
         row, col = divmod(self._count, rows)
         # There and back, like an ox that ploughs; over again if measurements are left.
         row %= rows
         col = col if row % 2 == 0 else rows - 1 - col
         step = self._size / (rows - 1)
-        offset = np.array([row * step, col * step, 0.0]) - 0.5 * self._size * np.array([1, 1, 0])
-        return np.asarray(self._centre + offset)
+        corner = 0.5 * self._size * np.array([1.0, 1.0, 0.0])
+        return np.array([row * step, col * step, 0.0]) - corner
 
     def stop(self) -> None:
         """Measure no more."""

@@ -9,8 +9,10 @@ from scipy.integrate import solve_ivp
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.thrust import thrust_to_command
-from lunarsim.onboard.guidance import ApolloGuidance, Target, VerticalDescent, terminal_polynomial
+from lunarsim.onboard.guidance.apollo import ApolloGuidance, terminal_polynomial
+from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation import Estimate
+from lunarsim.sensors.rendering.target import Target
 
 G = 1.622
 

@@ -14,8 +14,8 @@ from lunarsim.onboard.guidance.jerk_limited import (
     site_cost,
     steepest,
 )
-from lunarsim.onboard.guidance.law import Target
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.sensors.rendering.target import Target
 
 R, V = np.array([-300.0, 40.0, 200.0]), np.array([15.0, -2.0, -8.0])
 TARGET = Target(np.zeros(3), np.array([0.0, 0.0, -1.0]))

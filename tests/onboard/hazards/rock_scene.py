@@ -8,16 +8,16 @@ import numpy as np
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate, quat_to_matrix
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.models.inertial_unit import InertialErrors
-from lunarsim.onboard.navigation.inertial import InertialState, InitialErrors
+from lunarsim.models.inertial_unit import TriadErrors
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.sensors.camera import Camera
 
 GRAVITY = 1.622
-ERRORS = InitialErrors(2.0, 0.1, 2e-3)
+ERRORS = StartSigmas(2.0, 0.1, 2e-3)
 # Errors that the filter models in full: no scale factor, no quantisation.
-GYROSCOPES = InertialErrors(5e-5, 1e-4, 1e-6)
-ACCELEROMETERS = InertialErrors(3e-3, 1e-3, 1e-5)
+GYROSCOPES = TriadErrors(5e-5, 1e-4, 1e-6)
+ACCELEROMETERS = TriadErrors(3e-3, 1e-3, 1e-5)
 
 
 class Flight:
@@ -35,7 +35,7 @@ class Flight:
         self.bias_a = ACCELEROMETERS.bias * rng.standard_normal(3)
         self.bias_g = GYROSCOPES.bias * rng.standard_normal(3)
         error = rng.standard_normal((3, 3))
-        start = InertialState(
+        start = StrapdownState(
             self.position + ERRORS.position * error[0],
             self.velocity + ERRORS.velocity * error[1],
             quat_multiply(self.attitude, quat_from_rotation_vector(ERRORS.attitude * error[2])),

@@ -22,7 +22,7 @@ from lunarsim.onboard.hazards.shadows import (
 )
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows.association import GATE, associate
-from lunarsim.onboard.navigation.inertial import InertialState, InitialErrors
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
@@ -40,8 +40,8 @@ GRID = Grid.centred((0.0, 0.0), 40.0, 0.25)
 
 def tracker_at(position, **settings):
     state, _ = at(position)
-    inertial = InertialState(state.position, np.zeros(3), state.attitude, 1.622)
-    rocks = RockFilter(inertial, InitialErrors(1e-3, 1e-3, 1e-5))
+    inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
+    rocks = RockFilter(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
     return RockTracker(rocks, MODEL, settings=TrackerSettings(**settings))
 
 

@@ -13,7 +13,7 @@ from lunarsim.frames import (
     quat_to_rotation_vector,
 )
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
-from lunarsim.onboard.navigation.inertial import InertialState, InitialErrors
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from tests.reference.shadows import inertial
 
 GRAVITY = np.array([0.0, 0.0, -1.622])
@@ -89,7 +89,7 @@ def test_noise_of_many_samples_is_that_of_a_random_walk():
 
 
 def test_a_correction_keeps_the_quaternion_a_rotation():
-    state = InertialState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
+    state = StrapdownState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
     rng = np.random.default_rng(4)
     for _ in range(10_000):
         state.correct(1e-2 * rng.standard_normal(15))
@@ -98,6 +98,6 @@ def test_a_correction_keeps_the_quaternion_a_rotation():
 
 def test_bad_starts_are_refused():
     with pytest.raises(InputError, match="finite"):
-        InertialState(np.full(3, np.nan), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
+        StrapdownState(np.full(3, np.nan), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
     with pytest.raises(InputError, match=r"navigation\.velocity"):
-        InitialErrors(velocity=0.0)
+        StartSigmas(velocity=0.0)

@@ -18,7 +18,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.navigation.inertial import InertialState, InitialErrors
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.lidar import FlashLidar
@@ -48,9 +48,9 @@ class Descent:
     def __init__(self, world, seed, prior=None, errors=None):
         self.rng = np.random.default_rng(seed)
         self.world = world
-        errors = errors or InitialErrors(15.0, 0.1, np.deg2rad(0.3))
+        errors = errors or StartSigmas(15.0, 0.1, np.deg2rad(0.3))
         drawn = self.rng.standard_normal((3, 3))
-        self.inertial = InertialState(
+        self.inertial = StrapdownState(
             START + errors.position * drawn[0],
             VELOCITY + errors.velocity * drawn[1],
             quat_multiply(UPRIGHT, quat_from_rotation_vector(errors.attitude * drawn[2])),
@@ -130,7 +130,7 @@ def test_odometry_slows_the_drift(world):
     for scans in (True, False):
         gaps = []
         for seed in range(12):
-            errors = InitialErrors(0.2, 0.3, np.deg2rad(0.02))
+            errors = StartSigmas(0.2, 0.3, np.deg2rad(0.02))
             nowhere = PriorMap(Grid(1e5, 1e5, 1.0, 4, 4), np.zeros((4, 4)), 0.1)
             descent = Descent(world, seed, nowhere, errors)
             first = descent.error()
@@ -178,7 +178,7 @@ def test_a_map_wrong_by_100_m_gives_no_lock(world):
     for shift in ((100.0, 0.0, 0.0), (0.0, 0.0, 100.0)):
         grid = Grid(g.x0 + shift[0], g.y0, g.posting, g.rows, g.cols)
         prior = PriorMap(grid, right.elevation + shift[2], 0.1)
-        descent = Descent(world, 1, prior, InitialErrors(5.0, 0.1, np.deg2rad(0.3)))
+        descent = Descent(world, 1, prior, StartSigmas(5.0, 0.1, np.deg2rad(0.3)))
         first = descent.error()
         descent.fly(4.0)
         assert names(descent) == []

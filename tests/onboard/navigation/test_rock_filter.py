@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
-from lunarsim.onboard.navigation.inertial import InertialState
+from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.onboard.hazards.rock_scene import GRAVITY, Flight
 from tests.reference.shadows import consider_update
@@ -32,7 +32,7 @@ def fly(flight, seconds, images=True):
 def shifted(rocks, error):
     """Return a copy of a filter whose lander is off by an error state (15,)."""
     s = rocks.inertial
-    inertial = InertialState(
+    inertial = StrapdownState(
         s.position + error[:3], s.velocity + error[3:6],
         quat_multiply(s.attitude, quat_from_rotation_vector(error[9:12])), GRAVITY,
     )  # fmt: skip
@@ -238,7 +238,7 @@ def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
     f.propagate(np.full((200, 3), np.nan), np.full((200, 3), np.nan))
     assert np.trace(f.covariance[3:6, 3:6]) > 10.0 * before
     assert f.inertial.position == pytest.approx(start[0] + 2.0 * start[1], abs=1.5)
-    real, flight.filter = f, RockFilter(InertialState(*start, flight.attitude, GRAVITY))
+    real, flight.filter = f, RockFilter(StrapdownState(*start, flight.attitude, GRAVITY))
     flight.advance(200)
     flight.filter = real
     fly(flight, 2.0)

@@ -7,12 +7,16 @@ from scipy.integrate import quad
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance import DivertLimits, Target, divert_cost, terminal_polynomial
+from lunarsim.onboard.guidance import DivertLimits
+from lunarsim.onboard.guidance.apollo import terminal_polynomial
+from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation import Estimate
-from lunarsim.onboard.policies import Candidates, Observation, make_policy
+from lunarsim.onboard.policies import Candidates, Observation
 from lunarsim.onboard.policies.candidates import best_cells, candidate_sites
 from lunarsim.onboard.policies.library import FuelAware, NearestSafe, NoDivert, Safest
+from lunarsim.sensors.rendering.target import Target
+from lunarsim.simulation.loop import make_policy
 
 G = 1.622
 LANDER = Lander()

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lunarsim.simulation.build import relief_of
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.scenario import Scenario
-from lunarsim.simulation.build import relief_of
 from lunarsim.world.terrain import (
     CraterLaw,
     Heightfield,

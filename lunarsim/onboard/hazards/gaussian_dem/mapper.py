@@ -2,18 +2,63 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.parts.quantity import quantity
 from lunarsim.safety import plane_stochastic_safety, stochastic_safety
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GaussianDemMapping:
+    """A Gaussian DEM of LiDAR returns, judged by a stochastic safety test.
+
+    Attributes
+    ----------
+    sensor
+        Whose scans it maps.
+    posting, size
+        Of the map, m.
+    safety
+        "level" or "planes", see `GaussianDemMapper`.
+    sigma_f, length_scale
+        Hyper-parameters of the random field, m.
+    """
+
+    sensor: str = quantity("flash", help="whose scans it maps")
+    posting: float = quantity(0.2, "m", gt=0)
+    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
+    safety: Literal["level", "planes"] = quantity(
+        "level", help="Eqs. 15 to 17 of the paper, or through the real support planes"
+    )
+    sigma_f: float = quantity(0.5, "m", gt=0, help="deviation of the random field")
+    length_scale: float = quantity(30.0, "m", gt=0, help="of the random field")
+
+    takes: ClassVar[type] = LidarScan
+    navigation: ClassVar[type | None] = None
+
+    def build(self, briefing: Briefing, navigation: Navigation) -> GaussianDemMapper:
+        """Return the mapper of one flight."""
+        return GaussianDemMapper(
+            map_grid(briefing.target, self.size, self.posting, briefing.lander),
+            briefing.lander,
+            sigma_f=self.sigma_f,
+            length_scale=self.length_scale,
+            safety=self.safety,
+        )
 
 
 class GaussianDemMapper(HazardMapper):
@@ -78,3 +123,8 @@ class GaussianDemMapper(HazardMapper):
     def blank(self) -> bool:
         """Whether no scan had a return yet."""
         return self.dem is None
+
+    def recentre(self, centre: Array) -> None:
+        """Lay the map about another point (3,), local frame, m."""
+        self.grid = self.grid.about(centre)
+        self._map = HazardMap.unobserved(self.grid)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
 from lunarsim.onboard.hazards.quadtree.calibration import features, measured
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.sites import Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.parts.quantity import quantity
 from lunarsim.safety.logistic import Logistic
 
 Array = NDArray[np.float64]
@@ -30,6 +34,59 @@ class _Held:
     time: float
     position: Array
     attitude: Array
+
+
+@dataclass(frozen=True)
+class QuadtreeMapping:
+    """A quadtree of LiDAR points on which sites are ranked.
+
+    Attributes
+    ----------
+    sensor
+        Whose scans it maps.
+    posting, size
+        Of the map, m.
+    least, split_count
+        Least cells of the quadtree, m, and points at which one divides.
+    hold_sigma
+        See `QuadtreeMapper`, m.
+    interval
+        Between two selections of sites, s.
+    interest_path
+        See `InterestMap.load`; None: 1 everywhere.
+    sites
+        What a site must be like.
+    """
+
+    sensor: str = quantity("flash", help="whose scans it maps")
+    posting: float = quantity(0.2, "m", gt=0)
+    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
+    least: float = quantity(0.1, "m", gt=0, help="least cells of the quadtree")
+    split_count: int = quantity(8, ge=2, help="points at which a cell divides")
+    hold_sigma: float = quantity(
+        0.5, "m", gt=0, help="scans whose ground is less certain wait until it is"
+    )
+    interval: float = quantity(1.0, "s", gt=0, help="between two selections of sites")
+    interest_path: Path | None = quantity(
+        None, help="NumPy archive of value, x0, y0, posting, relative to the scenario file"
+    )
+    sites: SiteSettings = quantity(SiteSettings(), help="what a site must be like")
+
+    takes: ClassVar[type] = LidarScan
+    navigation: ClassVar[type | None] = None
+
+    def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
+        """Return the mapper of one flight."""
+        return QuadtreeMapper(
+            map_grid(briefing.target, self.size, self.posting, briefing.lander),
+            self.sites,
+            elevation=float(briefing.target[2]),
+            least=self.least,
+            split_count=self.split_count,
+            interest=None if self.interest_path is None else InterestMap.load(self.interest_path),
+            hold_sigma=self.hold_sigma,
+            interval=self.interval,
+        )
 
 
 class QuadtreeMapper(HazardMapper):
@@ -70,13 +127,11 @@ class QuadtreeMapper(HazardMapper):
         hold_sigma: float = 0.5,
         interval: float = 1.0,
     ) -> None:
-        self.grid = grid
-        west, east, south, north = grid.extent
-        centre = (0.5 * (west + east), 0.5 * (south + north), elevation)
-        self.map = QuadtreeMap(
-            centre, max(east - west, north - south), least, split_count=split_count
-        )
-        self.selector = SiteSelector(self.map, settings, interest, thorough=True)
+        self._quadtree = (least, split_count)
+        self._elevation = elevation
+        self._settings = settings
+        self._interest = interest
+        self._lay(grid, elevation)
         self.selection: Selection | None = None
         self._model = model
         self._hold_sigma = hold_sigma
@@ -85,6 +140,31 @@ class QuadtreeMapper(HazardMapper):
         self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = HazardMap.unobserved(grid)
+
+    def _lay(self, grid: Grid, elevation: float) -> None:
+        """Begin an empty quadtree over a grid."""
+        least, split_count = self._quadtree
+        self.grid = grid
+        west, east, south, north = grid.extent
+        centre = (0.5 * (west + east), 0.5 * (south + north), elevation)
+        self.map = QuadtreeMap(
+            centre, max(east - west, north - south), least, split_count=split_count
+        )
+        self.selector = SiteSelector(self.map, self._settings, self._interest, thorough=True)
+
+    def recentre(self, centre: Array) -> None:
+        """Lay the map about another point (3,), local frame, m; what was of interest moves too."""
+        g = self.grid.about(centre)
+        if self._interest is not None:
+            of = self._interest.grid
+            moved = Grid(
+                of.x0 + g.x0 - self.grid.x0, of.y0 + g.y0 - self.grid.y0, of.posting, of.rows,
+                of.cols,
+            )  # fmt: skip
+            self._interest = InterestMap(moved, self._interest.value)
+        self._lay(g, float(centre[2]))
+        self.selection, self._judged = None, -1
+        self._drawn = HazardMap.unobserved(g)
 
     @property
     def held(self) -> int:

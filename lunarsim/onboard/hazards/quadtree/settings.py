@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
@@ -48,20 +49,22 @@ class SiteSettings:
         seen more often scores worse.
     """
 
-    slope_limit: float = np.deg2rad(5.0)
-    roughness_limit: float = 0.3
-    density: float = 5.0
-    exception_limit: float = 0.015
-    zone: float = 2.5
-    weight_interest: float = 1.0
-    weight_slope: float = 1000.0
-    weight_roughness: float = 100.0
-    mesh_band: tuple[float, float] = (6.4, 12.8)
-    hazard_band: tuple[float, float] = (1.6, 1.6)
-    site_band: tuple[float, float] = (0.8, 1.6)
-    count: int = 5
-    separation: float = 5.0
-    roughness: Literal["rms", "printed"] = "rms"
+    slope_limit: float = quantity(5.0, "deg", gt=0, lt=45)
+    roughness_limit: float = quantity(0.3, "m", gt=0)
+    density: float = quantity(5.0, "1/m^2", ge=0, help="least number of points")
+    exception_limit: float = quantity(0.015, ge=0, lt=1)
+    zone: float = quantity(2.5, "m", gt=0, help="half side of the landing zone")
+    weight_interest: float = quantity(1.0, ge=0)
+    weight_slope: float = quantity(1000.0, ge=0)
+    weight_roughness: float = quantity(100.0, ge=0)
+    mesh_band: tuple[float, float] = quantity((6.4, 12.8), "m", gt=0, help="cells of the mesh")
+    hazard_band: tuple[float, float] = quantity(
+        (1.6, 1.6), "m", gt=0, help="cells searched for exceptions"
+    )
+    site_band: tuple[float, float] = quantity((0.8, 1.6), "m", gt=0, help="cells of sites")
+    count: int = quantity(5, ge=1, help="sites on the scoreboard")
+    separation: float = quantity(5.0, "m", ge=0, help="least distance between sites")
+    roughness: Literal["rms", "printed"] = quantity("rms", help="Eq. 8")
 
     def __post_init__(self) -> None:
         if not 0.0 < self.slope_limit < np.pi / 2:

@@ -2,18 +2,80 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.hazards.shadows.probability_map import ProbabilityMap
-from lunarsim.onboard.hazards.shadows.tracker import RockTracker
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
+from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
+from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.onboard.navigation.rock_filter import RockFilter, RockNavigation
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
+
+# Rocks are tracked so far beyond the map, m.
+_MARGIN = 3.0
+
+
+@dataclass(frozen=True)
+class ShadowMapping:
+    """Rocks by their shadows, tracked, as a map of the probability of hazard.
+
+    Attributes
+    ----------
+    sensor
+        Whose pictures it maps.
+    posting, size
+        Of the map, m.
+    hazard_diameter
+        Least diameter of a hazard, m.
+    interval
+        Between two evaluations of the map, s.
+    """
+
+    sensor: str = quantity("camera", help="whose pictures it maps")
+    posting: float = quantity(0.2, "m", gt=0)
+    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
+    hazard_diameter: float = quantity(0.5, "m", gt=0, help="least diameter of a hazard")
+    interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
+
+    takes: ClassVar[type] = Picture
+    navigation: ClassVar[type | None] = RockNavigation
+
+    def build(self, briefing: Briefing, navigation: Navigation) -> ShadowMapper:
+        """Return the mapper of one flight.
+
+        Raises
+        ------
+        InputError
+            If the Sun is too low or too high for shadows, or the map too small or too coarse.
+        """
+        if not isinstance(navigation, RockFilter):
+            raise InputError("navigation.kind", type(navigation).__name__, "rocks")
+        lander = briefing.lander
+        grid = map_grid(briefing.target, self.size, self.posting, lander)
+        elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
+        model = ShadowModel(elevation, briefing.rocks.model())
+        west, east, south, north = grid.extent
+        settings = TrackerSettings(
+            least_radius=0.42 * self.hazard_diameter,
+            region=(west - _MARGIN, east + _MARGIN, south - _MARGIN, north + _MARGIN),
+        )
+        tracker = RockTracker(navigation, model, settings=settings)
+        prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
+        probability = ProbabilityMap(grid, model, prior, ground=navigation.ground)
+        reach = lander.leg_radius + 0.5 * lander.pad_diameter
+        return ShadowMapper(tracker, probability, briefing.sun, reach, refresh=self.interval)
 
 
 class ShadowMapper(HazardMapper):
@@ -83,3 +145,13 @@ class ShadowMapper(HazardMapper):
     def blank(self) -> bool:
         """Whether no picture was taken yet."""
         return self.seen is None
+
+    def tables(self) -> dict[str, dict[str, Array]]:
+        """Return the rocks tracked: centres, radii (m) and existence."""
+        f = self.tracker.filter
+        return {
+            "rocks": {
+                "x": f.xy[:, 0].copy(), "y": f.xy[:, 1].copy(), "radius": f.radius.copy(),
+                "existence": self.tracker.existence.copy(),
+            }
+        }  # fmt: skip

@@ -1,0 +1,17 @@
+"""The world that a recorded flight was flown in, drawn again from its scenario and seed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.rng import Streams
+from lunarsim.scenario import Scenario
+from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.worlds import build_world
+from lunarsim.world import World
+
+
+def world_of(flight: Flight) -> World:
+    """Return the true world of a flight."""
+    seed = np.random.SeedSequence(flight.seed["entropy"], spawn_key=tuple(flight.seed["spawn_key"]))
+    return build_world(Scenario.from_toml(flight.scenario), Streams(seed))

@@ -1,0 +1,47 @@
+"""What an onboard computer knows of the sensors on its lander: calibrations, not truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lunarsim.models.inertial_unit import TriadErrors
+
+
+@dataclass(frozen=True)
+class PointedInstrument:
+    """A sensor on a gimbal.
+
+    Attributes
+    ----------
+    gimbal_limit
+        Greatest angle of the boresight from straight down through the lander, rad.
+    """
+
+    gimbal_limit: float
+
+
+@dataclass(frozen=True)
+class InertialInstrument:
+    """An inertial unit.
+
+    Attributes
+    ----------
+    gyroscopes, accelerometers
+        Standard deviations of its errors.
+    """
+
+    gyroscopes: TriadErrors
+    accelerometers: TriadErrors
+
+
+@dataclass(frozen=True)
+class FixedBeam:
+    """A ranging beam fixed to the body.
+
+    Attributes
+    ----------
+    boresight
+        Unit vector (3,), body axes.
+    """
+
+    boresight: tuple[float, float, float]

@@ -1,0 +1,46 @@
+"""Compiled attitude control on gyroscopes.
+
+The state of the loop is (10,): estimated attitude (quaternion, scalar last), rate (3), torque (3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._frame_kernels import rotation_between, turned
+from lunarsim._jit import kernel
+
+
+@kernel()
+def demand(state, target, gains, inertia, torque_max):
+    """Write the torque of the proportional-derivative law into `state`.
+
+    `gains` is natural frequency (rad/s), damping ratio, slew limit (rad/s).
+    """
+    error = np.empty(3)
+    rotation_between(state[:4], target, error)
+    frequency, damping, slew = gains[0], gains[1], gains[2]
+    for k in range(3):
+        # Large errors saturate the rate asked for, not only the torque.
+        wanted = min(max(frequency / (2.0 * damping) * error[k], -slew), slew)
+        torque = inertia[k] * 2.0 * damping * frequency * (wanted - state[4 + k])
+        state[7 + k] = min(max(torque, -torque_max[k]), torque_max[k])
+
+
+@kernel()
+def follow(state, increment, step):
+    """Take in the gyroscopes' increment (3,) over one step."""
+    turned(state[:4], increment)
+    for k in range(3):
+        state[4 + k] = increment[k] / step
+
+
+@kernel()
+def replay(state, target, gains, inertia, torque_max, increments, step):
+    """Return the torques (n, 3) that the law asks for over recorded increments (n, 3)."""
+    torques = np.empty((increments.shape[0], 3))
+    for n in range(increments.shape[0]):
+        demand(state, target, gains, inertia, torque_max)
+        torques[n] = state[7:]
+        follow(state, increments[n], step)
+    return torques

@@ -1,0 +1,93 @@
+"""The fast loop of the onboard computer: attitude held on gyroscopes between control cycles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._frame_kernels import rotation_between
+from lunarsim.messages.commands import Command
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.control import _kernels as k
+from lunarsim.onboard.control.attitude import ProportionalDerivative
+from lunarsim.onboard.control.contract import AttitudeControl
+
+Array = NDArray[np.float64]
+
+
+class AttitudeLoop:
+    """Estimated attitude carried by gyroscopes, and the torques asked for.
+
+    Parameters
+    ----------
+    law
+        What turns errors into torques.
+    lander
+        Inertia and thrusters, as the mission knows them.
+    step
+        Between samples of the gyroscopes, s.
+
+    Attributes
+    ----------
+    state
+        Attitude (4), rate (3), torque (3): (10,).
+    inertia
+        At the mass of the last command (3,), kg m^2.
+    """
+
+    def __init__(self, law: AttitudeControl, lander: Lander, step: float) -> None:
+        self.law = law
+        self.lander = lander
+        self.step = step
+        self.state = np.zeros(10)
+        self.state[3] = 1.0
+        self.inertia = lander.inertia(lander.wet_mass)
+        self.target = self.state[:4].copy()
+        self.torque_max = np.asarray(lander.torque_max, dtype=np.float64)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the law is one that the compiled loop knows."""
+        return type(self.law) is ProportionalDerivative
+
+    @property
+    def gains(self) -> Array:
+        """Of the compiled law (3,)."""
+        assert isinstance(self.law, ProportionalDerivative)
+        return self.law.gains
+
+    def begin(self, command: Command, attitude: Array, mass: float) -> None:
+        """Take over a command, and what navigation knows now: attitude (4,) and mass (kg)."""
+        self.state[:4] = attitude
+        self.inertia = self.lander.inertia(mass)
+        self.target = np.ascontiguousarray(command.attitude, dtype=np.float64)
+
+    def torque(self) -> Array:
+        """Return the torque for the next step (3,), N m."""
+        if self.compiled:
+            k.demand(self.state, self.target, self.gains, self.inertia, self.torque_max)
+            return self.state[7:].copy()
+        error = np.empty(3)
+        rotation_between(self.state[:4], self.target, error)
+        wanted = np.asarray(self.law.torque(error, self.state[4:7].copy(), self.inertia))
+        self.state[7:] = np.clip(wanted, -self.torque_max, self.torque_max)
+        return self.state[7:].copy()
+
+    def take(self, increment: Array) -> None:
+        """Take in the gyroscopes' increment over a step (3,), rad."""
+        k.follow(self.state, increment, self.step)
+
+    def replay(self, increments: Array) -> Array:
+        """Return the torques (n, 3) over recorded increments (n, 3), bit for bit as flown."""
+        if self.compiled:
+            return np.asarray(
+                k.replay(
+                    self.state, self.target, self.gains, self.inertia, self.torque_max,
+                    np.ascontiguousarray(increments), self.step,
+                )
+            )  # fmt: skip
+        torques = np.empty((len(increments), 3))
+        for n, increment in enumerate(increments):
+            torques[n] = self.torque()
+            self.take(increment)
+        return torques

@@ -1,0 +1,68 @@
+"""The approach to a site and the vertical descent after it: where each ends, and its limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert import PathLimits
+from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Approach:
+    """An approach that ends above the site at the speed of the vertical descent.
+
+    Attributes
+    ----------
+    vertical_altitude, vertical_speed
+        Where the vertical descent begins, m above the site, and its speed, m/s.
+    arrival_acceleration
+        At the end of the approach (3,), ENU, m/s^2; it shapes the path before it.
+    time_to_go
+        Fixed, s; None: the cheapest admissible.
+    max_tilt, glideslope, reserve, throttle_margin
+        See `PathLimits`.
+    """
+
+    vertical_altitude: float = quantity(10.0, "m", gt=0, help="of the pads, where it ends")
+    vertical_speed: float = quantity(2.0, "m/s", gt=0, help="downward, where it ends and after")
+    arrival_acceleration: tuple[float, float, float] = quantity(
+        (0.0, 0.0, 0.0), "m/s^2", help="where it ends; shapes the path before it"
+    )
+    time_to_go: float | None = quantity(
+        None, "s", gt=0, help="at the start; left out: the cheapest admissible"
+    )
+    max_tilt: float = quantity(40.0, "deg", gt=0, lt=85, help="of the thrust")
+    glideslope: float = quantity(8.0, "deg", ge=0, lt=80, help="least elevation of the path")
+    reserve: float = quantity(15.0, "kg", ge=0, help="propellant left at the end")
+    throttle_margin: float = quantity(
+        0.08, ge=0, lt=0.5, help="share of the thrust range kept back for feedback"
+    )
+
+    @property
+    def limits(self) -> PathLimits:
+        """What its path must respect."""
+        return PathLimits(self.max_tilt, self.glideslope, self.reserve, self.throttle_margin)
+
+    def end(self, sites: ArrayLike, lander: Lander) -> PhaseEnd:
+        """Return where the approach to sites (3,) or (n, 3) ends, local frame."""
+        above = np.array([0.0, 0.0, self.vertical_altitude + lander.com_height])
+        return PhaseEnd(
+            np.asarray(sites, dtype=np.float64) + above,
+            np.array([0.0, 0.0, -self.vertical_speed]),
+            np.asarray(self.arrival_acceleration, dtype=np.float64),
+        )
+
+    def ground(self, site: ArrayLike, lander: Lander) -> PhaseEnd:
+        """Return where the vertical descent to a site (3,) ends, local frame."""
+        stand = np.array([0.0, 0.0, lander.com_height])
+        return PhaseEnd(
+            np.asarray(site, dtype=np.float64) + stand, np.array([0.0, 0.0, -self.vertical_speed])
+        )

@@ -1,0 +1,63 @@
+"""The contract of guidance laws, and the one object that says where a phase of flight ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.navigation.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PhaseEnd:
+    """Where a phase of flight ends, for one site or for many.
+
+    What plans a path, what surveys paths to many sites and what flies one all take this object, so
+    that the path flown is the one surveyed.
+
+    Attributes
+    ----------
+    position
+        Of the centre of mass (3,) or (n, 3), m.
+    velocity, acceleration
+        Wanted there (3,), m/s and m/s^2.
+    frame
+        Of all three: "local" (never jumps) or "site" (the prior map's).
+    """
+
+    position: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    acceleration: Array = field(default_factory=lambda: np.zeros(3))
+    frame: Literal["local", "site"] = "local"
+
+
+class GuidanceLaw(Protocol):
+    """Anything that turns an estimate and the end of a phase into a thrust acceleration."""
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2 (gravity already made up for).
+
+        Parameters
+        ----------
+        estimate
+            Where the lander is.
+        end
+            Of the phase, for one site.
+        time, time_to_go
+            Now, and what is left until the end is to be reached, s.
+        """
+        ...
+
+
+class GuidancePart(Protocol):
+    """What the registry knows of a law: a frozen dataclass of its settings."""
+
+    def build(self, briefing: Briefing, lag: float) -> GuidanceLaw:
+        """Return the law of one flight; `lag` is that of attitude and engine, s."""
+        ...

@@ -1,0 +1,157 @@
+"""One registry for every contract: what parts there are, and where their classes stand.
+
+A new part is its own file and one line here. From outside, an entry point of the group
+``lunarsim.CONTRACT`` adds a name, or a scenario gives ``kind = "module:Class"``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+
+from lunarsim.errors import InputError, suggestion
+
+
+@dataclass(frozen=True)
+class Contract:
+    """A kind of part.
+
+    Attributes
+    ----------
+    summary
+        What it is, in a few words.
+    kinds
+        Name to "module:Class" of the parts that come with the package.
+    """
+
+    summary: str
+    kinds: dict[str, str]
+
+
+CONTRACTS: dict[str, Contract] = {
+    "terrain": Contract(
+        "the ground",
+        {
+            "fractal": "lunarsim.world.grounds.fractal:FractalGround",
+            "dtm": "lunarsim.world.grounds.measured:MeasuredGround",
+            "hazard-field": "lunarsim.world.grounds.made:HazardFieldGround",
+        },
+    ),
+    "vehicle": Contract("the lander", {"lander": "lunarsim.models.lander:Lander"}),
+    "sensor": Contract(
+        "what measures",
+        {
+            "imu": "lunarsim.sensors.imu:InertialUnit",
+            "navigation-fix": "lunarsim.sensors.navigation_fix:NavigationFixes",
+            "radar-altimeter": "lunarsim.sensors.altimeter:RadarAltimeter",
+            "flash-lidar": "lunarsim.sensors.lidar:FlashLidar",
+            "camera": "lunarsim.sensors.camera:FramingCamera",
+        },
+    ),
+    "tasking": Contract(
+        "where a sensor points and when it measures",
+        {
+            "at-altitudes": "lunarsim.onboard.tasking.schedules:AtAltitudes",
+            "periodic": "lunarsim.onboard.tasking.schedules:Periodic",
+            "sweep": "lunarsim.onboard.tasking.schedules:Sweep",
+        },
+    ),
+    "navigation": Contract(
+        "where the lander believes it is",
+        {
+            "fixes": "lunarsim.onboard.navigation.fixes:Fixes",
+            "rocks": "lunarsim.onboard.navigation.rock_filter:RockNavigation",
+            "prior-map": "lunarsim.onboard.navigation.lidar_inertial:PriorMapNavigation",
+        },
+    ),
+    "mapper": Contract(
+        "where it is safe to land",
+        {
+            "gaussian-dem": "lunarsim.onboard.hazards.gaussian_dem.mapper:GaussianDemMapping",
+            "shadow": "lunarsim.onboard.hazards.shadows.mapper:ShadowMapping",
+            "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapping",
+        },
+    ),
+    "policy": Contract(
+        "where to land",
+        {
+            "no-divert": "lunarsim.onboard.policies.library:NoDivert",
+            "safest": "lunarsim.onboard.policies.library:Safest",
+            "nearest-safe": "lunarsim.onboard.policies.library:NearestSafe",
+            "fuel-aware": "lunarsim.onboard.policies.library:FuelAware",
+            "truth-oracle": "lunarsim.simulation.oracle:TruthOracle",
+        },
+    ),
+    "guidance": Contract(
+        "how to fly to the end of the approach",
+        {"apollo": "lunarsim.onboard.guidance.apollo:ApolloLaw"},
+    ),
+    "control": Contract(
+        "how the attitude follows guidance",
+        {
+            "pd": "lunarsim.onboard.control.attitude:ProportionalDerivative",
+            "ideal": "lunarsim.onboard.control.attitude:IdealAttitude",
+        },
+    ),
+}
+
+
+def kinds(contract: str) -> dict[str, str]:
+    """Return name and "module:Class" of all parts of a contract, those of entry points included.
+
+    Raises
+    ------
+    InputError
+        If two packages give the same name.
+    """
+    found = dict(CONTRACTS[contract].kinds)
+    for point in entry_points(group=f"lunarsim.{contract}"):
+        if point.name in found and found[point.name] != point.value:
+            raise InputError(
+                f"entry point lunarsim.{contract}",
+                point.name,
+                f"a name of its own: {found[point.name]} has it already",
+            )
+        found[point.name] = point.value
+    return found
+
+
+def resolve(contract: str, kind: str, field: str | None = None) -> type:
+    """Return the class of a part.
+
+    Parameters
+    ----------
+    contract
+        A key of `CONTRACTS`.
+    kind
+        A registered name, or "module:Class".
+    field
+        Where it was given, for the message.
+
+    Raises
+    ------
+    InputError
+        If there is no such part, or it cannot be imported.
+    """
+    return _resolve(contract, kind, field or f"{contract}.kind")
+
+
+@cache
+def _resolve(contract: str, kind: str, field: str) -> type:
+    known = kinds(contract)
+    where = kind if ":" in kind else known.get(kind)
+    if where is None:
+        raise InputError(field, kind, suggestion(kind, known) + ', or "module:Class"')
+    module, _, name = where.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except Exception as error:
+        raise InputError(
+            field, kind, f"a class that can be imported ({type(error).__name__}: {error})"
+        ) from error
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+        raise InputError(field, kind, f"a dataclass; {where} is none")
+    return found

@@ -1,0 +1,152 @@
+"""Parts that need each other, and parts that have no effect."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.messages.measurements import InertialSamples
+
+if TYPE_CHECKING:
+    from lunarsim.scenario.scenario import Scenario
+
+
+def check(scenario: Scenario) -> None:
+    """Raise `InputError` for parts that lack another, contradict another, or have no effect."""
+    sensors = {name: part.make() for name, part in scenario.sensors.items()}
+    _check_mappers(scenario, sensors)
+    _check_navigation(scenario, sensors)
+    _check_control(scenario, sensors)
+    _check_tasking(scenario, sensors)
+    _check_effect(scenario, sensors)
+    chosen = scenario.decisions.map
+    if chosen and chosen not in scenario.mappers:
+        raise InputError("decisions.map", chosen, suggestion(chosen, scenario.mappers))
+
+
+def _gives(sensors: dict[str, Any], wanted: type) -> bool:
+    return any(issubclass(sensor.gives, wanted) for sensor in sensors.values())
+
+
+def _kinds_giving(wanted: type) -> str:
+    """Return the kinds of sensors that give a type of measurement, in words."""
+    from lunarsim.parts import kinds, resolve  # noqa: PLC0415
+
+    found = []
+    for kind in kinds("sensor"):
+        try:
+            if issubclass(getattr(resolve("sensor", kind), "gives", object), wanted):
+                found.append(repr(kind))
+        except InputError:
+            continue  # another package's part that does not load is no help here
+    return " or ".join(found) or f"a part that gives {wanted.__name__}"
+
+
+def _check_mappers(scenario: Scenario, sensors: dict[str, Any]) -> None:
+    for name, part in scenario.mappers.items():
+        mapper = part.make()
+        field = f"mappers.{name}"
+        if mapper.sensor not in sensors:
+            raise InputError(
+                f"{field}.sensor", mapper.sensor,
+                f"the name of a sensor of kind {_kinds_giving(mapper.takes)}; there are "
+                + (", ".join(sensors) or "none"),
+            )  # fmt: skip
+        given = sensors[mapper.sensor].gives
+        if not issubclass(given, mapper.takes):
+            raise InputError(
+                f"{field}.sensor", mapper.sensor,
+                f"a sensor of kind {_kinds_giving(mapper.takes)}: this one gives {given.__name__}",
+            )  # fmt: skip
+        wanted = mapper.navigation
+        if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
+            raise InputError(
+                "navigation.kind", scenario.navigation.kind,
+                f"{wanted.__name__}: {field} of kind {part.kind!r} maps with that filter",
+            )  # fmt: skip
+
+
+def _check_navigation(scenario: Scenario, sensors: dict[str, Any]) -> None:
+    navigation = scenario.navigation.make()
+    for wanted in navigation.needs:
+        if not _gives(sensors, wanted):
+            raise InputError(
+                "navigation.kind", scenario.navigation.kind,
+                f"needs a sensor of kind {_kinds_giving(wanted)}: add it under [sensors.NAME]",
+            )  # fmt: skip
+    if navigation.uses_prior_map and scenario.prior_map is None:
+        raise InputError(
+            "prior_map", None,
+            f"a table [prior_map]: navigation of kind {scenario.navigation.kind!r} finds its place "
+            "on it",
+        )  # fmt: skip
+
+
+def _check_control(scenario: Scenario, sensors: dict[str, Any]) -> None:
+    if scenario.control.make().torques and not _gives(sensors, InertialSamples):
+        raise InputError(
+            "control.kind", scenario.control.kind,
+            "needs a sensor of kind 'imu': add it under [sensors.NAME], or take control of kind "
+            "'ideal'",
+        )  # fmt: skip
+    clock = scenario.simulation.make()
+    frequency = getattr(scenario.control.make(), "frequency", 0.0)
+    # A sampled loop with a lag of one and a half steps loses 45 degrees of phase there.
+    if frequency * clock.step > 0.25:
+        raise InputError(
+            "control.frequency_rad_s", frequency,
+            f"at most {0.25 / clock.step:g}: the attitude loop runs every {clock.step:g} s",
+        )  # fmt: skip
+
+
+def _check_tasking(scenario: Scenario, sensors: dict[str, Any]) -> None:
+    for name in scenario.tasking:
+        if name not in sensors:
+            raise InputError(
+                f"tasking.{name}", name, "the name of a sensor; " + suggestion(name, sensors)
+            )
+        if not sensors[name].tasked:
+            raise InputError(
+                f"tasking.{name}", scenario.tasking[name].kind,
+                f"nothing: a sensor of kind {scenario.sensors[name].kind!r} measures every cycle",
+            )  # fmt: skip
+    for name, sensor in sensors.items():
+        if sensor.tasked and name not in scenario.tasking:
+            raise InputError(
+                f"sensors.{name}", scenario.sensors[name].kind,
+                f"a table [tasking.{name}]: it measures only when it is told to",
+            )  # fmt: skip
+    cycle = scenario.simulation.make().cycle
+    for name, part in scenario.tasking.items():
+        for key, rate in part.table.model_dump().items():
+            if key.endswith("_hz") and rate * cycle > 1.0 + 1e-9:
+                raise InputError(
+                    f"tasking.{name}.{key}", rate,
+                    f"at most {1.0 / cycle:g}, one measurement a control cycle",
+                )  # fmt: skip
+
+
+def _check_effect(scenario: Scenario, sensors: dict[str, Any]) -> None:
+    """Refuse parts that nothing uses."""
+    navigation = scenario.navigation.make()
+    used = {part.make().sensor for part in scenario.mappers.values()}
+    wanted = (*navigation.needs, *navigation.takes)
+    if scenario.control.make().torques:
+        wanted = (*wanted, InertialSamples)
+    for name, sensor in sensors.items():
+        if name not in used and not (wanted and issubclass(sensor.gives, wanted)):
+            raise InputError(
+                f"sensors.{name}", scenario.sensors[name].kind,
+                "a sensor that some part uses: no mapper maps it, and navigation of kind "
+                f"{scenario.navigation.kind!r} does not take {sensor.gives.__name__}",
+            )  # fmt: skip
+    if scenario.prior_map is not None and not navigation.uses_prior_map:
+        raise InputError(
+            "prior_map", "given",
+            f"left out: navigation of kind {scenario.navigation.kind!r} does not use it",
+        )  # fmt: skip
+    if scenario.start_knowledge is not None and InertialSamples not in navigation.needs:
+        raise InputError(
+            "start_knowledge", "given",
+            f"left out: navigation of kind {scenario.navigation.kind!r} does not use it",
+        )  # fmt: skip

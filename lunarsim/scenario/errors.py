@@ -1,0 +1,58 @@
+"""From what pydantic finds wrong to an error that names field, value and remedy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.parts import PartSettings, kinds, resolve, settings_of
+from lunarsim.parts.settings import unit_of
+
+
+def input_error(
+    path: str, model: type[PartSettings], error: ValidationError, contract: str | None, kind: str
+) -> InputError:
+    """Return the first error of a table as one that a user can act on."""
+    first = error.errors(include_url=False)[0]
+    location = [str(step) for step in first["loc"]]
+    field = ".".join([path, *location])
+    if first["type"] == "extra_forbidden":
+        key = location[-1]
+        keys = sorted(_table_at(model, first["loc"][:-1]).model_fields)
+        elsewhere = _kinds_with(contract, key) if contract and len(location) == 1 else []
+        if elsewhere:
+            whose = " or ".join(repr(name) for name in elsewhere)
+            return InputError(
+                field, first["input"], f"no key of kind {kind!r}; it belongs to kind {whose}"
+            )
+        return InputError(field, first["input"], "unknown key; " + suggestion(key, keys))
+    message = str(first["msg"]).removeprefix("Value error, ")
+    expected = message[0].lower() + message[1:]
+    unit = unit_of(model, location[0]) if location else ""
+    if unit and first["type"].endswith(("_type", "_parsing")):
+        expected += f", a plain number in {unit}"
+    return InputError(field, first["input"], expected)
+
+
+def _table_at(model: type[PartSettings], location: tuple[Any, ...]) -> type[PartSettings]:
+    for step in location:
+        field = model.model_fields.get(str(step))
+        if field is None or not isinstance(field.annotation, type):
+            return model
+        model = field.annotation
+    return model
+
+
+def _kinds_with(contract: str, key: str) -> list[str]:
+    """Return the kinds of a contract that have a key."""
+    found = []
+    for kind in kinds(contract):
+        try:
+            table = settings_of(resolve(contract, kind))
+        except (InputError, TypeError):
+            continue  # another package's part that does not load is no help here
+        if key in table.model_fields:
+            found.append(kind)
+    return found

@@ -1,0 +1,61 @@
+"""The tables of a scenario file: which there are, what each sets, and what there is if left out.
+
+Nothing of a table is written here but its name: keys, bounds and defaults stand in the part.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.policies.decisions import Decisions
+from lunarsim.rocks.population import RockExpectation, RockPopulation
+from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
+from lunarsim.world.light import Light
+from lunarsim.world.survey import PriorSurvey
+
+# One table each, of one class.
+FIXED: dict[str, type] = {
+    "rocks": RockPopulation,
+    "sun": Light,
+    "start": Start,
+    "target": MissionTarget,
+    "expected_rocks": RockExpectation,
+    "approach": Approach,
+    "decisions": Decisions,
+    "simulation": Clock,
+}
+# Likewise, but only where they are given.
+OPTIONAL: dict[str, type] = {"start_knowledge": StartKnowledge, "prior_map": PriorSurvey}
+# One table each, of a part chosen by `kind`: contract and kind if left out.
+CHOSEN: dict[str, tuple[str, str]] = {
+    "terrain": ("terrain", "fractal"),
+    "vehicle": ("vehicle", "lander"),
+    "navigation": ("navigation", "fixes"),
+    "policy": ("policy", "safest"),
+    "guidance": ("guidance", "apollo"),
+    "control": ("control", "pd"),
+}
+# Any number of tables, each with a name and a `kind`: contract, and what there is if left out.
+NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
+    "sensors": (
+        "sensor",
+        {
+            "imu": {"kind": "imu"},
+            "fix": {"kind": "navigation-fix"},
+            "flash": {"kind": "flash-lidar"},
+        },
+    ),
+    "tasking": ("tasking", {"flash": {"kind": "at-altitudes"}}),
+    "mappers": ("mapper", {"dem": {"kind": "gaussian-dem"}}),
+}
+# Tables of earlier versions, and where their keys are now.
+MOVED: dict[str, str] = {
+    "lander": "[vehicle]",
+    "lidar": "[sensors.NAME] with kind = 'flash-lidar' and [tasking.NAME]",
+    "camera": "[sensors.NAME] with kind = 'camera' and [tasking.NAME]",
+    "mapper": "[mappers.NAME] and [expected_rocks]",
+    "sweep": "[tasking.NAME] with kind = 'sweep'",
+    "prior": "[prior_map]",
+    "sites": "[mappers.NAME.sites] with kind = 'quadtree'",
+}

@@ -1,0 +1,125 @@
+"""What a scenario file may hold, in words: made from the parts themselves."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.parts import CONTRACTS, PartSettings, kinds, resolve, settings_of
+from lunarsim.parts.settings import bounds_of, unit_of
+from lunarsim.scenario import layout
+
+
+def _first_line(cls: type) -> str:
+    return (inspect.getdoc(cls) or "").split("\n")[0]
+
+
+def parts_list(contract: str | None = None) -> list[str]:
+    """Return a line for each part: contract, kind, what it is.
+
+    Raises
+    ------
+    InputError
+        If there is no such contract.
+    """
+    if contract is not None and contract not in CONTRACTS:
+        raise InputError("contract", contract, suggestion(contract, CONTRACTS))
+    lines = []
+    for name in CONTRACTS if contract is None else [contract]:
+        for kind in kinds(name):
+            try:
+                what = _first_line(resolve(name, kind))
+            except InputError as error:
+                what = f"cannot be loaded: {error.expected}"
+            lines.append(f"{name:11s} {kind:16s} {what}")
+    return lines
+
+
+def _rows(model: type[PartSettings], prefix: str = "") -> Iterator[tuple[str, ...]]:
+    """Yield key, default, unit, bounds and meaning of a table; nested tables one by one."""
+    for key, field in model.model_fields.items():
+        nested = field.annotation
+        if isinstance(nested, type) and issubclass(nested, PartSettings):
+            yield from _rows(nested, f"{prefix}{key}.")
+            continue
+        default = "required" if field.is_required() else _word(field.default)
+        choices = _choices(field.annotation)
+        bounds = choices or bounds_of(model, key)
+        yield (
+            f"{prefix}{key}", default, unit_of(model, key), bounds, field.description or "",
+        )  # fmt: skip
+
+
+def _choices(annotation: Any) -> str:
+    from typing import Literal, get_args, get_origin  # noqa: PLC0415
+
+    if get_origin(annotation) is Literal:
+        return " | ".join(_word(a) for a in get_args(annotation))
+    return ""
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, BaseModel):
+        return "table"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_word(v) for v in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
+    """Yield heading, what it is, and the table of keys of everything in a scenario."""
+    for name, of in layout.FIXED.items():
+        yield f"[{name}]", _first_line(of), settings_of(of)
+    for name, of in layout.OPTIONAL.items():
+        yield f"[{name}] (may be left out)", _first_line(of), settings_of(of)
+    chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
+    named = {f"{name}.NAME": contract for name, (contract, _) in layout.NAMED.items()}
+    for name, contract in (chosen | named).items():
+        for kind in kinds(contract):
+            of = resolve(contract, kind)
+            default = layout.CHOSEN.get(name, ("", ""))[1] == kind
+            heading = f"[{name}] kind = {_word(kind)}" + (" (default)" if default else "")
+            yield heading, _first_line(of), settings_of(of)
+
+
+_COLUMNS = ("key", "default", "unit", "bounds or choices", "meaning")
+_TOP = (
+    ("name", '"unnamed"', "", "", "of the study"),
+    ("description", '""', "", "", "a sentence"),
+    ("gravity_m_s2", "1.622", "m/s^2", "> 0", "downward acceleration"),
+)
+
+
+def reference_text(*, markdown: bool = False) -> str:
+    """Return every key of a scenario file with default, unit, bounds and meaning."""
+    out = _table("Top level", "Before any table.", list(_TOP), markdown)
+    for heading, what, model in _tables():
+        rows = list(_rows(model)) if model is not None else []
+        out += _table(heading, what, rows, markdown)
+    return "\n".join(out).rstrip()
+
+
+def _table(heading: str, what: str, rows: list[tuple[str, ...]], markdown: bool) -> list[str]:
+    if markdown:
+        lines = [f"## `{heading}`" if heading.startswith("[") else f"## {heading}", "", what, ""]
+        if rows:
+            lines += ["| " + " | ".join(_COLUMNS) + " |", "| --- " * len(_COLUMNS) + "|"]
+            escaped = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+            lines += ["| `" + row[0] + "` | " + " | ".join(row[1:]) + " |" for row in escaped]
+        return [*lines, ""]
+    lines = [heading, f"  {what}"]
+    widths = [max((len(row[i]) for row in rows), default=0) for i in range(4)]
+    for row in rows:
+        cells = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False))
+        lines.append(f"    {cells}  {row[4]}".rstrip())
+    return [*lines, ""]

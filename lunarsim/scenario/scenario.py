@@ -1,0 +1,281 @@
+"""The scenario: everything that a study fixes, as tables of one TOML file.
+
+Keys carry their unit at the end: ``_m``, ``_s``, ``_kg``, ``_n``, ``_deg``, ``_m_s``. Unknown keys,
+wrong types and impossible values are refused with the field, the value and what is right.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.messages.briefing import Software
+from lunarsim.parts import PartSettings, resolve, settings_of
+from lunarsim.scenario import layout
+from lunarsim.scenario.checks import check
+from lunarsim.scenario.errors import input_error
+
+
+@dataclass(frozen=True)
+class ChosenPart:
+    """A table with a `kind`: attributes are its keys, `make` gives the part.
+
+    Attributes
+    ----------
+    kind
+        Registered name or "module:Class".
+    table
+        The rest of the table.
+    """
+
+    kind: str
+    table: PartSettings
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.table, name)
+
+    def make(self) -> Any:
+        """Return the part, in SI units and radians."""
+        return self.table.make()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One study: world, vehicle, sensors, onboard parts, clock.
+
+    Attributes are the tables of the file; `lunarsim scenario reference` lists all keys. Build one
+    with `load`, `from_dict` or `changed`: they check it.
+    """
+
+    name: str
+    description: str
+    gravity_m_s2: float
+    terrain: ChosenPart
+    rocks: Any
+    sun: Any
+    vehicle: ChosenPart
+    start: Any
+    start_knowledge: Any | None
+    target: Any
+    prior_map: Any | None
+    expected_rocks: Any
+    sensors: Mapping[str, ChosenPart]
+    tasking: Mapping[str, ChosenPart]
+    navigation: ChosenPart
+    mappers: Mapping[str, ChosenPart]
+    policy: ChosenPart
+    decisions: Any
+    approach: Any
+    guidance: ChosenPart
+    control: ChosenPart
+    simulation: Any
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Scenario:
+        """Build a scenario from plain tables; relative paths start from `folder`.
+
+        Raises
+        ------
+        InputError
+            Naming the first field that is wrong.
+        """
+        known = [f.name for f in fields(cls)]
+        for key, value in data.items():
+            if key not in known:
+                moved = layout.MOVED.get(key)
+                hint = f"it is now {moved}" if moved else suggestion(key, known)
+                raise InputError(key, value, "unknown key; " + hint)
+        values: dict[str, Any] = {
+            "name": _text(data, "name", "unnamed"),
+            "description": _text(data, "description", ""),
+            "gravity_m_s2": _number(data, "gravity_m_s2", 1.622),
+        }
+        if not values["name"]:
+            raise InputError("name", "", "at least one character")
+        for key, of in layout.FIXED.items():
+            values[key] = _table(key, of, data.get(key, {}), folder)
+        for key, of in layout.OPTIONAL.items():
+            values[key] = _table(key, of, data[key], folder) if key in data else None
+        for key, (contract, kind) in layout.CHOSEN.items():
+            values[key] = _chosen(key, contract, data.get(key, {}), kind, folder)
+        for key, (contract, default) in layout.NAMED.items():
+            tables = _mapping(key, data.get(key, default))
+            values[key] = {
+                name: _chosen(f"{key}.{name}", contract, table, None, folder)
+                for name, table in tables.items()
+            }
+        scenario = cls(**values)
+        check(scenario)
+        return scenario
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scenario:
+        """Read a TOML file; relative paths in it start from its folder.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, is no TOML, or a field is wrong.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError("scenario", str(path), "an existing TOML file")
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError("scenario", str(path), f"a TOML file ({error})") from None
+        return cls.from_dict(data, path.parent.resolve())
+
+    @classmethod
+    def from_toml(cls, text: str) -> Scenario:
+        """Build a scenario from the text of a TOML file whose paths are absolute."""
+        return cls.from_dict(tomllib.loads(text))
+
+    def changed(self, **tables: Any) -> Scenario:
+        """Return the scenario with other values, checked.
+
+        Parameters
+        ----------
+        tables
+            By table: ``changed(sun={"elevation_deg": 5.0})``; what is not named stays. A part of
+            another `kind` starts from its own defaults; None takes a named part or an optional
+            table away.
+
+        Raises
+        ------
+        InputError
+            Naming the first field that is wrong.
+        """
+        data = self.to_dict()
+        for key, change in tables.items():
+            data[key] = _merged(data.get(key), change)
+            if data[key] is None:
+                del data[key]
+        return self.from_dict(data)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as plain tables, and be checked there again."""
+        return Scenario.from_dict, (self.to_dict(),)
+
+    def software(self) -> Software:
+        """Return the parts that run on the onboard computer."""
+        return Software(
+            navigation=self.navigation.make(),
+            guidance=self.guidance.make(),
+            control=self.control.make(),
+            tasking={name: part.make() for name, part in self.tasking.items()},
+            mappers={name: part.make() for name, part in self.mappers.items()},
+            approach=self.approach.make(),
+            decisions=self.decisions.make(),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain tables, defaults included."""
+        out: dict[str, Any] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None:
+                continue
+            if f.name in layout.NAMED:
+                out[f.name] = {name: _dump(part) for name, part in value.items()}
+            else:
+                out[f.name] = _dump(value)
+        return out
+
+    def to_toml(self) -> str:
+        """Return the scenario as TOML, defaults included."""
+        return tomli_w.dumps(self.to_dict())
+
+    def save(self, path: str | Path) -> None:
+        """Write the scenario as TOML, defaults included."""
+        Path(path).write_text(self.to_toml(), encoding="utf-8")
+
+
+def _dump(value: Any) -> Any:
+    if isinstance(value, ChosenPart):
+        return {"kind": value.kind, **_dump(value.table)}
+    if isinstance(value, PartSettings):
+        return value.model_dump(mode="json", exclude_none=True)
+    return value
+
+
+def _merged(old: Any, change: Any) -> Any:
+    """Return a table with a change laid over it."""
+    if not (isinstance(old, dict) and isinstance(change, Mapping)):
+        return change
+    if "kind" in change and change["kind"] != old.get("kind", change["kind"]):
+        return dict(change)
+    new = dict(old)
+    for key, value in change.items():
+        new[key] = _merged(old.get(key), value)
+        if new[key] is None:
+            del new[key]
+    return new
+
+
+def _text(data: Mapping[str, Any], key: str, default: str) -> str:
+    value = data.get(key, default)
+    if not isinstance(value, str):
+        raise InputError(key, value, "a text in quotes")
+    return value
+
+
+def _number(data: Mapping[str, Any], key: str, default: float) -> float:
+    value = data.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e3:
+        raise InputError(key, value, "a positive number in m/s^2")
+    return float(value)
+
+
+def _mapping(path: str, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(path, value, "a table")
+    return value
+
+
+def _chosen(
+    path: str, contract: str, value: Any, default: str | None, folder: Path | None
+) -> ChosenPart:
+    data = dict(_mapping(path, value))
+    kind = data.pop("kind", default)
+    if not isinstance(kind, str):
+        raise InputError(f"{path}.kind", kind, f"the name of a {contract}: `lunarsim parts`")
+    of = resolve(contract, kind, f"{path}.kind")
+    return ChosenPart(kind, _table(path, of, data, folder, contract, kind))
+
+
+def _table(
+    path: str,
+    of: type,
+    value: Any,
+    folder: Path | None,
+    contract: str | None = None,
+    kind: str = "",
+) -> PartSettings:
+    """Return a checked table; the part is made once, so that it can refuse what it is given."""
+    model = settings_of(of)
+    try:
+        table = model.model_validate(dict(_mapping(path, value)))
+    except ValidationError as error:
+        raise input_error(path, model, error, contract, kind) from None
+    paths = {
+        key: (folder / given).resolve()
+        for key in model.model_fields
+        if folder is not None and isinstance(given := getattr(table, key), Path)
+    }
+    if paths:
+        table = model.model_validate(table.model_dump() | paths)
+    try:
+        table.make()
+    except InputError as error:
+        raise InputError(f"{path}.{error.field}", error.value, error.expected) from None
+    return table

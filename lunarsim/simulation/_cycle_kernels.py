@@ -1,0 +1,53 @@
+"""Compiled control cycle: the vehicle, its gyroscopes and the attitude loop, step by step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._frame_kernels import rotation_between
+from lunarsim._jit import kernel
+from lunarsim.onboard.control._kernels import demand, follow
+from lunarsim.sensors._imu_kernels import sample
+from lunarsim.vehicle._kernels import advance_body
+
+
+@kernel()
+def fly(
+    y, steps, dt, thrust, figures, inertia,
+    loop, target, gains, known_inertia, torque_max,
+    matrix, offsets, quantum, remainder,
+):  # fmt: skip
+    """Advance y by `steps` steps with the attitude loop closed on gyroscopes.
+
+    Parameters
+    ----------
+    y
+        True state (15,).
+    thrust, figures, inertia
+        Of the vehicle: see `advance_body`.
+    loop, target, gains, known_inertia, torque_max
+        Of the onboard attitude loop: see `demand`.
+    matrix, offsets, quantum, remainder
+        Of the gyroscopes: see `sample`.
+
+    Returns
+    -------
+    history, increments, torques
+        States (steps, 15), what the gyroscopes gave and what was asked for (steps, 3).
+    """
+    history = np.empty((steps, 15))
+    increments = np.empty((steps, 3))
+    torques = np.empty((steps, 3))
+    work = np.empty((5, 15))
+    before = np.empty(4)
+    turn = np.empty(3)
+    for n in range(steps):
+        demand(loop, target, gains, known_inertia, torque_max)
+        torques[n] = loop[7:]
+        before[:] = y[6:10]
+        advance_body(y, dt, thrust, loop[7:], figures, inertia, work)
+        rotation_between(before, y[6:10], turn)
+        sample(turn, matrix, offsets[n], quantum, remainder, increments[n])
+        follow(loop, increments[n], dt)
+        history[n] = y
+    return history, increments, torques

@@ -1,0 +1,85 @@
+"""One control cycle: vehicle, gyroscopes and attitude loop together, step by step.
+
+The attitude loop runs on the onboard computer at the rate of the gyroscopes. A law that the
+compiled cycle knows is flown by it; any other goes through the same steps in Python.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._frame_kernels import rotation_between
+from lunarsim.messages.commands import Command
+from lunarsim.messages.measurements import Measurements
+from lunarsim.onboard.control.loop import AttitudeLoop
+from lunarsim.sensors._imu_kernels import sample
+from lunarsim.sensors.imu import Imu
+from lunarsim.simulation import _cycle_kernels as k
+from lunarsim.simulation.plant import Plant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What came of a control cycle.
+
+    Attributes
+    ----------
+    measurements
+        Of the plant, at its end.
+    torques
+        Asked for by the attitude loop at each step (n, 3), N m; none with an ideal actuator.
+    """
+
+    measurements: Measurements
+    torques: Array
+
+
+def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
+    """Move the plant for one control cycle under a command."""
+    if not loop.law.torques:
+        slew = loop.law.slew_limit  # type: ignore[attr-defined]
+        history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
+        return Cycle(plant.moved(history, {}, command.tasks), np.zeros((0, 3)))
+    name, imu = next(iter(plant.imus.items()))
+    fly = _compiled if loop.compiled else _stepped
+    history, increments, torques = fly(plant, loop, imu, command.thrust)
+    measurements = plant.moved(history, {name: increments}, command.tasks)
+    return Cycle(measurements, torques)
+
+
+def _compiled(
+    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+) -> tuple[Array, Array, Array]:
+    d, gyros = plant.dynamics, imu.gyroscopes
+    history, increments, torques = k.fly(
+        plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.figures, d.inertia,
+        loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
+        gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum, gyros.remainder,
+    )  # fmt: skip
+    return history, increments, torques
+
+
+def _stepped(
+    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+) -> tuple[Array, Array, Array]:
+    d, gyros = plant.dynamics, imu.gyroscopes
+    offsets = gyros.offsets(plant.steps)
+    history = np.empty((plant.steps, 15))
+    increments = np.empty((plant.steps, 3))
+    torques = np.empty((plant.steps, 3))
+    turn = np.empty(3)
+    state = plant.state
+    for n in range(plant.steps):
+        torques[n] = loop.torque()
+        before = state.attitude
+        state = d.advance(state, thrust, torques[n])
+        rotation_between(before, state.attitude, turn)
+        sample(turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n])
+        loop.take(increments[n])
+        history[n] = state.as_vector()
+    return history, increments, torques

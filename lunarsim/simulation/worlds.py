@@ -1,0 +1,22 @@
+"""The true world of a flight, drawn for it from the scenario."""
+
+from __future__ import annotations
+
+from lunarsim.rng import Streams
+from lunarsim.scenario import Scenario
+from lunarsim.world import World
+from lunarsim.world.grounds.contract import check_room
+
+
+def build_world(scenario: Scenario, streams: Streams) -> World:
+    """Return the true world of one flight: the scenario's ground with what is drawn for it.
+
+    Raises
+    ------
+    InputError
+        If the terrain cannot be loaded or is smaller than the lander's footprint.
+    """
+    terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
+    lander = scenario.vehicle.make()
+    check_room(terrain, 2.0 * lander.leg_radius + lander.pad_diameter)
+    return World(terrain, scenario.gravity_m_s2, scenario.sun.make())

@@ -1,0 +1,49 @@
+"""The contract of grounds, and how rocks are drawn onto one."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from lunarsim.errors import InputError
+from lunarsim.rng import Streams
+from lunarsim.rocks.field import RockField
+from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.population import RockPopulation
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+
+
+class Ground(Protocol):
+    """Anything that makes the true terrain of a flight."""
+
+    def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
+        """Return relief and rocks; what is drawn comes from the flight's streams."""
+        ...
+
+
+def strewn(relief: Heightfield, rocks: RockPopulation, streams: Streams) -> Terrain:
+    """Return relief with rocks drawn for one flight.
+
+    Raises
+    ------
+    InputError
+        If the rocks do not fit.
+    """
+    west, east, south, north = relief.bounds
+    field = RockField.empty()
+    if rocks.cover > 0.0:
+        rng = streams.get("rocks")
+        area = (east - west) * (north - south)
+        diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
+        field = place_rocks(relief, diameters, rng, model=rocks.model())
+    return Terrain(relief, field)
+
+
+def check_room(terrain: Terrain, footprint: float) -> None:
+    """Raise `InputError` if the terrain is less than twice a footprint (m) across."""
+    west, east, south, north = terrain.bounds
+    if min(east - west, north - south) < 2.0 * footprint:
+        raise InputError(
+            "terrain",
+            f"{east - west:.1f} x {north - south:.1f} m",
+            f"at least twice the footprint of {footprint:.1f} m",
+        )

@@ -1,0 +1,51 @@
+"""A made hazard field on level grass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lunarsim.errors import InputError
+from lunarsim.parts.quantity import quantity
+from lunarsim.rng import Streams
+from lunarsim.rocks.population import RockPopulation
+from lunarsim.world.terrain import Terrain, hazard_field
+
+
+@dataclass(frozen=True)
+class HazardFieldGround:
+    """Boulders and craters on level grass, drawn anew for every flight (quadtree paper).
+
+    The scenario's rocks play no part: its boulders are its own.
+
+    Attributes
+    ----------
+    size, posting
+        Side of the grassland and distance of the posts, m.
+    field, field_turn
+        Side of the field in it, m, and its turn in the frame, rad.
+    boulders, craters
+        How many.
+    """
+
+    size: float = quantity(160.0, "m", gt=0, help="side of the square")
+    posting: float = quantity(0.25, "m", gt=0, help="of the relief")
+    field: float = quantity(100.0, "m", gt=0, help="side of the hazard field in it")
+    field_turn: float = quantity(20.0, "deg", help="of the field in the frame")
+    boulders: int = quantity(300, ge=0, help="0.4 to 1 m across")
+    craters: int = quantity(24, ge=0, help="2 to 5 m across")
+
+    def __post_init__(self) -> None:
+        if self.field > self.size:
+            raise InputError("field", self.field, f"at most size_m, {self.size}")
+
+    def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
+        """Return the terrain of one flight."""
+        return hazard_field(
+            streams.get("rocks"),
+            size=self.field,
+            surround=self.size,
+            posting=self.posting,
+            turn=self.field_turn,
+            boulders=self.boulders,
+            craters=self.craters,
+        )

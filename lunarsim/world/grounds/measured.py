@@ -1,0 +1,76 @@
+"""Measured ground: a digital terrain model, refined, with rocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from lunarsim.errors import InputError
+from lunarsim.parts.quantity import quantity
+from lunarsim.rng import Streams
+from lunarsim.rocks.population import RockPopulation
+from lunarsim.world.grounds.contract import strewn
+from lunarsim.world.grounds.roughness import Roughness
+from lunarsim.world.terrain import Heightfield, Terrain, add_detail
+
+
+@dataclass(frozen=True)
+class MeasuredGround(Roughness):
+    """A digital terrain model, with roughness between its posts if asked for; rocks are drawn.
+
+    Attributes
+    ----------
+    path
+        GeoTIFF, PDS image or another raster.
+    dtm_posting, dtm_window, height_step
+        For a raster without metric frame, m; first and last row and column; for elevations that
+        come in steps, m.
+    relief_scale
+        c of Eq. 20 of the Gaussian DEM paper.
+    posting
+        Of the refined relief, m.
+    detail
+        Whether roughness and craters are added between the posts.
+    """
+
+    path: Path | None = quantity(None, help="raster, relative to the scenario file")
+    dtm_posting: float | None = quantity(None, "m", gt=0, help="for a raster without metric frame")
+    dtm_window: tuple[int, int, int, int] | None = quantity(
+        None, help="first and last row from the top, first and last column"
+    )
+    height_step: float | None = quantity(
+        None, "m", gt=0, help="for a raster whose elevations come in steps: smooth within them"
+    )
+    relief_scale: float = quantity(1.0, ge=0, help="c of Eq. 20 of the Gaussian DEM paper")
+    posting: float = quantity(0.25, "m", gt=0, help="of the refined relief")
+    detail: bool = quantity(False, help="add roughness and craters between the posts")
+
+    def __post_init__(self) -> None:
+        if self.path is None:
+            raise InputError("path", None, "the raster to load")
+
+    def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
+        """Return the terrain of one flight."""
+        return strewn(self.relief(), rocks, streams)
+
+    def relief(self) -> Heightfield:
+        """Return the relief without rocks."""
+        return _relief(self)
+
+
+@lru_cache(maxsize=4)
+def _relief(ground: MeasuredGround) -> Heightfield:
+    from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
+
+    assert ground.path is not None
+    measured = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
+    if ground.height_step is not None:
+        measured = measured.dequantised(ground.height_step)
+    measured = measured.scaled(ground.relief_scale)
+    fine = measured.refined(ground.posting)
+    if not ground.detail:
+        return fine
+    # Craters that the posts could show are in the measurement already.
+    largest = 2.0 * measured.grid.posting
+    return add_detail(measured, ground.procedural(fine.grid, largest))

@@ -1,0 +1,69 @@
+"""Roughness and craters of procedural relief, by preset or by figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.parts.quantity import quantity
+from lunarsim.world.terrain import CraterLaw, Heightfield, add_craters, fractal_relief
+
+# Procedural relief is the same ground for all flights of a scenario; only rocks are redrawn.
+_RELIEF_SEED = 20260101
+# Hurst exponent, slope at 1 m (rad) and crater density. Median Hurst exponents of maria and
+# highlands, and their slopes carried to 1 m by them, from Rosenburg et al. (2011), J. Geophys. Res.
+# 116, E02001. The south pole is highland.
+_PRESETS: dict[str, tuple[float, float, float]] = {
+    "none": (0.85, np.deg2rad(2.5), 0.0),
+    "mare": (0.76, np.deg2rad(3.9), 0.079),
+    "highland": (0.95, np.deg2rad(8.6), 0.079),
+    "polar": (0.95, np.deg2rad(8.6), 0.079),
+}
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """Fractal relief and craters.
+
+    Attributes
+    ----------
+    preset
+        Where what is left out comes from.
+    hurst, rms_slope
+        Hurst exponent, and slope at 1 m baseline (rad).
+    crater_density
+        Craters of 1 m or more on a square metre in equilibrium; 0: none.
+    crater_saturation, crater_min_diameter
+        Diameter where equilibrium ends, and least one drawn, m.
+    """
+
+    preset: Literal["none", "mare", "highland", "polar"] = quantity(
+        "none", help="kind of ground that gives roughness and craters where they are left out"
+    )
+    hurst: float | None = quantity(None, gt=0, lt=1, help="Hurst exponent")
+    rms_slope: float | None = quantity(None, "deg", ge=0, lt=45, help="at 1 m baseline")
+    crater_density: float | None = quantity(
+        None, ge=0, le=0.3, help="craters of 1 m or more on 1 m^2 in equilibrium; 0: none"
+    )
+    crater_saturation: float = quantity(200.0, "m", gt=0, help="diameter where equilibrium ends")
+    crater_min_diameter: float = quantity(2.0, "m", gt=0, help="least diameter drawn")
+
+    def procedural(self, grid: Grid, largest: float | None = None) -> Heightfield:
+        """Return fractal relief, with craters (the largest as given, m) if any are asked for."""
+        hurst, slope, density = (
+            own if own is not None else preset
+            for own, preset in zip(
+                (self.hurst, self.rms_slope, self.crater_density),
+                _PRESETS[self.preset],
+                strict=True,
+            )
+        )
+        rng = np.random.default_rng(_RELIEF_SEED)
+        relief = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
+        if density == 0.0:
+            return relief
+        law = CraterLaw(density, self.crater_saturation)
+        return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
