@@ -12,25 +12,27 @@ from tests.conftest import ROOT
 
 
 def scenario(**changes):
-    base = Scenario.load(ROOT / "scenarios" / "morpheus.toml").model_dump(
-        mode="json", exclude_none=True
+    base = Scenario.load(ROOT / "scenarios" / "morpheus.toml").changed(
+        terrain={"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
+        start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
+        approach={"time_to_go_s": 30.0},
+        simulation={"cycle_s": 0.1},
+        tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
+        prior_map={"size_m": 180.0},
+        sensors={"flash": {"half_width": 0.025}},
+        mappers={"sites": {"size_m": 64.0}},
+        start_knowledge={"position_m": 8.0},
+        decisions={"first_altitude_m": 80.0},
     )
-    small = {
-        "terrain": {"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
-        "start": {"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
-        "guidance": {"time_to_go_s": 30.0},
-        "sweep": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0},
-        "prior": {"size_m": 180.0},
-        "lidar": {"half_width": 0.025},
-        "mapper": {"size_m": 64.0},
-        "navigation": {"position_bias_m": 8.0},
-        "simulation": {"cycle_s": 0.1},
-        "decisions": {"first_altitude_m": 80.0},
-    }
-    for change in (small, changes):
-        for table, values in change.items():
-            base[table] = base.get(table, {}) | values
-    return Scenario.from_dict(base)
+    return base.changed(**changes)
+
+
+def filter_of(simulation):
+    return simulation.computer.navigation
+
+
+def mapper_of(simulation):
+    return simulation.computer.mappers["sites"]
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +80,7 @@ def test_a_map_that_lies_aside_takes_estimate_sites_and_record_with_it():
     aside = scenario(prior={"offset_m": offset.tolist()}, simulation={"max_time_s": 12.0})
     simulation = Simulation(aside, 2, "truth-oracle")
     flight = simulation.run()
-    assert simulation.eyes.filter.found
+    assert filter_of(simulation).found
     assert simulation.navigation_error == pytest.approx(offset, abs=0.5)
     assert flight.map_error == pytest.approx(offset, abs=0.5)
     # The map's heights are those of the ground that lies aside.
@@ -94,26 +96,26 @@ def test_two_flights_of_a_seed_are_the_same():
     a.run()
     b.run()
     assert np.array_equal(a.estimate.position, b.estimate.position)
-    assert np.array_equal(a.eyes.mapper.map.points, b.eyes.mapper.map.points)
+    assert np.array_equal(mapper_of(a).map.points, mapper_of(b).map.points)
 
 
 def test_scans_wait_for_the_lock_and_are_placed_after_it():
     simulation = Simulation(scenario(), 2)
     held = 0
-    while not simulation.eyes.filter.locked:
-        assert simulation.eyes.mapper.map.count == 0
-        held = max(held, simulation.eyes.mapper.held)
+    while not filter_of(simulation).locked:
+        assert mapper_of(simulation).map.count == 0
+        held = max(held, mapper_of(simulation).held)
         simulation.step()
         assert simulation.time < 9.0
     assert held > 0
     for _ in range(10):
         simulation.step()
-    assert simulation.eyes.mapper.held == 0
-    assert simulation.eyes.mapper.map.count > 0
-    at_once = Simulation(scenario(sites={"hold_sigma_m": 1e9}), 2)
+    assert mapper_of(simulation).held == 0
+    assert mapper_of(simulation).map.count > 0
+    at_once = Simulation(scenario(mappers={"sites": {"hold_sigma_m": 1e9}}), 2)
     at_once.step()
-    assert at_once.eyes.mapper.held == 0
-    assert at_once.eyes.mapper.map.count > 0
+    assert mapper_of(at_once).held == 0
+    assert mapper_of(at_once).map.count > 0
 
 
 def test_interest_comes_from_a_file(tmp_path):
@@ -124,7 +126,7 @@ def test_interest_comes_from_a_file(tmp_path):
     simulation = Simulation(Scenario.load(tmp_path / "s.toml"), 2)
     while simulation.time < 8.0:
         simulation.step()
-    ranked = simulation.eyes.mapper.select().ranked
+    ranked = mapper_of(simulation).select().ranked
     assert len(ranked) > 0
     assert max(site.position[0] for site in ranked) < -5.0
     (tmp_path / "none.npz").write_text("no archive")
@@ -145,7 +147,7 @@ def test_no_site_is_an_answer_too():
     )  # fmt: skip
     simulation = Simulation(strict, 2, "safest")
     simulation.run()
-    selection = simulation.eyes.mapper.select()
+    selection = mapper_of(simulation).select()
     assert selection.ranked == ()
     assert len(selection.nodes) > 100
     observation = simulation.observe()
@@ -182,7 +184,7 @@ def test_impossible_scenarios_are_refused(changes, field):
     if field is None:
         # A map larger than the ground is a map with an unknown edge.
         simulation = Simulation(scenario(**changes), 1)
-        assert np.isnan(simulation.eyes.filter.prior.elevation).any()
+        assert np.isnan(filter_of(simulation).prior.elevation).any()
         return
     with pytest.raises(InputError, match=field):
         Simulation(scenario(**changes), 1)
