@@ -165,9 +165,7 @@ def detect_rocks(
         vector.
     """
     settings = settings or DetectorSettings()
-    direction = np.asarray(sun, dtype=np.float64)
-    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
-        raise InputError("sun", sun, "a unit vector (3,), ENU")
+    direction = _unit_vector(sun)
     if np.shape(image) != (camera.height, camera.width):
         raise InputError(
             "image", np.shape(image), f"the camera's size ({camera.height}, {camera.width})"
@@ -181,6 +179,13 @@ def detect_rocks(
     return _measure(
         labels, table, view, direction, ground, model or _half_spheres(elevation), settings
     )
+
+
+def _unit_vector(sun: ArrayLike) -> Array:
+    direction = np.asarray(sun, dtype=np.float64)
+    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
+        raise InputError("sun", sun, "a unit vector (3,), ENU")
+    return direction
 
 
 @lru_cache(maxsize=8)
