@@ -356,12 +356,7 @@ def _to_pixels(
 ) -> tuple[Array, Array]:
     """Return pixels (n, 2) and their covariances (n, 2, 2) of points on the ground."""
     points = np.column_stack((offset, np.full(len(offset), drop))) @ view.axes
-    z = points[:, 2]
-    focal = np.array([view.fx, view.fy])
-    pixel = points[:, :2] / z[:, None] * focal + np.array([view.cx, view.cy])
-    # d(pixel) / d(east, north).
-    slope = view.axes[:2, :2].T[None] - (points[:, :2] / z[:, None])[:, :, None] * view.axes[:2, 2]
-    jacobian = focal[:, None] * slope / z[:, None, None]
-    turned = jacobian @ frame
+    # By east and north, then along the Sun and across.
+    turned = view.pinhole.jacobian(points, view.axes[:2].T) @ frame
     covariance = (turned * (spread**2)[:, None, :]) @ np.swapaxes(turned, 1, 2)
-    return pixel, covariance
+    return view.pinhole.project(points), covariance
