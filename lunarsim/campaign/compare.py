@@ -181,17 +181,7 @@ def compare(
     tasks = [
         _Task(scenario, tuple(policies), seed, i, out, figures and i == 0) for i in range(flights)
     ]
-    done: list[_Outcome] = []
-    complete = False
-    try:
-        for _, outcome in outcomes(_fly_all, tasks, min(jobs, flights)):
-            done.append(outcome)
-            if progress is not None:
-                progress(len(policies))
-        complete = True
-    except KeyboardInterrupt:
-        pass
-    done.sort(key=lambda outcome: outcome.flight)
+    done, complete = _gather(tasks, min(jobs, flights), len(policies), progress)
     result = CompareResult(
         rows=[row for outcome in done for row in outcome.rows],
         seconds={
@@ -208,6 +198,23 @@ def compare(
 
             draw_comparison(result.rows, scenario, out / "figures" / "comparison.png")
     return result
+
+
+def _gather(
+    tasks: list[_Task], jobs: int, policies: int, progress: Progress | None
+) -> tuple[list[_Outcome], bool]:
+    """Return what came of the tasks by flight, and whether all are done."""
+    done: list[_Outcome] = []
+    complete = False
+    try:
+        for _, outcome in outcomes(_fly_all, tasks, jobs):
+            done.append(outcome)
+            if progress is not None:
+                progress(policies)
+        complete = True
+    except KeyboardInterrupt:
+        pass
+    return sorted(done, key=lambda outcome: outcome.flight), complete
 
 
 def _mean(values: list[float]) -> float:
