@@ -157,13 +157,11 @@ def compare(
     flights, seed, jobs
         Flights a policy, root seed, processes.
     out
-        Folder for ``results.parquet``, ``summary.json``, ``scenario.toml``, ``flights/`` and
-        ``figures/``; nothing is written when left out. The results table is written last and
-        whole; an interrupt writes the flights that are finished.
-    progress
-        Called with the number of flights finished since the last call.
-    figures
-        Draw the first flight of each policy and the comparison.
+        New folder for all results; left out: nothing is written. The results table is written
+        last and whole; an interrupt writes the flights that are finished.
+    progress, figures
+        Called with the number of flights finished since the last call; whether to draw the first
+        flight of each policy and the comparison.
 
     Raises
     ------
@@ -173,8 +171,7 @@ def compare(
     check_request(policies, flights, jobs)
     if out is not None:
         check_folder(out)
-    # Fail before anything is written: this builds the first flight's world and start.
-    Simulation(scenario, flight_seed(seed, 0), "no-divert")
+    Simulation(scenario, flight_seed(seed, 0), "no-divert")  # fail before anything is written
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         scenario.save(out / "scenario.toml")
