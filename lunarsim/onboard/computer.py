@@ -39,17 +39,22 @@ from lunarsim.onboard.tasking.contract import Situation
 Array = NDArray[np.float64]
 
 APPROACH, VERTICAL = 0, 1
+_OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expected_rocks"}
 
 
 @contextmanager
 def _named(table: str) -> Iterator[None]:
-    """Put the scenario's table before a key that a part complains of."""
+    """Put the scenario's table before a key that a part complains of.
+
+    Fields that name another table (a sensor's, the mission's) are left as they are.
+    """
     try:
         yield
     except InputError as error:
-        if "." in error.field:
+        room, _, key = error.field.rpartition(".")
+        if room in _OTHER_TABLES:
             raise
-        raise InputError(f"{table}.{error.field}", error.value, error.expected) from None
+        raise InputError(f"{table}.{key}", error.value, error.expected) from None
 
 
 class OnboardComputer:

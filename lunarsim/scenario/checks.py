@@ -122,7 +122,7 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
                 f"{field}.sensor", mapper.sensor,
                 f"a sensor of kind {_kinds_giving(mapper.takes)}: this one gives {given.__name__}",
             )  # fmt: skip
-        wanted = mapper.navigation
+        wanted = getattr(mapper, "navigation", None)
         if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,

@@ -81,7 +81,6 @@ def test_a_divert_in_the_first_cycle_counts(small_scenario):
     scenario = small_scenario.changed(decisions={"first_altitude_m": 2000.0})
     simulation = Simulation(scenario, 2, None)
     first = simulation.site.copy()
-    simulation.update()
     assert simulation.decision_due
     assert simulation.apply(Decision(first + [20.0, -15.0, 0.0], "at once"))
     simulation.move()

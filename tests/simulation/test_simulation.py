@@ -62,7 +62,6 @@ def test_a_divert_from_outside_is_flown(small_scenario):
     first = simulation.site.copy()
     diverted = False
     while not simulation.done:
-        simulation.update()
         if simulation.decision_due:
             move = None if diverted else first + [12.0, -9.0, 0.0]
             assert simulation.apply(Decision(move, "test"))

@@ -43,7 +43,6 @@ def test_thrust_tilt_and_propellant_are_those_surveyed(name):
         scenario = scenario.changed(target={"scatter_m": [0.0, 0.0]})
     simulation = Simulation(scenario, 1)
     computer = simulation.computer
-    simulation.update()
     cost = computer.cost_of(computer.site[None, :])
     simulation.move()
     while computer.phase != VERTICAL:

@@ -48,7 +48,6 @@ class GaussianDemMapping:
     length_scale: float = quantity(30.0, "m", gt=0, help="of the random field")
 
     takes: ClassVar[type] = LidarScan
-    navigation: ClassVar[type | None] = None
 
     def build(self, briefing: Briefing, navigation: Navigation) -> GaussianDemMapper:
         """Return the mapper of one flight."""

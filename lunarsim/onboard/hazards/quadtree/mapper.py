@@ -73,7 +73,6 @@ class QuadtreeMapping:
     sites: SiteSettings = quantity(SiteSettings(), help="what a site must be like")
 
     takes: ClassVar[type] = LidarScan
-    navigation: ClassVar[type | None] = None
 
     def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
         """Return the mapper of one flight."""
