@@ -40,3 +40,50 @@ def turned(q, phi):
     norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for k in range(4):
         q[k] /= norm
+
+
+@kernel()
+def rotated_back(q, v, out):
+    """Write the ENU vector v in the body axes of the unit quaternion q."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    # v + 2 u x (u x v - w v), u being the vector part: the inverse rotation.
+    cx = y * v[2] - z * v[1] - w * v[0]
+    cy = z * v[0] - x * v[2] - w * v[1]
+    cz = x * v[1] - y * v[0] - w * v[2]
+    out[0] = v[0] + 2.0 * (y * cz - z * cy)
+    out[1] = v[1] + 2.0 * (z * cx - x * cz)
+    out[2] = v[2] + 2.0 * (x * cy - y * cx)
+
+
+@kernel()
+def along_thrust(direction, heading):
+    """Return the quaternion whose body z is along `direction` and body x near `heading`."""
+    z = direction / np.sqrt(np.sum(direction * direction))
+    fx, fy = np.sin(heading), np.cos(heading)
+    # z x forward; thrust along the heading: any roll will do.
+    y = np.array([-z[2] * fy, z[2] * fx, z[0] * fy - z[1] * fx])
+    size = np.sqrt(np.sum(y * y))
+    if size < 1e-9:
+        y = np.array([z[1], -z[0], 0.0])
+        size = np.sqrt(np.sum(y * y))
+    y /= size
+    x = np.array([y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]])
+    m = np.stack((x, y, z), axis=1)
+    # Shepperd's method: divide by the largest component.
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    k = 3
+    best = trace
+    for i in range(3):
+        if m[i, i] > best:
+            best, k = m[i, i], i
+    q = np.empty(4)
+    if k == 3:
+        q[0], q[1], q[2] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+        q[3] = 1.0 + trace
+    else:
+        i, j, n = k, (k + 1) % 3, (k + 2) % 3
+        q[i] = 1.0 - trace + 2.0 * m[i, i]
+        q[j] = m[j, i] + m[i, j]
+        q[n] = m[n, i] + m[i, n]
+        q[3] = m[n, j] - m[j, n]
+    return q / np.sqrt(np.sum(q * q))

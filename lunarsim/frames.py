@@ -27,6 +27,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._frame_kernels import along_thrust
+
 Array = NDArray[np.float64]
 
 
@@ -139,14 +141,16 @@ def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
         Thrust direction in ENU (3,), any length but zero.
     heading
         Azimuth of body x, clockwise from north (rad).
+
+    Raises
+    ------
+    ValueError
+        If the direction has zero length.
     """
-    z = normalised(direction)
-    forward = np.array([np.sin(heading), np.cos(heading), 0.0])
-    y = np.cross(z, forward)
-    if np.linalg.norm(y) < 1e-9:  # thrust along the heading: any roll will do
-        y = np.cross(z, [0.0, 0.0, 1.0])
-    y = normalised(y)
-    return matrix_to_quat(np.column_stack((np.cross(y, z), y, z)))
+    vector = np.ascontiguousarray(direction, dtype=np.float64)
+    if not vector.any():
+        raise ValueError("a direction of zero length has no attitude")
+    return np.asarray(along_thrust(vector, heading))
 
 
 def matrix_to_quat(m: ArrayLike) -> Array:

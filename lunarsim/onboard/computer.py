@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._frame_kernels import turned
 from lunarsim.errors import InputError
-from lunarsim.frames import Shift, quat_from_rotation_vector, quat_multiply
+from lunarsim.frames import Shift
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
@@ -309,13 +310,10 @@ class OnboardComputer:
     def _ahead(self, seconds: float) -> Estimate:
         """Return the estimate carried on with present velocity and rate."""
         e = self.estimate
-        turn = quat_from_rotation_vector(e.rate * seconds)
-        return replace(
-            e,
-            time=e.time + seconds,
-            position=e.position + seconds * e.velocity,
-            attitude=quat_multiply(e.attitude, turn),
-        )
+        attitude = e.attitude.copy()
+        turned(attitude, e.rate * seconds)
+        position = e.position + seconds * e.velocity
+        return replace(e, time=e.time + seconds, position=position, attitude=attitude)
 
     def stop_sensors(self) -> None:
         """Ask for no more measurements of pointed sensors."""

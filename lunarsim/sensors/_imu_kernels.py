@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lunarsim._frame_kernels import rotated_back, rotation_between
 from lunarsim._jit import kernel
 
 
@@ -22,3 +23,44 @@ def sample(truth, matrix, offset, quantum, remainder, out):
             x = quantum * np.rint(total / quantum)
             remainder[i] = total - x
         out[i] = x
+
+
+@kernel()
+def motion(rows, lift, angle, gained):
+    """Write what an ideal unit would give over a stretch of motion.
+
+    Parameters
+    ----------
+    rows
+        State vectors (n + 1, 15), the first that before the stretch.
+    lift
+        Velocity that gravity takes in a step, m/s.
+    angle, gained
+        Angle and velocity increments (n, 3), body axes.
+    """
+    middle = np.empty(4)
+    change = np.empty(3)
+    for n in range(rows.shape[0] - 1):
+        p, q = rows[n, 6:10], rows[n + 1, 6:10]
+        rotation_between(p, q, angle[n])
+        dot = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
+        sign = -1.0 if dot < 0.0 else 1.0
+        size = 0.0
+        for k in range(4):
+            middle[k] = p[k] + sign * q[k]
+            size += middle[k] * middle[k]
+        for k in range(4):
+            middle[k] /= np.sqrt(size)
+        for k in range(3):
+            change[k] = rows[n + 1, 3 + k] - rows[n, 3 + k]
+        change[2] += lift
+        rotated_back(middle, change, gained[n])
+
+
+@kernel()
+def sample_all(truth, matrix, offsets, quantum, remainder):
+    """Return the increments (n, 3) of a triad for true ones (n, 3)."""
+    out = np.empty_like(truth)
+    for n in range(truth.shape[0]):
+        sample(truth[n], matrix, offsets[n], quantum, remainder, out[n])
+    return out

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
 from lunarsim.messages.measurements import InertialSamples
 from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadErrors
 from lunarsim.models.instruments import InertialInstrument
@@ -68,13 +67,12 @@ class _Triad:
 
     def increments(self, truth: Array) -> Array:
         """Return increments (n, 3) for true increments (n, 3)."""
-        out = np.empty_like(truth)
-        offsets = self.offsets(len(truth))
-        for n in range(len(truth)):
-            kernels.sample(
-                truth[n], self.matrix, offsets[n], self.errors.quantum, self.remainder, out[n]
+        return np.asarray(
+            kernels.sample_all(
+                np.ascontiguousarray(truth), self.matrix, self.offsets(len(truth)),
+                self.errors.quantum, self.remainder,
             )
-        return out
+        )  # fmt: skip
 
 
 class Imu:
@@ -147,12 +145,8 @@ class Imu:
         angle
             What the gyroscopes gave already (n, 3), rad; left out: they are sampled here.
         """
-        q = rows[:, 6:10]
+        turn, gained = np.empty((2, len(rows) - 1, 3))
+        kernels.motion(np.ascontiguousarray(rows), gravity * step, turn, gained)
         if angle is None:
-            turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(q[:-1]), q[1:]))
             angle = self.gyroscopes.increments(turn)
-        middle = q[:-1] + np.where((q[:-1] * q[1:]).sum(1) < 0.0, -1.0, 1.0)[:, None] * q[1:]
-        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-        gained = np.diff(rows[:, 3:6], axis=0) + np.array([0.0, 0.0, gravity * step])
-        velocity = self.accelerometers.increments(quat_rotate(quat_conjugate(middle), gained))
-        return InertialSamples(time, angle, velocity)
+        return InertialSamples(time, angle, self.accelerometers.increments(gained))

@@ -99,6 +99,7 @@ class Plant:
         self.imus: dict[str, Imu] = {n: u for n, u in units if isinstance(u, Imu)}
         self._instruments = {n: i for n, i in made.items() if n not in self.imus}
         self._max_time = max_time
+        self._low, self._high = world.terrain.z_range
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
         """Return what sensors measure now: those that need no telling, and those told to."""
@@ -151,14 +152,14 @@ class Plant:
         terrain = self.world.terrain
         if touched:
             self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
-        elif self.state.position[2] < terrain.z_range[0] - 1.0:
+        elif self.state.position[2] < self._low - 1.0:
             self.verdict = Verdict(False, ("off-map",), None)
         elif self.time >= self._max_time:
             self.verdict = Verdict(False, ("time-limit",), None)
 
     def _first_contact(self, history: Array) -> int | None:
         """Return the first step at which a pad is at or below the ground, or None."""
-        if history[-1, 2] - self.world.terrain.z_range[1] > _CONTACT_HEIGHT:
+        if history[-1, 2] - self._high > _CONTACT_HEIGHT:
             return None
         pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], self.lander.pads)
         gap = pads[..., 2] - self.world.terrain.elevation(pads[..., :2])

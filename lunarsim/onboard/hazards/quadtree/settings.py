@@ -50,9 +50,7 @@ class SiteSettings:
     """
 
     slope_limit: float = quantity(5.0, "deg", gt=0, lt=45, help="lambda_theta")
-    roughness_limit: float = quantity(
-        0.3, "m", gt=0, help="lambda_d: farther is an exception"
-    )
+    roughness_limit: float = quantity(0.3, "m", gt=0, help="lambda_d: farther is an exception")
     density: float = quantity(5.0, "1/m^2", ge=0, help="least number of points")
     exception_limit: float = quantity(0.015, ge=0, lt=1, help="lambda_e: share of exceptions")
     zone: float = quantity(2.5, "m", gt=0, help="half side of the landing zone")
