@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +25,7 @@ def rotation_between(p, q):
 def ideal_samples(rows, lift):
     """Return angle and velocity increments (n, 3) of a perfect inertial unit."""
     angle, gained = [], []
-    for before, after in zip(rows[:-1], rows[1:], strict=True):
+    for before, after in pairwise(rows):
         turn = rotation_between(before[6:10], after[6:10])
         middle = Rotation.from_quat(before[6:10]) * Rotation.from_rotvec(0.5 * turn)
         angle.append(turn)
