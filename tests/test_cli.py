@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.cli import main
-from tests.conftest import SCENARIOS
+from tests.worlds import SCENARIOS
 
 
 def run(*args: str):

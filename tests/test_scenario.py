@@ -4,7 +4,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from tests.conftest import SCENARIOS
+from tests.worlds import SCENARIOS
 
 
 @pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.toml")), ids=lambda p: p.stem)

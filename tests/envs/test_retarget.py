@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.retarget import RetargetEnv
-from tests.conftest import ROOT
+from tests.worlds import ROOT
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
 

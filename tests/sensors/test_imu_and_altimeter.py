@@ -10,7 +10,7 @@ from lunarsim.sensors.altimeter import RadarAltimeter
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import State
 from lunarsim.world import World
-from tests.conftest import flat_terrain, sloped_terrain
+from tests.worlds import flat_terrain, sloped_terrain
 
 STILL = np.zeros((400_000, 3))
 

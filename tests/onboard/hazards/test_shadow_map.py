@@ -30,7 +30,7 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.laws import golombek_cover, golombek_number
 from lunarsim.world.terrain import Terrain
-from tests.conftest import flat_terrain
+from tests.worlds import flat_terrain
 from tests.onboard.perception.test_shadow_detector import SUN, at, picture, rocks_on_a_plane
 from tests.reference.shadows import rice
 

@@ -25,7 +25,7 @@ from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from tests.conftest import flat_terrain
+from tests.worlds import flat_terrain
 from tests.reference.shadows import patch
 
 SUN = direction_from_angles(1.2, np.radians(20.0))

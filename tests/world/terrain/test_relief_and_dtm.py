@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief
 from lunarsim.world.terrain.dtm import load_dtm, read_info
-from tests.conftest import SCENARIOS
+from tests.worlds import SCENARIOS
 
 MOON = "+proj=eqc +R=1737400 +units=m +no_defs"
 

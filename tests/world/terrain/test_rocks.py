@@ -10,7 +10,7 @@ from lunarsim.errors import InputError
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import golombek_cover, golombek_number, sample_diameters
 from lunarsim.world.terrain import place_rocks
-from tests.conftest import flat_terrain
+from tests.worlds import flat_terrain
 
 
 @pytest.mark.parametrize("k", [0.01, 0.05, 0.2])

@@ -9,7 +9,7 @@ from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import CUBE, IRREGULAR, shape_table
 from lunarsim.world.terrain import Heightfield, Terrain
-from tests.conftest import flat_terrain, random_terrain, sloped_terrain
+from tests.worlds import flat_terrain, random_terrain, sloped_terrain
 from tests.reference import terrain as reference
 
 
