@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 
-from lunarsim.models.lander import Lander
-from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.apollo import ApolloGuidance, terminal_polynomial
-from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.sensors.rendering.target import Target
 
@@ -90,41 +87,3 @@ def test_lead_makes_up_for_a_first_order_lag():
 def test_time_to_go_must_be_positive():
     with pytest.raises(ValueError, match="time_to_go"):
         terminal_polynomial(np.zeros(3), np.zeros(3), Target(np.ones(3)), 0.0)
-
-
-def test_vertical_descent_settles_on_its_speed_above_the_target():
-    law = VerticalDescent(G)
-    r, v = np.array([0.4, -0.2, 10.0]), np.array([0.1, 0.0, -3.0])
-    for n in range(450):
-        a = law.command(estimate(r, v), Target(np.zeros(3)), 0.01 * n) - np.array([0.0, 0.0, G])
-        v = v + 0.01 * a
-        r = r + 0.01 * v
-    assert v[2] == pytest.approx(-2.0, abs=0.05)
-    assert np.hypot(*r[:2]) < 0.2
-    assert np.hypot(*v[:2]) < 0.2
-
-
-def test_vertical_descent_stays_upright_near_the_ground():
-    law = VerticalDescent(G)
-    command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), Target(np.zeros(3)), 0.0)
-    lean = np.arctan2(np.hypot(command[0], command[1]), command[2])
-    assert lean <= law.lean_low + 0.2 * (law.lean - law.lean_low)
-
-
-@given(arrays(np.float64, 3, elements=st.floats(-20.0, 20.0)), st.floats(1100.0, 1500.0))
-def test_commands_respect_thrust_and_tilt(acceleration, mass):
-    lander = Lander()
-    tilt = np.deg2rad(40.0)
-    command = thrust_to_command(acceleration, mass, lander, 0.3, tilt)
-    assert lander.thrust_min <= command.thrust <= lander.thrust_max
-    x, y, z, w = command.attitude
-    assert 1.0 - 2.0 * (x * x + y * y) >= np.cos(tilt) - 1e-9
-
-
-def test_vertical_thrust_comes_first():
-    lander = Lander()
-    most = lander.thrust_max / 1500.0
-    command = thrust_to_command(np.array([5.0, 0.0, 0.95 * most]), 1500.0, lander, 0.0, 1.0)
-    assert command.thrust == pytest.approx(lander.thrust_max)
-    x, y, _, _ = command.attitude
-    assert 1.0 - 2.0 * (x * x + y * y) == pytest.approx(0.95, abs=1e-9)

@@ -13,8 +13,8 @@ from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from tests.onboard.hazards.rock_scene import GRAVITY, Flight
 from tests.reference.shadows import consider_update
+from tests.rock_scene import GRAVITY, Flight
 
 
 def fly(flight, seconds, images=True):

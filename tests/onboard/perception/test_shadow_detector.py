@@ -25,8 +25,8 @@ from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from tests.worlds import flat_terrain
 from tests.reference.shadows import patch
+from tests.worlds import flat_terrain
 
 SUN = direction_from_angles(1.2, np.radians(20.0))
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
