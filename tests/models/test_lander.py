@@ -23,7 +23,7 @@ G = 1.622
 def test_impossible_landers(change, field):
     with pytest.raises(InputError) as caught:
         Lander(**change)
-    assert caught.value.field == f"lander.{field}"
+    assert caught.value.field == f"vehicle.{field}"
 
 
 def test_lander_must_hover():

@@ -4,9 +4,10 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance import DivertLimits
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.hazards import HazardMap
-from lunarsim.onboard.navigation import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import best_cells, candidate_sites
 
 G = 1.622
@@ -39,17 +40,19 @@ def test_candidates_hold_the_nearest_safe_cell():
     p[5, 5:50] = 1.0
     p[32, 30] = 0.96
     hazard_map = HazardMap(grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32))
-    c = candidate_sites(
-        hazard_map, p, estimate(), np.zeros(3), LANDER, G, count=4, separation=3.0,
-        approach_height=11.6, limits=DivertLimits(),
-    )  # fmt: skip
+    asked = []
+
+    def cost_of(sites):
+        asked.append(sites)
+        return divert_cost(estimate(), Approach().end(sites, LANDER), LANDER, G)
+
+    c = candidate_sites(hazard_map, p, np.zeros(3), cost_of, count=4, separation=3.0)
     assert (np.diff(c.p_safe) <= 0.0).all()
     row, col = grid.cell(c.position[:, :2])
     assert (32, 30) in set(zip(row.tolist(), col.tolist(), strict=True))
     assert np.allclose(c.distance, np.hypot(c.position[:, 0], c.position[:, 1]))
     empty = HazardMap.unobserved(grid)
-    nothing = candidate_sites(
-        empty, empty.p_safe, estimate(), np.zeros(3), LANDER, G, count=4, separation=3.0,
-        approach_height=11.6, limits=DivertLimits(),
-    )  # fmt: skip
+    assert np.array_equal(asked[0], c.position)
+    assert c.reachable.all()
+    nothing = candidate_sites(empty, empty.p_safe, np.zeros(3), cost_of, count=4, separation=3.0)
     assert len(nothing) == 0

@@ -3,14 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards import HazardMap
-from lunarsim.onboard.navigation import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Observation
 from lunarsim.onboard.policies.library import FuelAware, NearestSafe, NoDivert, Safest
-from lunarsim.simulation.loop import make_policy
+from lunarsim.parts import CONTRACTS, resolve
 
 G = 1.622
 LANDER = Lander()
@@ -70,13 +69,14 @@ def test_fuel_aware_trades():
     assert FuelAware(price=0.25).decide(o).site[0] == 10.0
 
 
-@pytest.mark.parametrize("name", ["safest", "nearest-safe", "fuel-aware"])
-def test_nothing_in_reach_keeps(name):
+@pytest.mark.parametrize("policy", [Safest(), NearestSafe(), FuelAware()], ids=lambda p: p.name)
+def test_nothing_in_reach_keeps(policy):
     o = observation([0.99], [10.0], [np.inf], here=float("nan"))
-    assert make_policy(name).decide(o).site is None
-    assert make_policy(name).decide(observation([], [], [])).site is None
+    assert policy.decide(o).site is None
+    assert policy.decide(observation([], [], [])).site is None
 
 
-def test_unknown_policy_suggests():
-    with pytest.raises(InputError, match="did you mean 'safest'"):
-        make_policy("safset")
+def test_policies_go_by_the_names_of_the_registry():
+    """But the one that is told the truth, which lives with the loop."""
+    for name, where in CONTRACTS["policy"].kinds.items():
+        assert resolve("policy", name)().name == name, where
