@@ -1,4 +1,4 @@
-"""Association, tracking, probabilities and the map."""
+"""The probability map: prior, painting, footprints, what is not seen."""
 
 from __future__ import annotations
 
@@ -15,48 +15,14 @@ from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.shadows import (
     HazardPrior,
     ProbabilityMap,
-    RockTracker,
-    TrackerSettings,
 )
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
-from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.laws import golombek_cover, golombek_number
-from tests.onboard.perception.test_shadow_detector import SUN, at, picture, rocks_on_a_plane
+from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
 
-MODEL = ShadowModel(np.radians(20.0))
 GRID = Grid.centred((0.0, 0.0), 40.0, 0.25)
-
-
-def tracker_at(position, **settings):
-    state, _ = at(position)
-    inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
-    rocks = RockFilter(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
-    return RockTracker(rocks, MODEL, settings=TrackerSettings(**settings))
-
-
-def follow(terrain, path, tracker, mapping=None):
-    """Take one picture from each place on a path; the lander's own motion is known."""
-    for k, position in enumerate(path):
-        state, camera, counts = picture(terrain, position)
-        tracker.filter.inertial._x[:3] = state.position
-        seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-        tracker.update(seen, camera, SUN, 0.1 * k)
-        if mapping is not None:
-            mapping.see(camera, camera.view(state), SUN, seen)
-    return tracker
-
-
-# --- association --------------------------------------------------------------------------
-
-
-# --- tracking -----------------------------------------------------------------------------
-
-
-# --- probabilities ------------------------------------------------------------------------
 
 
 def test_map_begins_with_the_prior_and_falls_by_eq_14():

@@ -6,13 +6,10 @@ from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain import Terrain
-from tests.onboard.perception.test_shadow_detector import SUN, at, picture, rocks_on_a_plane
+from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
 from tests.worlds import flat_terrain
-
-MODEL = ShadowModel(np.radians(20.0))
 
 
 def test_rocks_are_tracked_once_each_and_their_places_sharpen():
