@@ -18,8 +18,12 @@ def scenario() -> Scenario:
             "terrain": {"size_m": 60.0},
             "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
             "target": {"scatter_m": [8.0, 8.0]},
-            "lidar": {"pixels": [64, 64]},
-            "mapper": {"posting_m": 0.5, "size_m": 40.0},
+            "sensors": {
+                "imu": {"kind": "imu"},
+                "fix": {"kind": "navigation-fix"},
+                "flash": {"kind": "flash-lidar", "rows": 64, "cols": 64},
+            },
+            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 40.0}},
         }
     )
 

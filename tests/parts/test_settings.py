@@ -45,7 +45,7 @@ class Part:
     maybe: float | None = quantity(None, "s", gt=0)
     on: bool = quantity(False)
     inner: Inner = quantity(INNER)
-    made: list[int] = field(default_factory=lambda: [7])
+    made: tuple[int, ...] = field(default_factory=lambda: (7,))
     name: str = hidden("part")
     _own: int = 0
     derived: float = field(default=0.0, init=False)
