@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.models.inertial_unit import TriadErrors
-from lunarsim.sensors.imu import Imu
+from lunarsim.models.lander import Lander
+from lunarsim.sensors.imu import Imu, InertialUnit
+from lunarsim.vehicle import Dynamics, State
 
 STILL = np.zeros((400_000, 3))
 
@@ -83,3 +86,56 @@ def test_bad_units_are_refused():
         TriadErrors(bias=-1.0)
     with pytest.raises(InputError, match=r"imu\.specific_force"):
         Imu(np.random.default_rng(0)).measure(np.zeros((2, 3)), np.zeros((3, 3)))
+
+
+def moved(steps=200):
+    """Return true states (steps + 1, 15) of a lander that turns under thrust."""
+    dynamics = Dynamics(Lander(), 1.622)
+    attitude = quat_from_rotation_vector([0.2, -0.1, 0.5])
+    now = State(np.zeros(3), np.array([20.0, 0.0, -9.0]), attitude, np.zeros(3), 1400.0, 2000.0)
+    rows = [now.as_vector()]
+    for n in range(steps):
+        now = dynamics.advance(now, 3000.0, 30.0 * np.array([np.sin(0.1 * n), 1.0, -1.0]))
+        rows.append(now.as_vector())
+    return np.array(rows)
+
+
+def test_samples_of_a_motion_carry_a_state_along_it():
+    """Perfect samples, dead reckoned plainly, end where the lander is."""
+    rows = moved()
+    unit = InertialUnit(TriadErrors(), TriadErrors()).build(np.random.default_rng(0), 0.01)
+    samples = unit.sense(rows, 0.01, 1.622, 2.0)
+    assert samples.time == 2.0
+    assert samples.angle.shape == samples.velocity.shape == (200, 3)
+    r, v, q = rows[0, 0:3], rows[0, 3:6], rows[0, 6:10]
+    for angle, velocity in zip(samples.angle, samples.velocity, strict=True):
+        middle = quat_multiply(q, quat_from_rotation_vector(0.5 * angle))
+        faster = v + quat_rotate(middle, velocity) - [0.0, 0.0, 0.01622]
+        r, v = r + 0.005 * (v + faster), faster
+        q = quat_multiply(q, quat_from_rotation_vector(angle))
+    assert v == pytest.approx(rows[-1, 3:6], abs=1e-9)
+    assert r == pytest.approx(rows[-1, 0:3], abs=1e-4)
+    assert abs(q @ rows[-1, 6:10]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_free_fall_is_felt_as_nothing():
+    unit = Imu(np.random.default_rng(0), 100.0, TriadErrors(), TriadErrors())
+    fall = State(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1400.0)
+    rows = [fall.as_vector()]
+    for _ in range(10):
+        fall = Dynamics(Lander(), 1.622).advance(fall, 0.0, np.zeros(3))
+        rows.append(fall.as_vector())
+    samples = unit.sense(np.array(rows), 0.01, 1.622, 0.1)
+    assert np.abs(samples.velocity).max() < 1e-12
+    assert np.abs(samples.angle).max() < 1e-12
+
+
+def test_what_gyroscopes_gave_on_the_way_is_not_sampled_again():
+    rows = moved(10)
+    errors = TriadErrors(random_walk=1e-3)
+    given = np.random.default_rng(1).standard_normal((10, 3))
+    first, second = (Imu(np.random.default_rng(2), 100.0, errors, errors) for _ in range(2))
+    samples = first.sense(rows, 0.01, 1.622, 0.1, given)
+    assert samples.angle is given
+    # Accelerometers draw from a stream of their own.
+    assert np.array_equal(samples.velocity, second.sense(rows, 0.01, 1.622, 0.1).velocity)
