@@ -26,13 +26,13 @@ def elevations(terrain: Terrain, points: np.ndarray) -> np.ndarray:
     height = np.where(s >= t, lower, upper)
     r = terrain.rocks
     for k in range(len(r)):
-        near = np.flatnonzero(np.hypot(*(points - [r.x[k], r.y[k]]).T) <= 3.0 * max(r.a[k], r.b[k]))
-        for n in near:
-            height[n] = max(height[n], rock_top(r, k, *points[n]))
+        x, y = points.T
+        near = (np.abs(x - r.x[k]) < 3.0 * r.a[k]) & (np.abs(y - r.y[k]) < 3.0 * r.a[k])
+        height[near] = np.maximum(height[near], rock_top(r, k, x[near], y[near]))
     return np.where(inside, height, math.nan)
 
 
-def rock_top(r: RockField, k: int, x: float, y: float) -> float:
+def rock_top(r: RockField, k: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Top of rock k over (x, y), -inf beside it."""
     dx, dy = x - r.x[k], y - r.y[k]
     e = (math.cos(r.yaw[k]) * dx + math.sin(r.yaw[k]) * dy) / r.a[k]
@@ -56,17 +56,18 @@ def elevation(terrain: Terrain, x: float, y: float) -> float:
     return max([height, *(rock_top(r, k, x, y) for k in range(len(r)))])
 
 
-def unit_height(shape: int, e: float, f: float) -> float:
+def unit_height(shape: int, e: np.ndarray, f: np.ndarray) -> np.ndarray:
     """Height of a unit shape over (e, f), -inf outside its outline."""
     table = shape_table()
     if table.count[shape] == 0:
-        return math.sqrt(1.0 - e * e - f * f) if e * e + f * f < 1.0 else -math.inf
-    top = math.inf
+        square = 1.0 - e * e - f * f
+        return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), -math.inf)
+    top = np.full(np.shape(e), math.inf)
     for ne, nf, ng, d in table.planes[shape, : table.count[shape]]:
         if ng > 0.0:
-            top = min(top, (d - ne * e - nf * f) / ng)
-        elif ne * e + nf * f > d:
-            return -math.inf
+            top = np.minimum(top, (d - ne * e - nf * f) / ng)
+        else:
+            top = np.where(ne * e + nf * f > d, -math.inf, top)
     return top
 
 

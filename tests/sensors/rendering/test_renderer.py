@@ -284,7 +284,8 @@ def test_what_was_drawn_before_leaves_no_trace(rocky, truth):
 _CYCLES = """
 import gc, resource, sys
 import numpy as np
-from lunarsim.sensors.rendering import Renderer, View, renderer_of
+from lunarsim.models.pinhole import View
+from lunarsim.sensors.rendering import Renderer, renderer_of
 from lunarsim.frames import sensor_axes
 from lunarsim.world.light import Light
 from tests.worlds import flat_terrain
