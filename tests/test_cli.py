@@ -10,14 +10,20 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.cli import main
-from tests.conftest import SCENARIOS
+from lunarsim.parts import CONTRACTS, resolve, settings_of
+from lunarsim.scenario import Scenario
+from tests.worlds import SCENARIOS
 
 
 def run(*args: str):
     return CliRunner().invoke(main, list(args))
 
 
-@pytest.mark.parametrize("command", [(), ("fly",), ("compare",), ("render",)], ids=str)
+@pytest.mark.parametrize(
+    "command",
+    [(), ("fly",), ("compare",), ("render",)],
+    ids=str,
+)
 def test_help(command):
     result = run(*command, "--help")
     assert result.exit_code == 0
@@ -59,8 +65,10 @@ def test_compare_prints_a_row_a_policy(small, tmp_path):
     ("edit", "words"),
     [
         ("[terrain]\nposting_km = 1", ["terrain.posting_km", "did you mean"]),
-        ('[lander]\ndry_mass_kg = "1 t"', ["lander.dry_mass_kg", "1 t", "plain number in kg"]),
-        ("[lander]\nthrust_max_n = 1000", ["lander.thrust_max_n", "cannot hover"]),
+        ('[vehicle]\ndry_mass_kg = "1 t"', ["vehicle.dry_mass_kg", "1 t", "plain number in kg"]),
+        ("[vehicle]\nthrust_max_n = 1000", ["vehicle.thrust_max_n", "cannot hover"]),
+        ("[lidar]\nrows = 64", ["lidar", "[sensors.NAME]", "flash-lidar"]),
+        ("[tasking.camera]\nkind = 'periodic'", ["tasking.camera", "the name of a sensor"]),
         ('[terrain]\nkind = "dtm"\npath = "gone.tif"', ["terrain.path", "gone.tif", "existing"]),
         ('[terrain]\nkind = "dtm"\npath = "bad.toml"', ["terrain.path", "GDAL"]),
         ("[start]\nposition_m = [0, 0, -10]", ["start.position_m", "above the ground"]),
@@ -150,3 +158,67 @@ def test_terrain_info_and_preview(tmp_path):
     assert run("terrain", "info", str(tmp_path / "none.tif")).exit_code == 2
     bad = run("terrain", "preview", str(SCENARIOS / "golombek.toml"), "--out", str(tmp_path / "p"))
     assert bad.exit_code == 2
+
+
+def test_parts_lists_what_scenarios_choose_from():
+    everything = run("parts")
+    assert everything.exit_code == 0, everything.output
+    lines = [line.split(maxsplit=2) for line in everything.output.splitlines()]
+    found = {(contract, kind) for contract, kind, _ in lines}
+    assert found == {(c, kind) for c, contract in CONTRACTS.items() for kind in contract.kinds}
+    assert all(what[0].isupper() for _, _, what in lines)
+    mappers = run("parts", "mapper").output
+    assert "shadow" in mappers and "safest" not in mappers
+    wrong = run("parts", "maper")
+    assert wrong.exit_code == 2
+    assert "did you mean 'mapper'?" in wrong.output
+
+
+@pytest.mark.parametrize("form", [[], ["--markdown"]], ids=["text", "markdown"])
+def test_reference_tells_every_key_of_every_kind(form):
+    done = run("scenario", "reference", *form)
+    assert done.exit_code == 0, done.output
+    for contract, kinds in CONTRACTS.items():
+        for kind in kinds.kinds:
+            assert f'kind = "{kind}"' in done.output
+            for key in settings_of(resolve(contract, kind)).model_fields:
+                assert key in done.output
+    for table in ("[start]", "[target]", "[prior_map] (may be left out)", "[simulation]"):
+        assert table in done.output
+    row = next(line for line in done.output.splitlines() if "heading_deg" in line)
+    assert "90" in row and "deg" in row and "azimuth of body x" in row
+
+
+def test_check_prints_the_scenario_whole_or_what_is_wrong(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text('name = "x"\n[sun]\nelevation_deg = 12.0')
+    done = run("scenario", "check", str(path))
+    assert done.exit_code == 0, done.output
+    printed = Scenario.from_toml(done.output)
+    assert printed == Scenario.load(path)
+    assert (printed.sun.elevation_deg, printed.sun.azimuth_deg) == (12.0, 270.0)
+    path.write_text("[sun]\nelevation = 12.0")
+    done = run("scenario", "check", str(path))
+    assert done.exit_code == 2
+    assert "did you mean 'elevation_deg'?" in done.output
+
+
+def test_a_class_of_ones_own_is_flown(small, tmp_path):
+    module = tmp_path / "my_policies.py"
+    module.write_text(
+        "from dataclasses import dataclass\n"
+        "from lunarsim.onboard.policies import Decision\n"
+        "@dataclass(frozen=True)\n"
+        "class Stay:\n"
+        "    name: str = 'stay'\n"
+        "    def decide(self, observation):\n"
+        "        return Decision.keep('as told')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "lunarsim.cli", "fly", str(small), "--policy", "my_policies:Stay"],
+        capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "vertical speed" in done.stdout
+    assert "divert to" not in done.stdout

@@ -46,6 +46,9 @@ def within(mount: Array, limit: float) -> Array:
     boresight = mount[:, 2]
     if boresight @ _REST >= np.cos(limit) - 1e-9:
         return mount
-    axis = normalised(np.cross(boresight, _REST))
+    across = np.cross(boresight, _REST)
+    length = np.linalg.norm(across)
+    # Straight up there is no nearest side: any will do.
+    axis = across / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
     excess = np.arccos(np.clip(boresight @ _REST, -1.0, 1.0)) - limit
     return np.asarray(quat_to_matrix(quat_from_rotation_vector(axis * excess)) @ mount)

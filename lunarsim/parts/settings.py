@@ -115,7 +115,10 @@ def table_of(part: Any) -> PartSettings:
     values = {}
     for key, (name, q) in keys.items():
         value = getattr(part, name)
-        values[key] = q.from_si(value) if q else value
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            values[key] = table_of(value)
+        else:
+            values[key] = q.from_si(value) if q else value
     return model.model_validate(values)
 
 

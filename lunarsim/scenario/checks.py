@@ -106,6 +106,18 @@ def _kinds_giving(wanted: type) -> str:
     return " or ".join(found) or f"a part that gives {wanted.__name__}"
 
 
+def _kinds_of(contract: str, wanted: type) -> str:
+    """Return the kinds of a contract whose class is one, or is derived from it, in words."""
+    found = []
+    for kind in kinds(contract):
+        try:
+            if issubclass(resolve(contract, kind), wanted):
+                found.append(repr(kind))
+        except InputError:
+            continue  # another package's part that does not load is no help here
+    return " or ".join(found) or f'"{wanted.__module__}:{wanted.__qualname__}"'
+
+
 def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
     for name, part in scenario.mappers.items():
         mapper = part.make()
@@ -126,7 +138,8 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
         if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
-                f"{wanted.__name__}: {field} of kind {part.kind!r} maps with that filter",
+                f"{_kinds_of('navigation', wanted)}: {field} of kind {part.kind!r} maps with that "
+                "filter",
             )  # fmt: skip
 
 

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from lunarsim.campaign import compare
 from lunarsim.errors import InputError
-from lunarsim.evaluation.statistics import Proportion, summarise
 from lunarsim.scenario import Scenario
 
 
@@ -20,8 +18,12 @@ def scenario() -> Scenario:
             "terrain": {"size_m": 60.0},
             "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
             "target": {"scatter_m": [8.0, 8.0]},
-            "lidar": {"pixels": [64, 64]},
-            "mapper": {"posting_m": 0.5, "size_m": 40.0},
+            "sensors": {
+                "imu": {"kind": "imu"},
+                "fix": {"kind": "navigation-fix"},
+                "flash": {"kind": "flash-lidar", "rows": 64, "cols": 64},
+            },
+            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 40.0}},
         }
     )
 
@@ -101,30 +103,3 @@ def test_other_results_are_not_overwritten(scenario, tmp_path):
     with pytest.raises(InputError, match="holds other files"):
         compare(scenario, ["safest"], flights=1, seed=1, out=tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
-
-
-def test_wilson_interval():
-    # Closed form of the score interval.
-    n, k, z = 50, 45, 1.959963984540054
-    centre = (k + z * z / 2) / (n + z * z)
-    half = z / (n + z * z) * np.sqrt(k * (n - k) / n + z * z / 4)
-    assert Proportion(k, n).interval == pytest.approx((centre - half, centre + half))
-    assert Proportion(0, 0).interval == (0.0, 1.0)
-    assert str(Proportion(1, 2)).startswith("0.500 [")
-
-
-def test_summary_pools_cells():
-    base = {
-        "policy": "a", "safe": True, "safe_site_in_reach": True, "propellant_kg": 1.0,
-        "divert_m": 2.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
-    }  # fmt: skip
-    rows = [
-        base | {"map_hits": 90, "map_false_safe": 10, "map_missed": 10},
-        base | {"map_hits": 0, "map_false_safe": 0, "map_missed": 80, "safe": False,
-                "safe_site_in_reach": False},
-    ]  # fmt: skip
-    a = summarise(rows)["a"]
-    assert a["precision"] == pytest.approx(0.9)
-    assert a["recall"] == pytest.approx(0.5)
-    assert a["safe"].count == 1
-    assert a["safe_in_reach"].total == 1

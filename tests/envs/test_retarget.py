@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.retarget import RetargetEnv
-from tests.conftest import ROOT
+from tests.worlds import SCENARIOS
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
 
@@ -109,7 +109,7 @@ def test_scenario_objects_are_taken(small_scenario):
 
 
 def test_example_script_runs():
-    script = ROOT / "scenarios" / "retarget_agents.py"
+    (script,) = SCENARIOS.rglob("retarget_agents.py")
     run = subprocess.run(
         [sys.executable, str(script), "--episodes", "1"], capture_output=True, text=True, check=True
     )

@@ -9,7 +9,6 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.vehicle import support_planes
 
 
 def leg_cells(lander: Lander, posting: float, samples: int = 20000) -> list[tuple]:
@@ -52,6 +51,19 @@ def polygon_cells(corners: tuple) -> list[tuple[int, int]]:
     return inside
 
 
+def standing_planes(legs: np.ndarray) -> list[tuple[float, float, float]]:
+    """Planes through three legs that no leg pokes through: (z0, dz/dx, dz/dy)."""
+    planes = []
+    for triple in combinations(range(len(legs)), 3):
+        p, q, s = legs[list(triple)]
+        nx, ny, nz = np.cross(q - p, s - p)
+        gx, gy = -nx / nz, -ny / nz
+        z0 = p[2] - gx * p[0] - gy * p[1]
+        if all(z <= z0 + gx * x + gy * y + 1e-9 for x, y, z in legs):
+            planes.append((z0, gx, gy))
+    return planes
+
+
 def exact(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int) -> tuple[float, float]:
     """Worst slope (rad) and roughness (m) of a lander centred on one cell."""
     pads = pad_cells(lander, grid.posting)
@@ -67,7 +79,7 @@ def exact(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int) -> tupl
                 for r, c in corners
             ]
         )
-        for z0, gx, gy in support_planes(legs):
+        for z0, gx, gy in standing_planes(legs):
             stretch = math.sqrt(1.0 + gx * gx + gy * gy)
             slope = max(slope, math.acos(1.0 / stretch))
             for r, c in polygon_cells(corners):

@@ -6,8 +6,38 @@ import math
 
 import numpy as np
 
+from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
 from lunarsim.world.terrain import Terrain
+
+
+def elevations(terrain: Terrain, points: np.ndarray) -> np.ndarray:
+    """As `elevation`, at many points (n, 2), rock by rock."""
+    g, z = terrain.relief.grid, terrain.relief.z.astype(float)
+    u, v = (points[:, 0] - g.x0) / g.posting, (points[:, 1] - g.y0) / g.posting
+    inside = (u >= 0) & (u <= g.cols - 1) & (v >= 0) & (v <= g.rows - 1)
+    u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
+    j, i = np.minimum(u.astype(int), g.cols - 2), np.minimum(v.astype(int), g.rows - 2)
+    s, t = u - j, v - i
+    a, c = z[i, j], z[i + 1, j + 1]
+    # Each triangle has a side along x and one along y.
+    lower = a + s * (z[i, j + 1] - a) + t * (c - z[i, j + 1])
+    upper = a + t * (z[i + 1, j] - a) + s * (c - z[i + 1, j])
+    height = np.where(s >= t, lower, upper)
+    r = terrain.rocks
+    for k in range(len(r)):
+        x, y = points.T
+        near = (np.abs(x - r.x[k]) < 3.0 * r.a[k]) & (np.abs(y - r.y[k]) < 3.0 * r.a[k])
+        height[near] = np.maximum(height[near], rock_top(r, k, x[near], y[near]))
+    return np.where(inside, height, math.nan)
+
+
+def rock_top(r: RockField, k: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Top of rock k over (x, y), -inf beside it."""
+    dx, dy = x - r.x[k], y - r.y[k]
+    e = (math.cos(r.yaw[k]) * dx + math.sin(r.yaw[k]) * dy) / r.a[k]
+    f = (math.cos(r.yaw[k]) * dy - math.sin(r.yaw[k]) * dx) / r.b[k]
+    return r.base[k] + r.height[k] * unit_height(int(r.shape[k]), e, f)
 
 
 def elevation(terrain: Terrain, x: float, y: float) -> float:
@@ -23,25 +53,21 @@ def elevation(terrain: Terrain, x: float, y: float) -> float:
     n = np.cross(b - a, c - a)
     height = a[2] - (n[0] * (u - a[0]) + n[1] * (v - a[1])) / n[2]
     r = terrain.rocks
-    for k in range(len(r)):
-        dx, dy = x - r.x[k], y - r.y[k]
-        e = (math.cos(r.yaw[k]) * dx + math.sin(r.yaw[k]) * dy) / r.a[k]
-        f = (math.cos(r.yaw[k]) * dy - math.sin(r.yaw[k]) * dx) / r.b[k]
-        height = max(height, r.base[k] + r.height[k] * unit_height(int(r.shape[k]), e, f))
-    return height
+    return max([height, *(rock_top(r, k, x, y) for k in range(len(r)))])
 
 
-def unit_height(shape: int, e: float, f: float) -> float:
+def unit_height(shape: int, e: np.ndarray, f: np.ndarray) -> np.ndarray:
     """Height of a unit shape over (e, f), -inf outside its outline."""
     table = shape_table()
     if table.count[shape] == 0:
-        return math.sqrt(1.0 - e * e - f * f) if e * e + f * f < 1.0 else -math.inf
-    top = math.inf
+        square = 1.0 - e * e - f * f
+        return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), -math.inf)
+    top = np.full(np.shape(e), math.inf)
     for ne, nf, ng, d in table.planes[shape, : table.count[shape]]:
         if ng > 0.0:
-            top = min(top, (d - ne * e - nf * f) / ng)
-        elif ne * e + nf * f > d:
-            return -math.inf
+            top = np.minimum(top, (d - ne * e - nf * f) / ng)
+        else:
+            top = np.where(ne * e + nf * f > d, -math.inf, top)
     return top
 
 
@@ -49,7 +75,7 @@ def march(terrain: Terrain, origin: np.ndarray, direction: np.ndarray, reach: fl
     """Range at which a ray falls below the surface, by small steps and bisection."""
     steps = np.arange(0.0, reach, 0.004)
     points = origin + steps[:, None] * direction
-    above = points[:, 2] - terrain.elevation(points[:, :2])
+    above = points[:, 2] - elevations(terrain, points[:, :2])
     # The ray starts over unknown ground or above the surface and must come down from above.
     known = np.isfinite(above)
     below = np.flatnonzero(known & (above <= 0.0))

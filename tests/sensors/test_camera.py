@@ -16,7 +16,7 @@ from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain
-from tests.conftest import flat_terrain
+from tests.worlds import flat_terrain
 
 GROUND = flat_terrain(400.0, 4.0)
 CLEAN = Camera(

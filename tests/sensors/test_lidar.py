@@ -8,7 +8,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix, sensor_ax
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
-from tests.conftest import flat_terrain, sloped_terrain
+from tests.worlds import flat_terrain, sloped_terrain
 
 DOWN = sensor_axes([0.0, 0.0, -1.0])
 

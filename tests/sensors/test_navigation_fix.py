@@ -5,39 +5,45 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.sensors.navigation_fix import ErrorBudget, NavigationErrorModel
+from lunarsim.sensors.navigation_fix import NavigationFixes
 from lunarsim.vehicle import State
+from lunarsim.world import World
+from tests.worlds import flat_terrain
 
 STATE = State(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1400.0)
 
 
-def errors(count: int, time: float, budget: ErrorBudget) -> np.ndarray:
+WORLD = World(flat_terrain(), 1.622)
+
+
+def fixes(budget: NavigationFixes, seed: int, times) -> list:
+    rng = np.random.default_rng(seed)
+    instrument = budget.build(rng, 0.01)
+    return [instrument.measure(WORLD, STATE, float(t), rng) for t in times]
+
+
+def errors(count: int, time: float, budget: NavigationFixes) -> np.ndarray:
     """Position (3), velocity (3) and attitude (3) errors of `count` flights."""
     out = []
     for seed in range(count):
-        model = NavigationErrorModel(budget, np.random.default_rng(seed))
-        for t in np.arange(0.0, time + 1.0, 5.0):
-            e = model.update(STATE, float(t))
+        e = fixes(budget, seed, np.arange(0.0, time + 1.0, 5.0))[-1]
         turn = quat_to_rotation_vector(quat_multiply(e.attitude, quat_conjugate(STATE.attitude)))
         out.append(np.concatenate((e.position, e.velocity, turn)))
     return np.array(out)
 
 
 def test_errors_have_the_stated_covariance():
-    budget = ErrorBudget(2.0, 0.5, 20.0, 0.1, 0.01)
+    budget = NavigationFixes(2.0, 0.5, 20.0, 0.1, 0.01)
     e = errors(600, 200.0, budget)
-    covariance = (
-        NavigationErrorModel(budget, np.random.default_rng(0)).update(STATE, 0.0).covariance
-    )
+    covariance = fixes(budget, 0, [0.0])[0].covariance
     nees = np.einsum("ni,ij,nj->n", e, np.linalg.inv(covariance), e)
     # Chi-square with 9 degrees of freedom: the mean of 600 lies within 9 +- 3 * sqrt(18 / 600).
     assert nees.mean() == pytest.approx(9.0, abs=0.52)
 
 
 def test_drift_is_correlated_over_its_time_constant():
-    budget = ErrorBudget(0.0, 1.0, 10.0, 0.0, 0.0)
-    model = NavigationErrorModel(budget, np.random.default_rng(3))
-    x = np.array([model.update(STATE, float(t)).position for t in range(30_000)])
+    budget = NavigationFixes(0.0, 1.0, 10.0, 0.0, 0.0)
+    x = np.array([fix.position for fix in fixes(budget, 3, range(30_000))])
     x = x[200:]
     lag = np.mean(x[10:] * x[:-10]) / np.mean(x**2)
     assert lag == pytest.approx(np.exp(-1.0), abs=0.03)
@@ -45,12 +51,20 @@ def test_drift_is_correlated_over_its_time_constant():
 
 
 def test_no_errors_is_the_truth():
-    model = NavigationErrorModel(ErrorBudget(0, 0, 1, 0, 0), np.random.default_rng(1))
-    e = model.update(STATE, 3.0)
+    (e,) = fixes(NavigationFixes(0, 0, 1, 0, 0), 1, [3.0])
+    assert e.time == 3.0
     assert np.array_equal(e.position, STATE.position)
     assert np.allclose(e.attitude, STATE.attitude)
 
 
 def test_negative_budget_is_refused():
     with pytest.raises(InputError, match=r"navigation\.velocity"):
-        ErrorBudget(velocity=-1.0)
+        NavigationFixes(velocity=-1.0)
+    with pytest.raises(InputError, match=r"navigation\.drift_time"):
+        NavigationFixes(drift_time=0.0)
+
+
+def test_two_fixes_of_an_instant_are_the_same():
+    first, again = fixes(NavigationFixes(), 2, [1.0, 1.0])
+    assert np.array_equal(first.position, again.position)
+    assert np.array_equal(first.velocity, again.velocity)

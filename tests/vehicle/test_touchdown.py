@@ -12,7 +12,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
 from lunarsim.vehicle import State, judge_touchdown, support_planes
 from lunarsim.world.terrain import Terrain
-from tests.conftest import flat_terrain, sloped_terrain
+from tests.worlds import flat_terrain, sloped_terrain
 
 G = 1.622
 LANDER = Lander()

@@ -14,7 +14,7 @@ from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth_products import TruthProducts, survey_grid
-from tests.conftest import SCENARIOS, flat_terrain
+from tests.worlds import SCENARIOS, flat_terrain
 
 
 def test_maps_of_one_hemisphere_are_its_closed_forms():

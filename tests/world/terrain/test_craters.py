@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lunarsim.simulation.build import relief_of
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.scenario import Scenario
 from lunarsim.world.terrain import (
     CraterLaw,
     Heightfield,
@@ -86,20 +84,6 @@ def test_smoothing_of_steps_stays_within_the_rounding():
     assert slope_error(smooth.z) < 0.6 * slope_error(rounded.z)
     with pytest.raises(InputError, match=r"terrain\.height_step_m"):
         rounded.dequantised(0.0)
-
-
-@pytest.mark.parametrize("preset", ["mare", "highland", "polar"])
-def test_presets_fill_what_is_left_out(preset):
-    scenario = Scenario.from_dict({"terrain": {"preset": preset, "size_m": 100.0, "hurst": 0.5}})
-    assert scenario.terrain.hurst == 0.5
-    assert scenario.terrain.crater_density == 0.079
-    cratered = relief_of(scenario.terrain)
-    bare = relief_of(scenario.terrain.model_copy(update={"crater_density": 0.0}))
-    step = np.diff(bare.z.astype(float)[::4, ::4]) / 1.0
-    assert np.degrees(np.arctan(np.sqrt(2.0 * np.mean(step**2)))) == pytest.approx(
-        scenario.terrain.rms_slope_deg, rel=0.25
-    )
-    assert np.std(cratered.z - bare.z) > 0.02
 
 
 def test_craters_are_the_same_for_the_same_seed():

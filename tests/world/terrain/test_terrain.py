@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
-from lunarsim.rocks.shapes import CUBE, IRREGULAR, shape_table
+from lunarsim.rocks.shapes import CUBE
 from lunarsim.world.terrain import Heightfield, Terrain
-from tests.conftest import flat_terrain, random_terrain, sloped_terrain
 from tests.reference import terrain as reference
+from tests.worlds import flat_terrain, random_terrain, sloped_terrain
 
 
 @given(st.integers(0, 10_000))
@@ -115,22 +115,6 @@ def test_cube_closed_form():
     hits = terrain.cast([0.5, 0.5, 10.0], [[0.0, 0.0, -1.0]])
     assert hits.range[0] == pytest.approx(8.0, abs=1e-12)
     assert np.allclose(hits.normal[0], [0.0, 0.0, 1.0])
-
-
-def test_unit_shapes_stand_upright_with_top_one_and_the_outline_of_a_disc():
-    table = shape_table()
-    for shape in range(IRREGULAR, len(table.count)):
-        planes = table.planes[shape, : table.count[shape]]
-        assert np.all(planes[:, 2] >= 0.0)
-        e, f = np.meshgrid(np.linspace(-1.5, 1.5, 301), np.linspace(-1.5, 1.5, 301))
-        height = np.array(
-            [reference.unit_height(shape, *q) for q in zip(e.flat, f.flat, strict=True)]
-        )
-        inside = np.isfinite(height)
-        assert np.all(height[inside] >= -1e-9)
-        assert height.max() == pytest.approx(1.0, abs=0.03)
-        assert inside.sum() * 0.01**2 == pytest.approx(np.pi, rel=0.01)
-        assert np.hypot(e.flat[inside], f.flat[inside]).max() <= table.reach[shape] + 1e-9
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6, 1.2, 1.5])

@@ -22,36 +22,10 @@ from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.rocks.shapes import CUBE
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
-from lunarsim.world import World
-from lunarsim.world.light import Light
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from tests.conftest import flat_terrain
+from lunarsim.world.terrain import Heightfield, Terrain
 from tests.reference.shadows import patch
-
-SUN = direction_from_angles(1.2, np.radians(20.0))
-LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
-
-
-def at(position, attitude=LEVEL, **camera):
-    state = State(np.array(position, float), np.zeros(3), np.array(attitude), np.zeros(3), 1000.0)
-    mount = gimbal_mount(state.attitude, -state.position)
-    return state, replace(Camera(**camera), mount=mount)
-
-
-def picture(terrain, position, sun=(1.2, 20.0), **camera):
-    state, eye = at(position, **camera)
-    world = World(terrain, 1.622, Light(sun[0], np.radians(sun[1])))
-    return state, eye, eye.expose(world, state, 0.0, np.random.default_rng(0)).counts
-
-
-def rocks_on_a_plane(shape, seed=0, count=120, size=80.0):
-    rng = np.random.default_rng(seed)
-    grid = Grid.centred((0.0, 0.0), size, 2.0)
-    relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
-    sizes = rng.uniform(0.8, 2.0, count)
-    rocks = place_rocks(relief, sizes, rng, model=RockModel(shape, burial=(0.0, 0.0)))
-    # The ground goes on beyond the rocks: black sky in view would run into their shadows.
-    return Terrain(flat_terrain(2000.0, 50.0).relief, rocks)
+from tests.shadow_scene import LEVEL, SUN, at, picture, rocks_on_a_plane
+from tests.worlds import flat_terrain
 
 
 def test_model_of_half_spheres_from_above_is_the_papers():

@@ -3,15 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
-from hypothesis import given
-from hypothesis import strategies as st
 from rasterio.transform import from_origin
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid
-from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief
+from lunarsim.world.terrain import Terrain
 from lunarsim.world.terrain.dtm import load_dtm, read_info
-from tests.conftest import SCENARIOS
+from tests.worlds import SCENARIOS
 
 MOON = "+proj=eqc +R=1737400 +units=m +no_defs"
 
@@ -120,55 +117,6 @@ def test_bad_files(tmp_path):
         load_dtm(empty)
     with pytest.raises(InputError, match="left out"):
         load_dtm(write(tmp_path / "ok.tif", np.ones((4, 4))), posting=5.0)
-
-
-@given(st.integers(0, 1000), st.sampled_from([0.2, 0.33, 0.5, 0.99]))
-def test_refining_keeps_the_measured_posts(seed, posting):
-    grid = Grid(0.0, 0.0, 1.0, 9, 7)
-    relief = Heightfield(grid, np.random.default_rng(seed).random((9, 7)).astype(np.float32))
-    fine = relief.refined(posting)
-    factor = round(1.0 / fine.grid.posting)
-    assert fine.grid.posting <= posting
-    assert np.array_equal(fine.z[::factor, ::factor], relief.z)
-
-
-def test_refining_does_not_invent_data():
-    grid = Grid(0.0, 0.0, 1.0, 9, 9)
-    z = np.zeros((9, 9), np.float32)
-    z[4, 4] = np.nan
-    fine = Heightfield(grid, z).refined(0.25)
-    assert np.isnan(fine.z[13:20, 13:20]).all()
-    assert np.isfinite(fine.z[:12]).all()
-
-
-def test_scaling():
-    grid = Grid(0.0, 0.0, 1.0, 3, 3)
-    relief = Heightfield(grid, np.arange(9, dtype=np.float32).reshape(3, 3))
-    assert np.allclose(relief.scaled(0.2).z, 0.2 * relief.z)
-
-
-@pytest.mark.parametrize("hurst", [0.5, 0.8])
-def test_fractal_relief_has_the_asked_roughness(hurst):
-    grid = Grid.centred((0.0, 0.0), 128.0, 0.5)
-    relief = fractal_relief(grid, np.random.default_rng(4), hurst=hurst, rms_slope=np.deg2rad(5.0))
-    z = relief.z.astype(float)
-    dx, dy = (z[:, 2:] - z[:, :-2]) / 1.0, (z[2:] - z[:-2]) / 1.0
-    rms = np.sqrt(np.mean(dx**2) + np.mean(dy**2))
-    assert np.rad2deg(np.arctan(rms)) == pytest.approx(5.0, rel=1e-3)
-    # The structure function grows as lag^(2 H): compare lags of 2 m and 8 m.
-    growth = [np.mean((z[:, s:] - z[:, :-s]) ** 2) for s in (4, 16)]
-    assert np.log(growth[1] / growth[0]) / np.log(4.0) / 2.0 == pytest.approx(hurst, abs=0.15)
-
-
-def test_relief_refuses_nonsense():
-    grid = Grid.centred((0.0, 0.0), 16.0, 0.5)
-    rng = np.random.default_rng(0)
-    with pytest.raises(InputError, match="hurst"):
-        fractal_relief(grid, rng, hurst=1.5, rms_slope=0.1)
-    with pytest.raises(InputError, match="rms_slope"):
-        fractal_relief(grid, rng, hurst=0.5, rms_slope=2.0)
-    with pytest.raises(InputError, match="all no-data"):
-        Heightfield(grid, np.full(grid.shape, np.nan, np.float32))
 
 
 def test_a_window_is_the_same_ground():

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_from_rotation_vector
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.models.inertial_unit import TriadErrors
-from lunarsim.sensors.altimeter import RadarAltimeter
-from lunarsim.sensors.imu import Imu
-from lunarsim.vehicle import State
-from lunarsim.world import World
-from tests.conftest import flat_terrain, sloped_terrain
+from lunarsim.models.lander import Lander
+from lunarsim.sensors.imu import Imu, InertialUnit
+from lunarsim.vehicle import Dynamics, State
 
 STILL = np.zeros((400_000, 3))
 
@@ -90,39 +88,54 @@ def test_bad_units_are_refused():
         Imu(np.random.default_rng(0)).measure(np.zeros((2, 3)), np.zeros((3, 3)))
 
 
-def state(height, tilt=0.0):
-    attitude = quat_from_rotation_vector([0.0, tilt, 0.0])
-    return State(np.array([0.0, 0.0, height]), np.zeros(3), attitude, np.zeros(3), 1000.0)
+def moved(steps=200):
+    """Return true states (steps + 1, 15) of a lander that turns under thrust."""
+    dynamics = Dynamics(Lander(), 1.622)
+    attitude = quat_from_rotation_vector([0.2, -0.1, 0.5])
+    now = State(np.zeros(3), np.array([20.0, 0.0, -9.0]), attitude, np.zeros(3), 1400.0, 2000.0)
+    rows = [now.as_vector()]
+    for n in range(steps):
+        now = dynamics.advance(now, 3000.0, 30.0 * np.array([np.sin(0.1 * n), 1.0, -1.0]))
+        rows.append(now.as_vector())
+    return np.array(rows)
 
 
-def test_altimeter_reads_the_slant_range_with_its_noise():
-    world = World(flat_terrain(400.0, 4.0), 1.622)
-    altimeter = RadarAltimeter()
-    rng = np.random.default_rng(0)
-    slant = 100.0 / np.cos(0.3)
-    readings = [altimeter.measure(world, state(100.0, 0.3), 0.0, rng) for _ in range(4000)]
-    sigma = np.hypot(0.1, 0.01 * slant)
-    assert readings[0].sigma == pytest.approx(sigma)
-    values = np.array([r.range for r in readings])
-    assert values.mean() == pytest.approx(slant, abs=4.0 * sigma / np.sqrt(4000))
-    assert values.std() == pytest.approx(sigma, rel=0.05)
+def test_samples_of_a_motion_carry_a_state_along_it():
+    """Perfect samples, dead reckoned plainly, end where the lander is."""
+    rows = moved()
+    unit = InertialUnit(TriadErrors(), TriadErrors()).build(np.random.default_rng(0), 0.01)
+    samples = unit.sense(rows, 0.01, 1.622, 2.0)
+    assert samples.time == 2.0
+    assert samples.angle.shape == samples.velocity.shape == (200, 3)
+    r, v, q = rows[0, 0:3], rows[0, 3:6], rows[0, 6:10]
+    for angle, velocity in zip(samples.angle, samples.velocity, strict=True):
+        middle = quat_multiply(q, quat_from_rotation_vector(0.5 * angle))
+        faster = v + quat_rotate(middle, velocity) - [0.0, 0.0, 0.01622]
+        r, v = r + 0.005 * (v + faster), faster
+        q = quat_multiply(q, quat_from_rotation_vector(angle))
+    assert v == pytest.approx(rows[-1, 3:6], abs=1e-9)
+    assert r == pytest.approx(rows[-1, 0:3], abs=1e-4)
+    assert abs(q @ rows[-1, 6:10]) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_altimeter_is_blind_too_far_too_slanted_and_off_the_map():
-    rng = np.random.default_rng(0)
-    world = World(flat_terrain(400.0, 4.0), 1.622)
-    altimeter = RadarAltimeter(max_range=150.0, max_incidence=np.radians(30.0))
-    assert np.isnan(altimeter.measure(world, state(151.0), 0.0, rng).range)
-    assert np.isfinite(altimeter.measure(world, state(149.0), 0.0, rng).range)
-    assert np.isnan(altimeter.measure(world, state(50.0, np.radians(31.0)), 0.0, rng).range)
-    assert np.isfinite(altimeter.measure(world, state(50.0, np.radians(29.0)), 0.0, rng).range)
-    # The angle is that with the slope, not with the vertical.
-    slope = World(sloped_terrain((np.tan(np.radians(31.0)), 0.0)), 1.622)
-    assert np.isnan(altimeter.measure(slope, state(10.0), 0.0, rng).range)
+def test_free_fall_is_felt_as_nothing():
+    unit = Imu(np.random.default_rng(0), 100.0, TriadErrors(), TriadErrors())
+    fall = State(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1400.0)
+    rows = [fall.as_vector()]
+    for _ in range(10):
+        fall = Dynamics(Lander(), 1.622).advance(fall, 0.0, np.zeros(3))
+        rows.append(fall.as_vector())
+    samples = unit.sense(np.array(rows), 0.01, 1.622, 0.1)
+    assert np.abs(samples.velocity).max() < 1e-12
+    assert np.abs(samples.angle).max() < 1e-12
 
 
-def test_bad_altimeters_are_refused():
-    with pytest.raises(InputError, match=r"altimeter\.boresight"):
-        RadarAltimeter(boresight=(0.0, 0.0, -2.0))
-    with pytest.raises(InputError, match=r"altimeter\.max_incidence"):
-        RadarAltimeter(max_incidence=2.0)
+def test_what_gyroscopes_gave_on_the_way_is_not_sampled_again():
+    rows = moved(10)
+    errors = TriadErrors(random_walk=1e-3)
+    given = np.random.default_rng(1).standard_normal((10, 3))
+    first, second = (Imu(np.random.default_rng(2), 100.0, errors, errors) for _ in range(2))
+    samples = first.sense(rows, 0.01, 1.622, 0.1, given)
+    assert samples.angle is given
+    # Accelerometers draw from a stream of their own.
+    assert np.array_equal(samples.velocity, second.sense(rows, 0.01, 1.622, 0.1).velocity)

@@ -2,40 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.spatial import cKDTree
-from scipy.stats import kstest
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import golombek_cover, golombek_number, sample_diameters
+from lunarsim.rocks.laws import sample_diameters
 from lunarsim.world.terrain import place_rocks
-from tests.conftest import flat_terrain
-
-
-@pytest.mark.parametrize("k", [0.01, 0.05, 0.2])
-def test_number_integrates_cover(k):
-    # N(D) = integral of -dF / (pi D^2 / 4)
-    q = 1.79 + 0.152 / k
-    for d in (0.1, 0.5, 1.5):
-        density = lambda s: k * q * np.exp(-q * s) / (np.pi * s * s / 4)  # noqa: E731
-        assert golombek_number(d, k) == pytest.approx(quad(density, d, np.inf)[0], rel=1e-6)
-
-
-def test_sampled_diameters_follow_the_law():
-    k, low, high = 0.05, 0.15, 3.0
-    d = sample_diameters(40_000.0, k, low, high, np.random.default_rng(1))
-    total = golombek_number(low, k) - golombek_number(high, k)
-    assert abs(len(d) - 40_000.0 * total) < 5.0 * np.sqrt(40_000.0 * total)
-
-    def cdf(x):
-        return 1.0 - (golombek_number(x, k) - golombek_number(high, k)) / total
-
-    assert kstest(d, cdf).pvalue > 0.01
-    assert (np.diff(d) <= 0).all()
-    covered = np.sum(np.pi * d**2 / 4) / 40_000.0
-    law = golombek_cover(low, k) - golombek_cover(high, k)
-    assert covered == pytest.approx(float(law), rel=0.05)
+from tests.worlds import flat_terrain
 
 
 def test_placed_rocks_do_not_overlap_and_stand_on_the_relief():
@@ -60,13 +33,6 @@ def test_same_seed_same_rocks():
 def test_overfull_field_is_refused():
     with pytest.raises(InputError, match="smaller cover"):
         place_rocks(flat_terrain(size=10.0).relief, np.full(500, 1.5), np.random.default_rng(1))
-
-
-def test_impossible_law_is_refused():
-    with pytest.raises(InputError, match=r"rocks\.cover"):
-        golombek_cover(0.1, 0.0)
-    with pytest.raises(InputError, match="min_diameter"):
-        sample_diameters(1.0, 0.05, 2.0, 1.0, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("shape", ["hemisphere", "ellipsoid", "cube", "irregular", "mixed"])

@@ -21,7 +21,7 @@ from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.rendering import Renderer, renderer_of
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
-from tests.conftest import flat_terrain
+from tests.worlds import flat_terrain
 
 
 def look(distance, tilt=0.0, azimuth=0.0, *, target=(0.0, 0.0, 0.0), pixels=(320, 240), fov=40.0):
@@ -284,10 +284,11 @@ def test_what_was_drawn_before_leaves_no_trace(rocky, truth):
 _CYCLES = """
 import gc, resource, sys
 import numpy as np
-from lunarsim.sensors.rendering import Renderer, View, renderer_of
+from lunarsim.models.pinhole import View
+from lunarsim.sensors.rendering import Renderer, renderer_of
 from lunarsim.frames import sensor_axes
 from lunarsim.world.light import Light
-from tests.conftest import flat_terrain
+from tests.worlds import flat_terrain
 
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6

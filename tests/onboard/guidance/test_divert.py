@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid, quad
+
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.apollo import terminal_polynomial
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
+from lunarsim.onboard.navigation.estimate import Estimate
+
+G = 1.622
+
+LANDER = Lander()
+
+
+def estimate(position=(-300.0, 0.0, 300.0), velocity=(20.0, 0.0, -15.0), mass=1480.0) -> Estimate:
+    return Estimate(
+        0.0, np.array(position), np.array(velocity), np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3), mass, np.eye(9),
+    )  # fmt: skip
+
+
+DOWN = np.array([0.0, 0.0, -2.0])
+
+
+def loads(here, path):
+    """Return thrust (N) and lean (rad) along a path, with the mass that is left (n,)."""
+    t = np.linspace(0.0, path.time_to_go, 2001)
+    pull = path.at(t)[2] + [0.0, 0.0, G]
+    size = np.linalg.norm(pull, axis=1)
+    burnt = cumulative_trapezoid(size, t, initial=0.0)
+    return here.mass * np.exp(-burnt / LANDER.exhaust_velocity) * size, np.arccos(pull[:, 2] / size)
+
+
+def admissible(here, path, end, limits):
+    thrust, tilt = loads(here, path)
+    margin = limits.throttle_margin * (LANDER.thrust_max - LANDER.thrust_min)
+    r = path.at(np.linspace(0.0, path.time_to_go, 2001))[0] - end.position
+    above = r[:, 2] - np.tan(limits.glideslope) * np.hypot(r[:, 0], r[:, 1])
+    return (
+        thrust.max() <= LANDER.thrust_max - margin
+        and thrust.min() >= LANDER.thrust_min + margin
+        and tilt.max() <= limits.max_tilt
+        and above.min() >= -0.5
+    )
+
+
+def test_cost_is_the_fuel_integral_of_the_best_trajectory():
+    here = estimate()
+    end = PhaseEnd(np.array([0.0, 0.0, 12.0]), DOWN)
+    cost = divert_cost(here, end, LANDER, G)
+    path = terminal_polynomial(here.position, here.velocity, end, cost.time_to_go[0])
+    up = np.array([0.0, 0.0, G])
+    dv = quad(lambda t: np.linalg.norm(path.at(t)[2] + up), 0.0, path.time_to_go)[0]
+    propellant = here.mass * (1.0 - np.exp(-dv / LANDER.exhaust_velocity))
+    assert cost.propellant[0] == pytest.approx(propellant, rel=1e-4)
+    # No other admissible time-to-go is cheaper.
+    for time_to_go in np.linspace(0.5, 2.0, 31) * cost.time_to_go[0]:
+        other = terminal_polynomial(here.position, here.velocity, end, time_to_go)
+        if admissible(here, other, end, PathLimits()):
+            size = np.linalg.norm(other.at(np.linspace(0.0, time_to_go, 2001))[2] + up, axis=1)
+            assert np.mean(size) * time_to_go > 0.995 * dv
+
+
+def test_admissible_trajectories_keep_their_limits():
+    here = estimate()
+    limits = PathLimits()
+    sites = np.array([[x, y, 12.0] for x in (-40.0, 0.0, 40.0) for y in (0.0, 60.0)])
+    cost = divert_cost(here, PhaseEnd(sites, DOWN), LANDER, G, limits=limits)
+    assert cost.feasible.any()
+    for n in np.flatnonzero(cost.feasible):
+        path = terminal_polynomial(
+            here.position, here.velocity, PhaseEnd(sites[n], DOWN), cost.time_to_go[n]
+        )
+        thrust, tilt = loads(here, path)
+        assert thrust.max() <= LANDER.thrust_max
+        assert thrust.min() >= LANDER.thrust_min
+        assert tilt.max() < limits.max_tilt + 0.01
+        # Told at 25 instants, with the mass that is left by then.
+        assert cost.peak_thrust[n] == pytest.approx(thrust.max(), rel=2e-3)
+        assert cost.peak_tilt[n] == pytest.approx(tilt.max(), abs=2e-3)
+
+
+def test_far_sites_and_empty_tanks_are_out_of_reach():
+    far, near = (PhaseEnd(np.array([[x, 0.0, 12.0]]), DOWN) for x in (3000.0, 0.0))
+    assert not divert_cost(estimate(), far, LANDER, G).feasible[0]
+    dry = estimate(mass=LANDER.dry_mass + 16.0)
+    assert not divert_cost(dry, near, LANDER, G).feasible[0]

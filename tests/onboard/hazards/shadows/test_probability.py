@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.onboard.hazards.shadows import (
+    cover_probability,
+)
+from tests.reference.shadows import rice
+
+
+def test_rice_form_equals_the_reference():
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        sigma, mean = rng.uniform(0.02, 0.6), rng.uniform(0.1, 1.5)
+        spread, d = rng.uniform(0.02, 0.4) * mean, rng.uniform(0.0, 3.0)
+        found = cover_probability([[d]], [sigma], [mean], [spread])[0, 0]
+        assert found == pytest.approx(rice(d, sigma, mean, spread), abs=2e-3)
+
+
+def test_rice_form_equals_monte_carlo():
+    rng = np.random.default_rng(3)
+    centre = 0.3 * rng.standard_normal((400_000, 2))
+    radius = 0.8 + 0.15 * rng.standard_normal(400_000)
+    for d in (0.0, 0.5, 1.0, 1.6):
+        share = np.mean(np.hypot(centre[:, 0] - d, centre[:, 1]) <= radius)
+        found = cover_probability([[d]], [0.3], [0.8], [0.15])[0, 0]
+        assert found == pytest.approx(share, abs=3e-3)
+
+
+def test_the_papers_form_never_says_less():
+    """Eqs. 17-21 add the centre's error to the radius whatever its direction."""
+    d = np.linspace(0.0, 3.0, 61)[None, :]
+    exact = cover_probability(d, [0.2], [0.6], [0.1], "rice")
+    fit = cover_probability(d, [0.2], [0.6], [0.1], "gaussian")
+    assert (fit >= exact - 1e-3).all()
+    assert fit.max() <= 1.0
+    assert (fit - exact).max() > 0.1  # and the difference is not small

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.rocks.field import RockField
+from lunarsim.world.terrain import Terrain
+from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
+from tests.worlds import flat_terrain
+
+
+def test_rocks_are_tracked_once_each_and_their_places_sharpen():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    path = [(-30.0 + 3.0 * k, 10.0, 90.0 - 3.0 * k) for k in range(15)]
+    tracker = follow(terrain, path, tracker_at(path[0]))
+    true = np.column_stack((terrain.rocks.x, terrain.rocks.y))
+    distance, nearest = cKDTree(true).query(tracker.filter.xy)
+    good = distance < 0.5 * terrain.rocks.a[nearest]
+    assert good.mean() > 0.85
+    # Few doubles.
+    assert len(np.unique(nearest[good])) > 0.95 * good.sum()
+    assert np.median(distance[good]) < 0.15
+    ratio = tracker.filter.radius[good] / terrain.rocks.a[nearest[good]]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+    assert np.median(tracker.existence[good]) > 0.99
+
+
+def test_a_cluster_seen_as_one_is_split_when_it_is_resolved():
+    tracker = tracker_at((0.0, 0.0, 60.0))
+    state, camera = at((0.0, 0.0, 60.0))
+    tracker.add_known([[0.0, 0.0]], 0.3, 2.0, 0.5)
+    rocks = RockField.hemispheres([-1.1, 1.1], [0.4, -0.4], 0.0, 0.6)
+    pair = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    state, camera, counts = picture(pair, (0.0, 0.0, 60.0))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    assert len(seen) == 2
+    tracker.update(seen, camera, SUN, 0.0)
+    assert tracker.filter.count == 2
+    assert np.sort(tracker.filter.xy[:, 0]) == pytest.approx([-1.1, 1.1], abs=0.25)
+
+
+def test_doubles_are_merged_and_ghosts_pruned():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=30, size=60.0)
+    big = int(np.argmax(terrain.rocks.a))
+    place = np.array([terrain.rocks.x[big], terrain.rocks.y[big]])
+    tracker = tracker_at((0.0, 0.0, 50.0))
+    # The same rock twice, and one where there is none.
+    ghost = np.array([3.0, -2.0])
+    away = np.hypot(*(np.column_stack((terrain.rocks.x, terrain.rocks.y)) - ghost).T)
+    assert away.min() > 1.5
+    tracker.add_known([place, place + 0.2, ghost], 0.05, [1.0, 1.0, 1.0], 0.2)
+    follow(terrain, [(0.0, 0.0, 50.0)] * 25, tracker)
+    near = np.hypot(*(tracker.filter.xy - place).T) < 1.0
+    assert near.sum() == 1
+    assert np.hypot(*(tracker.filter.xy - ghost).T).min() > 0.8
+
+
+def test_known_rocks_must_be_numbers():
+    with pytest.raises(InputError, match=r"rocks\.known"):
+        tracker_at((0.0, 0.0, 50.0)).add_known([[0.0, 0.0]], -1.0, 1.0, 0.1)
+
+
+def test_most_rocks_is_a_limit():
+    terrain = rocks_on_a_plane("hemisphere", seed=11)
+    tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), most_rocks=7))
+    assert tracker.filter.count <= 7
+    assert len(tracker.tentative.xy) > 0
+
+
+def test_rocks_out_of_view_rest_in_large_maps():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    high, low = (1.0, 0.0, 70.0), (1.0, 0.0, 20.0)  # the camera looks at the middle
+    moved = {}
+    for above in (0, 1000):
+        tracker = follow(terrain, [high] * 6, tracker_at(high, large=above))
+        before = tracker.filter.xy.copy()
+        follow(terrain, [low] * 2, tracker)
+        away = np.array([(np.abs(tracker.filter.xy - xy).max(1) > 0.0).all() for xy in before])
+        moved[above] = away.mean()
+    assert moved[0] < 0.3
+    assert moved[1000] > 0.9
+
+
+def test_radii_of_all_rocks_seen_are_corrected():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    path = [(0.0, 0.0, 60.0)] * 8
+    few, all_of_them = (
+        follow(terrain, path, tracker_at(path[0], most_updates=n)) for n in (1, 1000)
+    )
+    assert few.filter.count == all_of_them.filter.count > 20
+    assert few.filter.radius_variance == pytest.approx(all_of_them.filter.radius_variance, rel=0.05)
+    own = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
+    assert np.median(own[0]) > 2.0 * np.median(own[1])

@@ -1,0 +1,48 @@
+"""Navigation by the fixes of another system."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import quat_from_rotation_vector
+from lunarsim.messages.briefing import StartEstimate
+from lunarsim.messages.measurements import AltimeterReading, InertialSamples, NavigationFix
+from lunarsim.onboard.navigation.fixes import FixNavigation
+
+TURN = quat_from_rotation_vector([0.1, 0.2, 0.3])
+START = StartEstimate(np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), TURN, 2.0, 0.3, 0.04)
+
+
+def test_before_the_first_fix_it_is_where_the_start_was():
+    e = FixNavigation(START, 0.01).estimate(0.0, 1400.0)
+    assert np.array_equal(e.position, START.position)
+    assert np.array_equal(e.velocity, START.velocity)
+    assert np.array_equal(e.attitude, TURN)
+    assert np.diag(e.covariance) == pytest.approx(np.repeat([4.0, 0.09, 0.0016], 3))
+    assert (e.time, e.mass) == (0.0, 1400.0)
+
+
+def test_the_last_fix_is_the_estimate():
+    navigation = FixNavigation(START, 0.01)
+    for k in range(3):
+        fix = NavigationFix(0.1 * k, np.full(3, k), np.full(3, -k), TURN, k * np.eye(9))
+        navigation.take("fix", fix, 0.1 * k)
+    e = navigation.estimate(0.25, 1300.0)
+    assert np.array_equal(e.position, np.full(3, 2.0))
+    assert np.array_equal(e.velocity, np.full(3, -2.0))
+    assert np.array_equal(e.covariance, 2.0 * np.eye(9))
+    assert np.array_equal(navigation.site_to_local.offset, np.zeros(3))
+    assert navigation.events == []
+
+
+def test_gyroscopes_give_the_rate_and_other_sensors_nothing():
+    navigation = FixNavigation(START, 0.01)
+    before = navigation.estimate(0.1, 1.0)
+    navigation.take("radar", AltimeterReading(0.1, 100.0, 1.0), 0.1)
+    after = navigation.estimate(0.1, 1.0)
+    assert np.array_equal(before.position, after.position)
+    assert np.array_equal(after.rate, np.zeros(3))
+    angle = np.array([[9.0, 9.0, 9.0], [0.001, -0.002, 0.0005]])
+    navigation.take("imu", InertialSamples(0.1, angle, np.zeros((2, 3))), 0.1)
+    assert navigation.estimate(0.1, 1.0).rate == pytest.approx([0.1, -0.2, 0.05])

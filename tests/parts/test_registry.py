@@ -1,0 +1,88 @@
+"""Parts found by name, by "module:Class" and by the entry points of other packages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.policies.library import Safest
+from lunarsim.parts import CONTRACTS, kinds, registry, resolve
+from lunarsim.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class MyPolicy:
+    """A policy of somebody else."""
+
+    patience: float = 3.0
+    name: str = "mine"
+
+
+class NoDataclass:
+    pass
+
+
+def test_names_and_paths_give_classes():
+    assert resolve("policy", "safest") is Safest
+    assert resolve("policy", "lunarsim.onboard.policies.library:Safest") is Safest
+    assert resolve("policy", f"{__name__}:MyPolicy") is MyPolicy
+    for contract in CONTRACTS:
+        for kind in kinds(contract):
+            assert isinstance(resolve(contract, kind), type)
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        ("safset", "did you mean 'safest'?, or \"module:Class\""),
+        ("x", "known: fuel-aware, nearest-safe"),
+        ("no.such.module:Thing", "a class that can be imported (ModuleNotFoundError: No module"),
+        (f"{__name__}:Missing", "a class that can be imported (AttributeError"),
+        (f"{__name__}:NoDataclass", "a dataclass; "),
+        (f"{__name__}:pytest", "a dataclass; "),
+        (":", "a class that can be imported (ValueError"),
+    ],
+)
+def test_what_is_no_part_is_explained(kind, says):
+    with pytest.raises(InputError) as caught:
+        resolve("policy", kind, "--policies")
+    assert (caught.value.field, caught.value.value) == ("--policies", kind)
+    assert says in caught.value.expected
+    with pytest.raises(InputError) as caught:
+        resolve("policy", kind)
+    assert caught.value.field == "policy.kind"
+
+
+def test_a_module_that_fails_to_import_names_what_it_raised(tmp_path, monkeypatch):
+    (tmp_path / "broken_part.py").write_text("raise RuntimeError('no licence')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"RuntimeError: no licence"):
+        resolve("mapper", "broken_part:Mapper")
+
+
+def test_a_scenario_takes_a_class_of_ones_own():
+    scenario = Scenario.from_dict({"policy": {"kind": f"{__name__}:MyPolicy", "patience": 5.0}})
+    assert scenario.policy.make() == MyPolicy(5.0)
+    assert Scenario.from_toml(scenario.to_toml()) == scenario
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({"policy": {"kind": f"{__name__}:MyPolicy", "patiense": 5.0}})
+    assert caught.value.field == "policy.patiense"
+    assert "did you mean 'patience'" in caught.value.expected
+
+
+def test_entry_points_add_names_but_take_none(monkeypatch):
+    def points(group):
+        own = {"lunarsim.policy": [EntryPoint("mine", f"{__name__}:MyPolicy", group)]}
+        return own.get(group, []) + extra
+
+    extra: list[EntryPoint] = []
+    monkeypatch.setattr(registry, "entry_points", points)
+    assert kinds("policy")["mine"] == f"{__name__}:MyPolicy"
+    assert "mine" not in kinds("mapper")
+    assert resolve("policy", "mine", "entry-point") is MyPolicy
+    extra.append(EntryPoint("safest", "other:Safest", "lunarsim.policy"))
+    with pytest.raises(InputError, match=r"a name of its own: lunarsim\.onboard\.policies"):
+        kinds("policy")

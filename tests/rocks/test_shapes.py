@@ -1,0 +1,23 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.rocks.shapes import IRREGULAR, shape_table
+from tests.reference import terrain as reference
+
+
+def test_unit_shapes_stand_upright_with_top_one_and_the_outline_of_a_disc():
+    table = shape_table()
+    for shape in range(IRREGULAR, len(table.count)):
+        planes = table.planes[shape, : table.count[shape]]
+        assert np.all(planes[:, 2] >= 0.0)
+        e, f = np.meshgrid(np.linspace(-1.5, 1.5, 301), np.linspace(-1.5, 1.5, 301))
+        height = np.array(
+            [reference.unit_height(shape, *q) for q in zip(e.flat, f.flat, strict=True)]
+        )
+        inside = np.isfinite(height)
+        assert np.all(height[inside] >= -1e-9)
+        assert height.max() == pytest.approx(1.0, abs=0.03)
+        assert inside.sum() * 0.01**2 == pytest.approx(np.pi, rel=0.01)
+        assert np.hypot(e.flat[inside], f.flat[inside]).max() <= table.reach[shape] + 1e-9

@@ -1,0 +1,191 @@
+"""Parts that lack each other, contradict each other, or have no effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from tests.worlds import SCENARIOS
+
+IMU = {"kind": "imu"}
+FIX = {"kind": "navigation-fix"}
+FLASH = {"kind": "flash-lidar"}
+CAMERA = {"kind": "camera"}
+SHADOW = {"kind": "shadow", "sensor": "eye"}
+
+
+def camera_lander(**tables):
+    """Return the tables of a lander that maps by its camera, with some replaced."""
+    return {
+        "sensors": {"imu": IMU, "eye": CAMERA, "radar": {"kind": "radar-altimeter"}},
+        "tasking": {"eye": {"kind": "periodic"}},
+        "navigation": {"kind": "rocks"},
+        "mappers": {"rocks": SHADOW},
+    } | tables
+
+
+def map_lander(**tables):
+    """Return the tables of a lander that finds its place on a prior map."""
+    return {
+        "sensors": {"imu": IMU, "flash": FLASH},
+        "navigation": {"kind": "prior-map"},
+        "prior_map": {},
+    } | tables
+
+
+def test_what_the_others_break_is_whole():
+    for tables in ({}, camera_lander(), map_lander(), {"control": {"kind": "ideal"}}):
+        Scenario.from_dict(tables)
+
+
+# tables, field, value, what the message tells
+WRONG = {
+    "mapper's sensor is missing": (
+        {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "flush"}}},
+        "mappers.dem.sensor", "flush",
+        "the name of a sensor of kind 'flash-lidar'; there are imu, fix, flash",
+    ),
+    "mapper's sensor is missing, and there is none at all": (
+        {"sensors": {}, "tasking": {}},
+        "mappers.dem.sensor", "flash", "of kind 'flash-lidar'; there are none",
+    ),
+    "mapper's sensor is of another kind": (
+        {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "imu"}}},
+        "mappers.dem.sensor", "imu",
+        "a sensor of kind 'flash-lidar': this one gives InertialSamples",
+    ),
+    "camera mapped by LiDAR": (
+        camera_lander(mappers={"dem": {"kind": "quadtree", "sensor": "eye"}}),
+        "mappers.dem.sensor", "eye", "a sensor of kind 'flash-lidar': this one gives Picture",
+    ),
+    "shadow mapper without rocks navigation": (
+        camera_lander(navigation={"kind": "fixes"}),
+        "navigation.kind", "fixes", "'rocks': mappers.rocks of kind 'shadow' maps with that filter",
+    ),
+    "navigation without what it needs": (
+        {"sensors": {"imu": IMU, "flash": FLASH}},
+        "navigation.kind", "fixes",
+        "needs a sensor of kind 'navigation-fix': add it under [sensors.NAME]",
+    ),
+    "inertial navigation without an inertial unit": (
+        camera_lander(
+            sensors={"eye": CAMERA, "radar": {"kind": "radar-altimeter"}},
+            control={"kind": "ideal"},
+        ),
+        "navigation.kind", "rocks", "needs a sensor of kind 'imu'",
+    ),
+    "prior-map navigation without a LiDAR": (
+        map_lander(sensors={"imu": IMU}, tasking={}, mappers={}),
+        "navigation.kind", "prior-map", "needs a sensor of kind 'flash-lidar'",
+    ),
+    "prior-map navigation without a map": (
+        {name: table for name, table in map_lander().items() if name != "prior_map"},
+        "prior_map", None, "a table [prior_map]: navigation of kind 'prior-map' finds its place",
+    ),
+    "a map that nothing uses": (
+        {"prior_map": {}},
+        "prior_map", "given", "left out: navigation of kind 'fixes' does not use it",
+    ),
+    "knowledge of the start that nothing uses": (
+        {"start_knowledge": {}},
+        "start_knowledge", "given", "left out: navigation of kind 'fixes' does not use it",
+    ),
+    "control on gyroscopes without any": (
+        {"sensors": {"fix": FIX, "flash": FLASH}},
+        "control.kind", "pd",
+        "needs a sensor of kind 'imu': add it under [sensors.NAME], or take control of kind",
+    ),
+    "control too fast for its clock": (
+        {"control": {"frequency_rad_s": 26.0}},
+        "control.frequency_rad_s", 26.0, "at most 25: the attitude loop runs every 0.01 s",
+    ),
+    "control too fast for a slower clock": (
+        {"simulation": {"step_s": 0.1}},
+        "control.frequency_rad_s", 4.0, "at most 2.5",
+    ),
+    "tasking of a sensor that is not there": (
+        {"tasking": {"flash": {"kind": "at-altitudes"}, "flesh": {"kind": "periodic"}}},
+        "tasking.flesh", "flesh", "the name of a sensor; did you mean 'flash'?",
+    ),
+    "tasking of a sensor that measures by itself": (
+        {"tasking": {"flash": {"kind": "at-altitudes"}, "imu": {"kind": "periodic"}}},
+        "tasking.imu", "periodic", "nothing: a sensor of kind 'imu' measures every cycle",
+    ),
+    "a sensor that nobody tells to measure": (
+        {"tasking": {}},
+        "sensors.flash", "flash-lidar", "a table [tasking.flash]: it measures only when",
+    ),
+    "more measurements than cycles": (
+        {"tasking": {"flash": {"kind": "periodic", "rate_hz": 10.5}}},
+        "tasking.flash.rate_hz", 10.5, "at most 10, one measurement a control cycle",
+    ),
+    "more measurements on the site than cycles": (
+        {
+            "tasking": {"flash": {"kind": "sweep", "dwell_rate_hz": 25.0}},
+            "simulation": {"cycle_s": 0.05},
+        },
+        "tasking.flash.dwell_rate_hz", 25.0, "at most 20",
+    ),
+    "a sensor that no part uses": (
+        {"sensors": {"imu": IMU, "fix": FIX, "flash": FLASH, "radar": {"kind": "radar-altimeter"}}},
+        "sensors.radar", "radar-altimeter",
+        "a sensor that some part uses: no mapper maps it, and navigation of kind 'fixes' does not "
+        "take AltimeterReading",
+    ),
+    "a LiDAR that no mapper maps": (
+        {"mappers": {}},
+        "sensors.flash", "flash-lidar", "a sensor that some part uses",
+    ),
+    "decisions on a map that is not there": (
+        {"decisions": {"map": "dam"}},
+        "decisions.map", "dam", "did you mean 'dem'?",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(WRONG))
+def test_each_mistake_names_field_value_and_remedy(name):
+    tables, field, value, told = WRONG[name]
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict(tables)
+    assert (caught.value.field, caught.value.value) == (field, value)
+    assert told in caught.value.expected
+
+
+def test_limits_themselves_are_allowed():
+    Scenario.from_dict({"control": {"frequency_rad_s": 25.0}})
+    Scenario.from_dict({"tasking": {"flash": {"kind": "periodic", "rate_hz": 10.0}}})
+    named = Scenario.from_dict({"decisions": {"map": "dem"}})
+    assert named.decisions.map == "dem"
+
+
+def test_an_inertial_unit_serves_control_alone():
+    """Fixes take its rate; with an ideal actuator it is still of use to them."""
+    Scenario.from_dict({"control": {"kind": "ideal"}})
+    Scenario.from_dict({"sensors": {"fix": FIX, "flash": FLASH}, "control": {"kind": "ideal"}})
+
+
+@dataclass(frozen=True)
+class ArrivalOnly:
+    """Navigation of another package, which needs and takes nothing."""
+
+    needs = ()
+    takes = ()
+    uses_prior_map = False
+
+
+def test_parts_of_other_packages_are_checked_by_what_they_say():
+    kind = f"{__name__}:ArrivalOnly"
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({"navigation": {"kind": kind}})
+    assert caught.value.field == "sensors.fix"
+    assert kind in caught.value.expected
+    Scenario.from_dict({"navigation": {"kind": kind}, "sensors": {"imu": IMU, "flash": FLASH}})
+
+
+def test_changes_are_checked_too():
+    with pytest.raises(InputError, match=r"prior_map = None: a table \[prior_map\]"):
+        Scenario.load(SCENARIOS / "morpheus.toml").changed(prior_map=None)

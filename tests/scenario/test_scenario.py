@@ -1,0 +1,216 @@
+"""Scenario files: reading, writing, changing, and what is told of mistakes."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.layout import MOVED
+from tests.worlds import SCENARIOS
+
+SHIPPED = sorted(SCENARIOS.glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_shipped_scenarios_load(path):
+    assert Scenario.load(path).name == path.stem
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_round_trip(path, tmp_path):
+    """By file, by text, by plain tables and to another process: the same, relative paths too."""
+    scenario = Scenario.load(path)
+    scenario.save(tmp_path / "copy.toml")
+    assert Scenario.load(tmp_path / "copy.toml") == scenario
+    assert Scenario.from_toml(scenario.to_toml()) == scenario
+    assert Scenario.from_dict(scenario.to_dict()) == scenario
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+    assert scenario.changed() == scenario
+    assert scenario.changed(name="other") != scenario
+
+
+def test_defaults_make_a_whole_study():
+    scenario = Scenario.from_dict({})
+    assert scenario.name == "unnamed"
+    assert scenario.vehicle.kind == "lander"
+    assert scenario.vehicle.make() == Lander()
+    assert sorted(scenario.sensors) == ["fix", "flash", "imu"]
+    assert (scenario.prior_map, scenario.start_knowledge) == (None, None)
+    assert scenario.start.heading_deg == 90.0
+    assert scenario.start.make().heading == pytest.approx(np.pi / 2)
+    assert scenario.mappers["dem"].posting_m == scenario.mappers["dem"].make().posting == 0.2
+    with pytest.raises(AttributeError):
+        scenario.vehicle.wheels  # noqa: B018
+    with pytest.raises(FrozenInstanceError):
+        scenario.name = "other"
+
+
+def test_relative_paths_start_from_the_files_folder(tmp_path):
+    scenario = Scenario.load(SCENARIOS / "hirise.toml")
+    assert scenario.terrain.path.is_absolute()
+    assert scenario.terrain.path.parent == SCENARIOS / "data"
+    (tmp_path / "s.toml").write_text('[terrain]\nkind = "dtm"\npath = "sub/ground.tif"')
+    assert Scenario.load(tmp_path / "s.toml").terrain.path == tmp_path / "sub" / "ground.tif"
+
+
+@pytest.mark.parametrize(
+    ("data", "field", "hint"),
+    [
+        ({"terrain": {"posting_km": 1.0}}, "terrain.posting_km", "did you mean 'posting_m'"),
+        ({"terain": {}}, "terain", "did you mean 'terrain'"),
+        ({"vehicle": {"dry_mass_kg": "1.1 t"}}, "vehicle.dry_mass_kg", "a plain number in kg"),
+        ({"vehicle": {"dry_mass_kg": -3}}, "vehicle.dry_mass_kg", "greater than 0"),
+        ({"vehicle": {"dry_mass_kg": float("nan")}}, "vehicle.dry_mass_kg", "finite"),
+        ({"rocks": {"cover": 0.9}}, "rocks.cover", "less than or equal to 0.2"),
+        ({"rocks": {"min_diameter_m": 5.0}}, "rocks.min_diameter_m", "less than max_diameter_m"),
+        ({"terrain": {"kind": "dtm"}}, "terrain.path", "the raster to load"),
+        ({"simulation": {"cycle_s": 0.015}}, "simulation.cycle_s", "whole number"),
+        ({"start": {"position_m": [0.0, 1.0]}}, "start.position_m.2", "required"),
+        ({"control": {"kind": "magic"}}, "control.kind", "known: ideal, pd"),
+        ({"decisions": {"last_altitude_m": 900.0}}, "decisions.last_altitude_m", "less than"),
+        ({"gravity_m_s2": -1.6}, "gravity_m_s2", "a positive number in m/s^2"),
+        ({"gravity_m_s2": True}, "gravity_m_s2", "a positive number in m/s^2"),
+        ({"gravity_m_s2": float("nan")}, "gravity_m_s2", "a positive number in m/s^2"),
+        ({"name": ""}, "name", "at least one character"),
+        ({"name": 3}, "name", "a text in quotes"),
+        ({"sun": 3}, "sun", "a table"),
+        ({"sensors": [1]}, "sensors", "a table"),
+        ({"sensors": {"imu": 1}}, "sensors.imu", "a table"),
+        ({"sensors": {"imu": {}}}, "sensors.imu.kind", "the name of a sensor: `lunarsim parts`"),
+        ({"policy": {"kind": 3}}, "policy.kind", "the name of a policy"),
+        ({"policy": {"kind": "safset"}}, "policy.kind", "did you mean 'safest'"),
+        ({"sensors": {"a": {"kind": "sonar"}}}, "sensors.a.kind", "known: camera"),
+        ({"start": {"heading": 1.0}}, "start.heading", "did you mean 'heading_deg'"),
+        # What a part makes sure of itself is told by its key, in its unit.
+        ({"vehicle": {"thrust_min_n": 7000}}, "vehicle.thrust_min_n", "less than 6000"),
+        ({"vehicle": {"inertia_dry_kg_m2": [1, 1, 9]}}, "vehicle.inertia_dry_kg_m2", "moments"),
+    ],
+    ids=str,
+)
+def test_mistakes_name_field_and_remedy(data, field, hint):
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict(data)
+    assert caught.value.field == field
+    assert hint in caught.value.expected
+
+
+@pytest.mark.parametrize(
+    ("table", "value", "owner"),
+    [
+        ("terrain", {"kind": "fractal", "path": "x.tif"}, "'dtm'"),
+        ("terrain", {"kind": "hazard-field", "hurst": 0.5}, "'fractal' or 'dtm'"),
+        ("policy", {"kind": "safest", "price": 1.0}, "'fuel-aware'"),
+        ("control", {"kind": "ideal", "damping": 1.0}, "'pd'"),
+    ],
+)
+def test_a_key_of_another_kind_names_that_kind(table, value, owner):
+    key = list(value)[-1]
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({table: value})
+    assert (caught.value.field, caught.value.value) == (f"{table}.{key}", value[key])
+    told = f"no key of kind {value['kind']!r}; it belongs to kind {owner}"
+    assert caught.value.expected == told
+
+
+def test_a_key_of_another_kind_in_a_named_table():
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({"mappers": {"dem": {"kind": "gaussian-dem", "split_count": 4}}})
+    assert caught.value.field == "mappers.dem.split_count"
+    assert caught.value.expected == "no key of kind 'gaussian-dem'; it belongs to kind 'quadtree'"
+    # A key of a table within a table is looked for there.
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({"mappers": {"q": {"kind": "quadtree", "sites": {"slope_limit": 1}}}})
+    assert caught.value.field == "mappers.q.sites.slope_limit"
+    assert "did you mean 'slope_limit_deg'" in caught.value.expected
+
+
+def test_a_kind_without_keys_says_so():
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({"navigation": {"kind": "fixes", "position_bias_m": 1.0}})
+    assert caught.value.field == "navigation.position_bias_m"
+    assert caught.value.expected == "unknown key; there are none"
+
+
+@pytest.mark.parametrize("table", list(MOVED))
+def test_tables_of_earlier_versions_tell_where_they_are_now(table):
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({table: {}})
+    assert caught.value.field == table
+    assert caught.value.expected == f"unknown key; it is now {MOVED[table]}"
+    # And what it names is there to be written.
+    assert any(f"[{name}" in MOVED[table] for name in Scenario.__dataclass_fields__)
+
+
+def test_missing_and_broken_files(tmp_path):
+    with pytest.raises(InputError, match="existing TOML file"):
+        Scenario.load(tmp_path / "none.toml")
+    (tmp_path / "broken.toml").write_text("name = [")
+    with pytest.raises(InputError, match="a TOML file"):
+        Scenario.load(tmp_path / "broken.toml")
+    (tmp_path / "latin.toml").write_bytes('name = "é"'.encode("latin-1"))
+    with pytest.raises(InputError, match="a TOML file"):
+        Scenario.load(tmp_path / "latin.toml")
+
+
+# --- changed ------------------------------------------------------------------------------
+
+
+def test_a_change_is_laid_over_what_is_there():
+    before = Scenario.from_dict({"sun": {"azimuth_deg": 45.0}, "rocks": {"cover": 0.02}})
+    after = before.changed(sun={"elevation_deg": 5.0}, mappers={"dem": {"posting_m": 0.4}})
+    assert (after.sun.azimuth_deg, after.sun.elevation_deg) == (45.0, 5.0)
+    assert (after.mappers["dem"].posting_m, after.mappers["dem"].size_m) == (0.4, 100.0)
+    assert after.rocks == before.rocks
+    assert before.sun.elevation_deg == 20.0
+    assert after.changed(sun={"elevation_deg": 20.0}, mappers={"dem": {"posting_m": 0.2}}) == before
+
+
+def test_a_change_reaches_tables_within_tables():
+    before = Scenario.load(SCENARIOS / "morpheus.toml")
+    after = before.changed(mappers={"sites": {"sites": {"zone_m": 1.0}}})
+    assert after.mappers["sites"].sites.zone_m == 1.0
+    assert after.mappers["sites"].sites.count == before.mappers["sites"].sites.count
+    assert after.mappers["sites"].size_m == 102.4
+
+
+def test_another_kind_starts_from_its_own_defaults():
+    before = Scenario.from_dict({"control": {"slew_limit_deg_s": 3.0}})
+    assert before.changed(control={"kind": "pd"}).control.slew_limit_deg_s == 3.0
+    assert before.changed(control={"kind": "ideal"}).control.slew_limit_deg_s == 15.0
+    assert before.changed(control={"slew_limit_deg_s": 4.0}).control.kind == "pd"
+
+
+def test_none_takes_a_table_or_a_value_away():
+    morpheus = Scenario.load(SCENARIOS / "morpheus.toml")
+    assert morpheus.changed(start_knowledge=None).start_knowledge is None
+    with pytest.raises(InputError, match="prior_map = None"):
+        morpheus.changed(prior_map=None)
+    assert morpheus.changed(approach={"time_to_go_s": None}).approach.time_to_go_s is None
+    bare = Scenario.from_dict({}).changed(
+        sensors={"flash": None}, tasking={"flash": None}, mappers={"dem": None}
+    )
+    assert (sorted(bare.sensors), bare.tasking, bare.mappers) == (["fix", "imu"], {}, {})
+    assert Scenario.from_toml(bare.to_toml()) == bare
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"sun": {"elevation_deg": 100.0}}, "sun.elevation_deg"),
+        ({"son": {"elevation_deg": 1.0}}, "son"),
+        ({"sun": 3}, "sun"),
+        ({"mappers": {"dem": {"sensor": "imu"}}}, "mappers.dem.sensor"),
+        ({"sensors": {"flash": None}}, "mappers.dem.sensor"),
+        ({"gravity_m_s2": 0.0}, "gravity_m_s2"),
+    ],
+)
+def test_a_change_is_checked(change, field):
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict({}).changed(**change)
+    assert caught.value.field == field

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.scenario import Scenario
+from lunarsim.world.grounds.fractal import FractalGround
+
+# Rosenburg et al. (2011): Hurst exponents, and slopes (deg) carried to 1 m.
+PRESETS = {"mare": (0.76, 3.9), "highland": (0.95, 8.6), "polar": (0.95, 8.6)}
+
+
+def slope_at_a_metre(relief):
+    """Return the rms slope (deg) of posts 1 m apart, from those a quarter of a metre apart."""
+    step = np.diff(relief.z.astype(float)[::4, ::4])
+    return np.degrees(np.arctan(np.sqrt(2.0 * np.mean(step**2))))
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_presets_fill_what_is_left_out(preset):
+    table = {"preset": preset, "size_m": 100.0, "hurst": 0.5}
+    ground = Scenario.from_dict({"terrain": table}).terrain.make()
+    hurst, slope = PRESETS[preset]
+    cratered, bare = ground.relief(), replace(ground, crater_density=0.0).relief()
+    assert slope_at_a_metre(bare) == pytest.approx(slope, rel=0.25)
+    assert np.std(cratered.z - bare.z) > 0.02
+    # What is given stands, what is not is the preset's.
+    filled = replace(ground, hurst=hurst, rms_slope=np.deg2rad(slope), crater_density=0.079)
+    left_out = replace(ground, hurst=None)
+    assert np.array_equal(filled.relief().z, left_out.relief().z)
+    assert not np.array_equal(cratered.z, left_out.relief().z)
+
+
+def test_ground_without_a_preset_has_no_craters():
+    plain = FractalGround(size=40.0)
+    assert np.array_equal(plain.relief().z, replace(plain, crater_density=0.0).relief().z)
+    assert slope_at_a_metre(plain.relief()) == pytest.approx(2.5, rel=0.25)
