@@ -1,7 +1,7 @@
 """Pictures of the grounds that ship with the project, and the size law of measured rocks.
 
-python scenarios/gallery.py                     # writes docs/images/gallery/
-python scenarios/gallery.py --out out/gallery --only mare
+python scenarios/terrain/gallery.py                     # writes docs/images/gallery/
+python scenarios/terrain/gallery.py --out out/gallery --only mare
 """
 
 from __future__ import annotations

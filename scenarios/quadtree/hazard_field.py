@@ -3,7 +3,7 @@
 The experiment of the quadtree paper (section 5) on simulated fields: boulders and craters on level
 grass, a Morpheus-like lander, 20 s of sweep. Sites are looked at 13 s and 20 s after the start.
 
-python scenarios/morpheus_hazard_field.py --fields 30 --jobs 2 --out out/morpheus
+python scenarios/quadtree/hazard_field.py --fields 30 --jobs 2 --out out/morpheus
 """
 
 from __future__ import annotations
@@ -357,7 +357,7 @@ def main(
             json.dumps({"summary": summary, "flights": plain}, indent=1), encoding="utf-8"
         )
     if out is not None:
-        from morpheus_figures import draw_all
+        from figures import draw_all
 
         draw_all(results[0], out)
 

@@ -4,7 +4,7 @@ The Gaussian DEM and the quadtree are given the same scans at the same estimated
 where the lander would be safe; the exact safety of the true ground judges both. The paper of each
 compares with a simpler map of its own kind, never with the other.
 
-python scenarios/compare_mappers.py --fields 4 --out out/mappers
+python scenarios/quadtree/compare_mappers.py --fields 4 --out out/mappers
 """
 
 from __future__ import annotations

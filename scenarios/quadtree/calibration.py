@@ -4,7 +4,7 @@ Flies the LiDAR sweep over fields of few and of many boulders, looks at every si
 holds afterwards, and fits the probability that the lander would be exactly safe there. Every fourth
 field is kept out of the fit and draws the reliability diagram.
 
-python scenarios/quadtree_calibration.py --fields 24 --jobs 2 --out out/calibration
+python scenarios/quadtree/calibration.py --fields 24 --jobs 2 --out out/calibration
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def draw(table: np.ndarray, fields: int, path: Path) -> None:
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write the model to this file; the package's own is "
-                   "lunarsim/hazards/quadtree/calibration.json.")  # fmt: skip
+                   "lunarsim/onboard/hazards/quadtree/calibration.json.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for the diagram.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
@@ -118,7 +118,7 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
 
     train, test = joined(fitted), joined(out_of_fit)
     note = (
-        f"scenarios/quadtree_calibration.py --fields {fields} --seed {seed}: "
+        f"scenarios/quadtree/calibration.py --fields {fields} --seed {seed}: "
         f"{train['safe'].size} sites of {len(fitted)} fields"
     )
     model = Logistic.fit(features_of(train), train["safe"], note)

@@ -1,6 +1,6 @@
 """The tables of the Gaussian DEM paper, its figure beside ours.
 
-    python scenarios/gaussian_dem_tables.py --table all --seeds 2 --out out/gaussian_dem
+    python scenarios/gaussian_dem/tables.py --table all --seeds 2 --out out/gaussian_dem
 
 Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomous Safe Landing".
 """
@@ -11,12 +11,13 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from gaussian_dem_figures import (
+from figures import (
     draw_conservativeness,
     draw_panels,
     draw_precision_recall,
@@ -24,24 +25,26 @@ from gaussian_dem_figures import (
     draw_reliability,
     draw_testbed,
     draw_truth,
-    precision_recall,
 )
-from gaussian_dem_testbed import (
+from paper import PAPER_3, PAPER_4, PAPER_5, PAPER_6, PAPER_7
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from testbed import (
     CONFIGURATIONS,
     DENSITY,
     LANDER,
     MARGIN,
     POSTING,
+    Field,
     crop,
     scan,
     testbed,
     view_grid,
 )
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
-from scipy.special import ndtr
 
+from lunarsim.evaluation.map_quality import MapQuality
+from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import conventional_dem, gaussian_dem
@@ -57,39 +60,9 @@ from lunarsim.safety import (
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 from lunarsim.world.terrain.dtm import load_dtm
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`
-# Of precision-recall curves: symmetric about 0.5, finer at either end.
-THRESHOLDS = ndtr(np.linspace(-6.0, 6.0, 241))
-
-PAPER_3 = {0.0: 0.9563, 0.2: 0.7251, 0.5: 0.2848, 0.7: 0.1604, 1.0: 0.0810}
-PAPER_4 = [  # coverage x, y (m), ground sample distance x, y (m), 3 sigma (cm)
-    (40.00, 40.00, 0.156, 0.156, 2.0), (46.34, 40.00, 0.181, 0.156, 2.0),
-    (82.47, 40.00, 0.322, 0.156, 2.0), (100.00, 100.00, 0.391, 0.391, 5.0),
-    (115.86, 100.00, 0.453, 0.391, 5.0), (206.19, 100.00, 0.805, 0.391, 5.0),
-    (200.00, 200.00, 0.781, 0.781, 10.0), (231.71, 200.00, 0.905, 0.781, 10.0),
-    (412.37, 200.00, 1.611, 0.781, 10.0),
-]  # fmt: skip
-PAPER_5 = [  # RMSE baseline, proposed (m), NLPD baseline, proposed
-    (0.0124, 0.0134, -2.3387, -1.9853), (0.0151, 0.0150, -1.4848, -2.2010),
-    (0.0194, 0.0177, 0.1489, -2.0869), (0.0239, 0.0212, -2.1439, -2.2846),
-    (0.0258, 0.0222, -1.9777, -2.2456), (0.0305, 0.0252, -1.5031, -2.0843),
-    (0.0380, 0.0354, -1.8316, -1.8350), (0.0396, 0.0363, -1.7761, -1.8067),
-    (0.0433, 0.0409, -1.6393, -1.6739),
-]  # fmt: skip
-PAPER_6 = [  # precision slope, roughness; recall slope, roughness: baseline, proposed each
-    (0.9999, 1.0000, 0.9532, 1.0000, 0.9991, 0.8226, 1.0000, 0.9335),
-    (0.9997, 1.0000, 0.9428, 0.9991, 0.9980, 0.8150, 0.9999, 0.9266),
-    (0.9997, 1.0000, 0.9308, 0.9960, 0.9983, 0.8119, 0.9999, 0.9189),
-    (0.9980, 1.0000, 0.9245, 1.0000, 1.0000, 0.8214, 1.0000, 0.9313),
-    (0.9980, 1.0000, 0.9664, 0.9987, 1.0000, 0.8257, 0.9949, 0.9269),
-    (0.9967, 1.0000, 0.8986, 0.9982, 1.0000, 0.8450, 0.9996, 0.9238),
-    (0.9888, 0.9985, 0.7970, 0.9973, 1.0000, 0.8966, 1.0000, 0.9242),
-    (0.9969, 0.9991, 0.8352, 0.9967, 1.0000, 0.8980, 0.9995, 0.9144),
-    (0.9911, 0.9987, 0.7859, 0.9573, 1.0000, 0.9318, 0.9998, 0.8828),
-]
-PAPER_7 = {0.5: (0.0412, 0.1248, 0.0016), 0.3: (0.3890, 0.2991, 0.0469),
-           0.2: (2.5194, 0.7112, 0.0724), 0.1: (84.3238, 2.7666, 1.0420)}  # fmt: skip
+KINDS = ("slope", "roughness")
 
 
 def sample_distance(distance: float, angle_deg: float) -> float:
@@ -125,28 +98,24 @@ def table_3(seeds: int) -> dict[str, Any]:
     """Precision and recall of the conservative test on perfect maps, by terrain complexity."""
     rows, pictures = [], []
     for c, paper in PAPER_3.items():
-        precision, recall, bounded, false = [], [], [], 0
+        ours, through = [], []
         for seed in track(range(seeds), description=f"table 3, c = {c}"):
             z, grid = complexity_terrain(c, seed)
-            exact = exact_safety(z, grid, LANDER)
-            ours = conservative_safety(z, grid, LANDER)
-            through = bounded_safety(z, grid, LANDER)
-            hits = int((ours.safe & exact.safe).sum())
-            wrong = int((ours.safe & ~exact.safe).sum())
-            false += wrong + int((through.safe & ~exact.safe).sum())
-            bounded.append(int((through.safe & exact.safe).sum()) / max(int(exact.safe.sum()), 1))
-            precision.append(hits / max(hits + wrong, 1))
-            recall.append(hits / max(int(exact.safe.sum()), 1))
+            exact = exact_safety(z, grid, LANDER).safe
+            level = conservative_safety(z, grid, LANDER).safe
+            planes = bounded_safety(z, grid, LANDER).safe
+            ours.append(MapQuality.of(level, exact))
+            through.append(MapQuality.of(planes, exact))
             if seed == 0:
-                pictures.append((c, z, exact.safe, ours.safe, through.safe, grid))
+                pictures.append((c, z, exact, level, planes, grid))
         rows.append(
             {
                 "c": c,
-                "precision": precision,
-                "recall": recall,
-                "bounded": bounded,
+                "precision": [q.precision for q in ours],
+                "recall": [q.recall for q in ours],
+                "bounded": [q.recall for q in through],
                 "paper": paper,
-                "false_safe": false,
+                "false_safe": sum(q.false_safe for q in ours + through),
             }
         )
     return {"rows": rows, "pictures": pictures}
@@ -253,68 +222,105 @@ def yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
-def scores(called: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
-    """Precision and recall (Eqs. 21 and 22)."""
-    hits = float((called & truth).sum())
-    return hits / max(float(called.sum()), 1.0), hits / max(float(truth.sum()), 1.0)
+@dataclass(frozen=True)
+class Judged:
+    """One scan of a testbed: what the methods say, and the truth.
+
+    Attributes
+    ----------
+    p
+        Probability of safety by method and kind, on the grid.
+    truth
+        By kind, on the grid.
+    judged
+        Cells that all have an opinion on, and the truth too.
+    p_safe
+        Of the proposed method, both kinds together.
+    grid, points
+        The map and the returns.
+    """
+
+    p: dict[tuple[str, str], np.ndarray]
+    truth: dict[str, np.ndarray]
+    judged: np.ndarray
+    p_safe: np.ndarray
+    grid: Grid
+    points: np.ndarray
+
+
+def judge(field: Field, seed: int, n: int) -> Judged:
+    """Scan a testbed in its n-th configuration and judge it by all methods."""
+    distance, angle = CONFIGURATIONS[n]
+    rng = np.random.default_rng([seed, n])
+    points, sigma, shape = scan(field, distance, angle, rng)
+    grid = view_grid(distance)
+    window = crop(field, grid)
+    dem = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=shape, **MARGIN)
+    # Cells over occlusions have the prior's variance and so count as unsafe.
+    own = stochastic_safety(dem.mean, dem.variance, grid, LANDER)
+    coarse, nearest = baseline(points, grid, sample_distance(distance, angle))
+    other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=sigma)
+    planes = plane_stochastic_safety(dem.mean, dem.variance, grid, LANDER)
+    return Judged(
+        {
+            ("baseline", "slope"): other.p_slope[nearest],
+            ("baseline", "roughness"): other.p_roughness[nearest],
+            ("proposed", "slope"): own.p_slope,
+            ("proposed", "roughness"): own.p_roughness,
+            ("planes", "slope"): planes.p_slope,
+            ("planes", "roughness"): planes.p_roughness,
+        },
+        {
+            "slope": field.safety.slope[window] < LANDER.slope_limit,
+            "roughness": field.safety.roughness[window] < LANDER.roughness_limit,
+        },
+        own.observed & other.observed[nearest] & field.safety.observed[window],
+        own.p_safe,
+        grid,
+        points,
+    )
 
 
 def table_6(seeds: int) -> dict[str, Any]:
     """Precision and recall of slope and roughness safety, and reliability of p_safe."""
-    rows: list[list[list[float]]] = [[[] for _ in range(8)] for _ in CONFIGURATIONS]
-    pictures: dict[str, list[Any]] = {
-        name: [] for name in ("baseline roughness", "proposed roughness", "baseline slope",
-                              "proposed slope")
-    }  # fmt: skip
+    numbers = range(len(CONFIGURATIONS))
+    rows: list[list[list[float]]] = [[[] for _ in range(8)] for _ in numbers]
+    pictures: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
     bins = np.zeros((len(CONFIGURATIONS), 20, 3))
-    curves = np.zeros((2, len(CONFIGURATIONS), len(METHODS), 2, len(THRESHOLDS) + 1))
+    curves: dict[tuple[str, int, str], PrecisionRecall] = {}
     for seed in track(range(seeds), description="table 6"):
         field = testbed(seed)
-        for n, (distance, angle) in enumerate(CONFIGURATIONS):
-            rng = np.random.default_rng([seed, n])
-            points, sigma, shape = scan(field, distance, angle, rng)
-            grid = view_grid(distance)
-            window = crop(field, grid)
-            slope = field.safety.slope[window] < LANDER.slope_limit
-            rough = field.safety.roughness[window] < LANDER.roughness_limit
-            dem = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=shape, **MARGIN)
-            # Cells over occlusions have the prior's variance and so count as unsafe.
-            own = stochastic_safety(dem.mean, dem.variance, grid, LANDER)
-            coarse, nearest = baseline(points, grid, sample_distance(distance, angle))
-            other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=sigma)
-            planes = plane_stochastic_safety(dem.mean, dem.variance, grid, LANDER)
-            judged = own.observed & other.observed[nearest] & field.safety.observed[window]
-            p = {
-                "baseline slope": other.p_slope[nearest], "proposed slope": own.p_slope,
-                "baseline roughness": other.p_roughness[nearest],
-                "proposed roughness": own.p_roughness,
-                "planes slope": planes.p_slope, "planes roughness": planes.p_roughness,
-            }  # fmt: skip
-            column = 0
-            results = []
-            for which, (kind, truth) in enumerate((("slope", slope), ("roughness", rough))):
-                for m, method in enumerate(METHODS):
-                    place = np.searchsorted(THRESHOLDS, p[f"{method} {kind}"][judged])
-                    for safe in (0, 1):
-                        of = place[truth[judged] == bool(safe)]
-                        curves[which, n, m, safe] += np.bincount(of, minlength=len(THRESHOLDS) + 1)
-                for method in ("baseline", "proposed"):
-                    called = p[f"{method} {kind}"] > 0.5
-                    results.append(scores(called[judged], truth[judged]))
-                    if seed == 0:
-                        missing = np.where(judged, truth - p[f"{method} {kind}"], np.nan)
-                        pictures[f"{method} {kind}"].append((missing, grid, points))
-            for which in (0, 1):
-                for result in results:
-                    rows[n][column].append(result[which])
-                    column += 1
-            safe = (slope & rough)[judged]
-            bins[n] += reliability(own.p_safe[judged], safe, np.linspace(0.0, 1.0, 21))
+        for n in numbers:
+            one = judge(field, seed, n)
+            seen = one.judged
+            for (method, kind), p in one.p.items():
+                curve = PrecisionRecall.of(p[seen], one.truth[kind][seen])
+                key = (kind, n, method)
+                curves[key] = curves[key] + curve if key in curves else curve
+                if method == "planes":
+                    continue
+                column = 2 * KINDS.index(kind) + METHODS.index(method)
+                quality = MapQuality.of(p[seen] > 0.5, one.truth[kind][seen])
+                rows[n][column].append(quality.precision)
+                rows[n][4 + column].append(quality.recall)
+                if seed == 0:
+                    missing = np.where(seen, one.truth[kind] - p, np.nan)
+                    pictures[f"{method} {kind}"].append((missing, one.grid, one.points))
+            safe = np.logical_and(*one.truth.values())
+            bins[n] += reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
     return {
         "rows": rows,
         "pictures": pictures,
         "reliability": bins.tolist(),
-        "precision_recall": curves.tolist(),
+        "curves": curves,
+        "precision_recall": {
+            f"{method} {kind}": [
+                [curves[kind, n, method].unsafe.tolist(), curves[kind, n, method].safe.tolist()]
+                for n in numbers
+            ]
+            for method in METHODS
+            for kind in KINDS
+        },
     }
 
 
@@ -342,15 +348,13 @@ def print_6(result: dict[str, Any], console: Console) -> None:
                 "roughness: paper", "baseline", "proposed", "planes")  # fmt: skip
     for heading in headings:
         table.add_column(heading, justify="right")
-    curves = np.array(result["precision_recall"])
     for n, (r, a) in enumerate(CONFIGURATIONS):
         cells = []
-        for which in (0, 1):
+        for which, kind in enumerate(KINDS):
             cells.append(f"{PAPER_6[n][1 + 2 * which]:.4f}")
-            for counts in curves[which, n]:
-                precision, recall, _ = precision_recall(counts)
-                found = int(np.searchsorted(recall, PAPER_6[n][5 + 2 * which]))
-                cells.append(f"{precision[min(found, len(recall) - 1)]:.4f}")
+            recall = PAPER_6[n][5 + 2 * which]
+            for method in METHODS:
+                cells.append(f"{result['curves'][kind, n, method].precision_at(recall):.4f}")
         table.add_row(f"{r:.0f}", f"{a:.0f}", *cells)
     console.print(table)
 
@@ -452,11 +456,15 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
                    out / "figure_18.png")  # fmt: skip
         draw_truth(field, np.rad2deg(field.safety.slope), np.rad2deg(LANDER.slope_limit),
                    "slope (deg)", out / "figure_21.png")  # fmt: skip
-        for which, kind in enumerate(("slope", "roughness")):
+        for which, kind in enumerate(KINDS):
+            curves = [
+                {m: result["curves"][kind, n, m] for m in METHODS}
+                for n in range(len(CONFIGURATIONS))
+            ]
             paper = [(row[1 + 2 * which], row[5 + 2 * which]) for row in PAPER_6]
             draw_precision_recall(
-                np.array(result["precision_recall"])[which], METHODS, CONFIGURATIONS, paper,
-                f"Safety of {kind}", (0.995, 0.85)[which], out / f"precision_recall_{kind}.png",
+                curves, CONFIGURATIONS, paper, f"Safety of {kind}", (0.995, 0.85)[which],
+                out / f"precision_recall_{kind}.png",
             )  # fmt: skip
 
 
@@ -479,7 +487,7 @@ def main(which: str, seeds: int, json_file: Path | None, out: Path | None) -> No
         show(result, console)
         if out is not None:
             draw(name, result, out)
-        gathered[name] = {k: v for k, v in result.items() if k != "pictures"}
+        gathered[name] = {k: v for k, v in result.items() if k not in {"pictures", "curves"}}
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(gathered, indent=1), encoding="utf-8")

@@ -4,7 +4,7 @@ The experiment of the shadow EKF paper (IV.B and V): a lander sees rocks by thei
 flies to a site, the Sun behind its camera. The modified path overflies the site by 60 m and sees
 the shadows that the rocks hide from the nominal one.
 
-python scenarios/nominal_vs_modified.py --fields 20 --jobs 2 --out out/shadows
+python scenarios/shadows/nominal_vs_modified.py --fields 20 --jobs 2 --out out/shadows
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def main(
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(plain(summary, results), indent=1), encoding="utf-8")
     if out is not None:
-        from nominal_vs_modified_figures import draw_all
+        from figures import draw_all
 
         draw_all(results, out)
 

@@ -4,7 +4,7 @@ The detector runs with the settings that rendered images use. Its finds are draw
 the direction of the shadows is measured and set beside the stated one, and finds in a window of
 100 x 100 pixels are compared with boulders told by eye.
 
-python scenarios/shadow_real_image.py --out out/nac
+python scenarios/shadows/real_image.py --out out/nac
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ of two; it is merged if its patch runs into another's, and missed otherwise. A d
 rock under it is false. Lines are fitted to the rates (shadow EKF
 paper, III.C).
 
-python scenarios/shadow_rates.py --images 60 --out out/rates
+python scenarios/shadows/rates.py --images 60 --out out/rates
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
     for name, (start, slope, floor) in lines.items():
         console.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
     if out is not None:
-        from nominal_vs_modified_figures import draw_rates
+        from figures import draw_rates
 
         out.mkdir(parents=True, exist_ok=True)
         data = {
