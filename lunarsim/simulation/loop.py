@@ -109,6 +109,7 @@ class Simulation:
         self.computer = OnboardComputer(briefing, None if knows else self.policy)
         self.recorder = Recorder(briefing.target)
         self._tap = tap
+        self._at_update = state
         if tap is not None:
             tap.briefing = briefing
         self._measurements = self.plant.measure()
@@ -172,14 +173,15 @@ class Simulation:
         """Estimated position, local frame, less the true one (3,), m.
 
         What local frame and true frame differ by: a point of a map less this is where it truly is.
+        Both are of the moment that the estimate is for, which `move` leaves behind.
         """
-        return self.estimate.position - self.state.position
+        return self.estimate.position - self._at_update.position
 
     @property
     def site_error(self) -> Array:
-        """Estimated position in the site frame less the true one (3,), m."""
+        """Estimated position in the site frame less the true one (3,), m, likewise."""
         shift = self.computer.navigation.site_to_local
-        return np.asarray(shift.to_site(self.estimate.position) - self.state.position)
+        return np.asarray(shift.to_site(self.estimate.position) - self._at_update.position)
 
     @property
     def decision_due(self) -> bool:
@@ -205,6 +207,7 @@ class Simulation:
         self.recorder.row(self.time, self.state, c.estimate, c.site, c.time_to_go, c.phase)
 
     def _take(self, measurements: Measurements) -> None:
+        self._at_update = self.state
         self.computer.update(measurements)
         self.recorder.measured(measurements, self.computer, self.navigation_error)
 
