@@ -109,7 +109,7 @@ def test_scenario_objects_are_taken(small_scenario):
 
 
 def test_example_script_runs():
-    script = ROOT / "scenarios" / "retarget_agents.py"
+    script = ROOT / "scenarios" / "learning" / "retarget_agents.py"
     run = subprocess.run(
         [sys.executable, str(script), "--episodes", "1"], capture_output=True, text=True, check=True
     )
