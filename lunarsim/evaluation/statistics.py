@@ -86,8 +86,10 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     for policy in dict.fromkeys(row["policy"] for row in rows):
         own = [row for row in rows if row["policy"] == policy]
         reach = [row for row in own if row["safe_site_in_reach"]]
-        cells = ("map_hits", "map_false_safe", "map_missed")
-        quality = MapQuality(*(sum(row[name] for row in own) for name in cells), rejected=0)
+        hits, false_safe, missed = (
+            sum(row[name] for row in own) for name in ("map_hits", "map_false_safe", "map_missed")
+        )
+        quality = MapQuality(hits, false_safe, missed, rejected=0)
 
         def column(name: str, own: list[dict[str, Any]] = own) -> np.ndarray:
             return np.array([row[name] for row in own], dtype=np.float64)
