@@ -240,7 +240,7 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
         table.add_row(label, *(form.format(one[key]) for one in summary["looks"]), paper)
     console.print(table)
     for one in first["looks"]:
-        sites = Table(title=f"Field {first['field']}: sites at {one['time']:.0f} s")
+        sites = Table(title=f"Field {first['field']}: sites at {one['time']:.0f} s, local frame")
         for heading in ("rank", "east (m)", "north (m)", "score", "interest", "slope (deg)",
                         "roughness (m)", "time-to-go (s)", "delta-v (m/s)",
                         "propellant (kg)"):  # fmt: skip

@@ -70,7 +70,7 @@ def fly(task: Task) -> dict[str, Any]:
     track = []
     while not simulation.done:
         simulation.step()
-        track.append(simulation.estimate.position - simulation.site)
+        track.append(simulation.state.position - simulation.computer.briefing.target)
         if pending and simulation.altitude <= pending[0]:
             levels[pending.pop(0)] = judge(simulation)
             if not pending:
