@@ -11,7 +11,7 @@ from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.evaluation.reliability import brier_score
 from lunarsim.evaluation.statistics import mean_interval
 from lunarsim.grid import Grid
-from tests.conftest import sloped_terrain
+from lunarsim.world.terrain import Heightfield, Terrain
 
 
 @pytest.fixture
@@ -67,7 +67,9 @@ def test_brier_score_is_the_mean_square():
 
 
 def test_local_ground_lies_where_a_map_with_this_error_has_it():
-    terrain = sloped_terrain((0.2, -0.1))
+    posts = Grid.centred((0.0, 0.0), 40.0, 0.5)
+    z = 0.2 * posts.x[None, :] - 0.1 * posts.y[:, None]
+    terrain = Terrain(Heightfield(posts, z.astype(np.float32)))
     grid, error = Grid.centred((1.0, 2.0), 6.0, 0.5), np.array([3.0, -1.0, 0.7])
     ground = local_ground(terrain, grid, error)
     true = grid.centres() - error[:2]
