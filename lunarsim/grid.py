@@ -62,6 +62,17 @@ class Grid:
         y0 = float(cy - 0.5 * (self.rows - 1) * self.posting)
         return Grid(x0, y0, self.posting, self.rows, self.cols)
 
+    def moved(self, by: ArrayLike) -> Grid:
+        """Return the same grid moved by (2,) or (3,), m."""
+        dx, dy = np.asarray(by, dtype=np.float64)[:2]
+        return Grid(float(self.x0 + dx), float(self.y0 + dy), self.posting, self.rows, self.cols)
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """East and north of the middle, m."""
+        west, east, south, north = self.extent
+        return 0.5 * (west + east), 0.5 * (south + north)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.evaluation.statistics import Proportion
+
 # Edges of the bins of the reliability diagram: most of a map is at small probabilities.
 RELIABILITY_EDGES = np.array(
     [0.0, 1e-4, 3e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0]
@@ -38,6 +40,11 @@ class Classification:
     clear_wrong: int
     occupied_right: int
 
+    def __add__(self, other: Classification) -> Classification:
+        """Pool the cells of two maps."""
+        mine, more = self.counts(), other.counts()
+        return Classification(**{name: mine[name] + more[name] for name in mine})
+
     @property
     def rates(self) -> dict[str, float]:
         """The paper's figures: recall of clear ground, and so on, each a share."""
@@ -55,7 +62,7 @@ class Classification:
 
 
 def _share(part: int, whole: int) -> float:
-    return part / whole if whole else float("nan")
+    return Proportion(part, whole).value
 
 
 def classify(

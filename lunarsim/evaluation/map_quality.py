@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth import Truth
 
 
@@ -65,6 +67,16 @@ class MapQuality:
         safe = self.hits + self.missed
         return self.hits / safe if safe else float("nan")
 
+    @property
+    def judged(self) -> int:
+        """Number of cells."""
+        return self.hits + self.false_safe + self.missed + self.rejected
+
+    @property
+    def safe_share(self) -> float:
+        """Share of all cells that are safe; NaN without any."""
+        return (self.hits + self.missed) / self.judged if self.judged else float("nan")
+
 
 def map_quality(
     hazard_map: HazardMap, truth: Truth, error: ArrayLike, level: float = 0.5
@@ -83,6 +95,22 @@ def map_quality(
     seen = hazard_map.observed
     xy = hazard_map.grid.centres()[seen] - np.asarray(error)[:2]
     return MapQuality.of(hazard_map.p_safe[seen] > level, truth.safe_at(xy))
+
+
+def local_ground(terrain: Terrain, grid: Grid, error: ArrayLike) -> NDArray[np.float32]:
+    """Return the true elevation where a map has its cells, in the map's heights (rows, cols), m.
+
+    Parameters
+    ----------
+    terrain
+        The true ground.
+    grid
+        Of the map.
+    error
+        Map less true coordinates (3,), m.
+    """
+    error = np.asarray(error, dtype=np.float64)
+    return np.asarray(terrain.raster(grid.moved(-error)) + np.float32(error[2]))
 
 
 def precision_at_recall(p: NDArray[np.float32], safe: NDArray[np.bool_], recall: float) -> float:

@@ -40,6 +40,12 @@ def frequencies(table: Array) -> tuple[Array, Array]:
         return table[:, 1] / table[:, 0], table[:, 2] / table[:, 0]
 
 
+def brier_score(probability: ArrayLike, happened: ArrayLike) -> float:
+    """Return the mean square of the probabilities less what happened (0 or 1)."""
+    p = np.asarray(probability, dtype=np.float64)
+    return float(np.mean((p - np.asarray(happened, dtype=np.float64)) ** 2))
+
+
 def calibration_error(table: Array) -> float:
     """Return the mean distance of the two, weighted by number (ECE); NaN of an empty table."""
     count = table[:, 0].sum()

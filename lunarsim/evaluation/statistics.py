@@ -6,7 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import binomtest
+from scipy.stats import t as student
+
+from lunarsim.evaluation.map_quality import MapQuality
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,37 @@ class Proportion:
         return f"{self.value:.3f} [{low:.3f}, {high:.3f}]"
 
 
+@dataclass(frozen=True)
+class MeanInterval:
+    """A mean with its 95 % interval.
+
+    Attributes
+    ----------
+    mean
+        NaN without values.
+    half
+        Half the interval; NaN of fewer than two values.
+    """
+
+    mean: float
+    half: float
+
+    def text(self, digits: int = 4) -> str:
+        """Return ``mean ± half``."""
+        return f"{self.mean:.{digits}f} ± {self.half:.{digits}f}"
+
+
+def mean_interval(values: ArrayLike) -> MeanInterval:
+    """Return the mean of values (n,) and half its 95 % interval (Student's t); NaN is left out."""
+    x = np.asarray(values, dtype=np.float64)
+    x = x[np.isfinite(x)]
+    mean = float(x.mean()) if x.size else float("nan")
+    if x.size < 2:
+        return MeanInterval(mean, float("nan"))
+    half = float(student.ppf(0.975, x.size - 1) * x.std(ddof=1) / np.sqrt(x.size))
+    return MeanInterval(mean, half)
+
+
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return the summary of each policy, in the order the policies appear.
 
@@ -51,9 +86,10 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     for policy in dict.fromkeys(row["policy"] for row in rows):
         own = [row for row in rows if row["policy"] == policy]
         reach = [row for row in own if row["safe_site_in_reach"]]
-        hits = sum(row["map_hits"] for row in own)
-        called = hits + sum(row["map_false_safe"] for row in own)
-        true = hits + sum(row["map_missed"] for row in own)
+        hits, false_safe, missed = (
+            sum(row[name] for row in own) for name in ("map_hits", "map_false_safe", "map_missed")
+        )
+        quality = MapQuality(hits, false_safe, missed, rejected=0)
 
         def column(name: str, own: list[dict[str, Any]] = own) -> np.ndarray:
             return np.array([row[name] for row in own], dtype=np.float64)
@@ -68,8 +104,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             "vertical_speed_max_m_s": _peak(column("vertical_speed_m_s")),
             "horizontal_speed_max_m_s": _peak(column("horizontal_speed_m_s")),
             "tilt_max_deg": _peak(column("tilt_deg")),
-            "precision": hits / called if called else float("nan"),
-            "recall": hits / true if true else float("nan"),
+            "precision": quality.precision,
+            "recall": quality.recall,
         }
     return summary
 

@@ -68,7 +68,7 @@ def features(
 
 @lru_cache(maxsize=1)
 def measured() -> Logistic:
-    """Return the weights measured by `scenarios/gaussian_dem_calibration.py`.
+    """Return the weights measured by `scenarios/gaussian_dem/calibration.py`.
 
     One set a scan: (across, along, feature), flat.
     """

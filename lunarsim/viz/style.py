@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -46,11 +47,13 @@ def policy_colour(name: str) -> str:
 
 
 def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
-    """Return shaded relief in [0, 1] lit from the north-west at 40 deg; NaN stays NaN."""
-    gy, gx = np.gradient(np.asarray(z, dtype=np.float64), posting)
-    light = np.array([-0.54, 0.54, 0.643])
-    shade = (light[2] - gx * light[0] - gy * light[1]) / np.sqrt(1.0 + gx**2 + gy**2)
-    return np.asarray(np.clip(shade, 0.0, 1.0))
+    """Return shaded relief in [0, 1] lit from the north-west at 40 deg; NaN stays NaN.
+
+    Shades of ground without gaps are stretched from the darkest to the brightest.
+    """
+    # Rows run north, where Matplotlib expects them to run south.
+    light = LightSource(azdeg=315.0, altdeg=40.0)
+    return np.asarray(light.hillshade(np.asarray(z, np.float64), dx=posting, dy=-posting))
 
 
 def map_axes(axes: Any, title: str) -> None:

@@ -25,9 +25,10 @@ def flight() -> None:
             record = Simulation(scenario, flight_seed(1, index), "safest").run()
             took = time.perf_counter() - began
             scans = sum(event["name"] == "scan" for event in record.events)
+            posting = next(iter(scenario.mappers.values())).posting_m
             print(
                 f"  {name:9s} flight {index}: {record.duration:5.1f} s flown in {took:5.2f} s, "
                 f"{record.duration / took:5.1f} times real time ({scans} scans, map at "
-                f"{scenario.mapper.posting_m} m, world built too)"
+                f"{posting} m, world built too)"
             )
     numba.set_num_threads(threads)

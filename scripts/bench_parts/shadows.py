@@ -164,7 +164,7 @@ def _flights() -> None:
             if simulation.time >= refreshed + 1.0:
                 refreshed = simulation.time
                 start = time.perf_counter()
-                simulation.eyes.mapper.hazard_map()
+                simulation.computer.mappers["rocks"].hazard_map()
                 mapped += time.perf_counter() - start
         took = time.perf_counter() - began
         Camera.expose = expose

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 class DetectionRates:
     """Rates linear in q, the root of the number of dark pixels, cut at both ends.
 
-    The defaults follow what `scenarios/shadow_rates.py` measures on rendered cubes: the slope of
+    The defaults follow what `scenarios/shadows/rates.py` measures on rendered cubes: the slope of
     rocks missed or merged with another's shadow, the floor of those missed.
 
     The paper takes q along the shadow (III.C); the root of the area equals it for a square patch

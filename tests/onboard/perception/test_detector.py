@@ -296,8 +296,8 @@ def test_direction_of_shadows_is_read_from_the_image():
 
 
 def test_real_image_gives_boulders():
-    """LROC M143947267L with default settings: as `scenarios/shadow_real_image.py` prints."""
-    from scenarios import shadow_real_image as real
+    """LROC M143947267L with default settings: as `scenarios/shadows/real_image.py` prints."""
+    from scenarios.shadows import real_image as real
 
     image = real.load()
     seen = real.detect(image)

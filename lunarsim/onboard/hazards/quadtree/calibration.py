@@ -39,5 +39,5 @@ def features(slope: ArrayLike, roughness: ArrayLike, ratio: ArrayLike, near: Arr
 
 @lru_cache(maxsize=1)
 def measured() -> Logistic:
-    """Return the regression measured by `scenarios/quadtree_calibration.py`."""
+    """Return the regression measured by `scenarios/quadtree/calibration.py`."""
     return Logistic.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT)

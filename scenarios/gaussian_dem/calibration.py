@@ -3,7 +3,7 @@
 Scans testbeds (500 hemispheres of 1 m on 200 x 200 m) in the paper's nine configurations, fits the
 calibrated probability to the even ones and judges both on the odd ones.
 
-python scenarios/gaussian_dem_calibration.py --fields 20 --jobs 2 --out out/gaussian_dem
+python scenarios/gaussian_dem/calibration.py --fields 20 --jobs 2 --out out/gaussian_dem
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from pathlib import Path
 
 import click
 import numpy as np
-from gaussian_dem_testbed import (
+from rich.console import Console
+from rich.table import Table
+from testbed import (
     CONFIGURATIONS,
     LANDER,
     MARGIN,
@@ -23,15 +25,15 @@ from gaussian_dem_testbed import (
     testbed,
     view_grid,
 )
-from rich.console import Console
-from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
+from lunarsim.evaluation.map_quality import MapQuality, precision_at_recall
+from lunarsim.evaluation.reliability import brier_score, calibration_error, reliability
 from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem
 from lunarsim.safety import bounded_safety, stochastic_safety
 from lunarsim.safety.calibration import COUNT, features
 from lunarsim.safety.logistic import Logistic
+from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 # Cells this far apart are judged: neighbours say the same.
@@ -91,15 +93,13 @@ def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
     for panel, (distance, angle), (raw, fitted) in zip(
         panels.ravel(), CONFIGURATIONS, rows, strict=True
     ):
-        panel.plot([0, 1], [0, 1], color="#999999", lw=1)
+        plot_ideal(panel)
         for table, colour, label in (
             (raw, COLOURS[1], "Eqs. 15-17"),
             (fitted, COLOURS[0], "calibrated"),
         ):
-            panel.plot(
-                *frequencies(table[table[:, 0] >= 50]), "o-", color=colour, ms=4,
-                label=f"{label}, ECE {calibration_error(table):.3f}",
-            )  # fmt: skip
+            error = calibration_error(table)
+            plot_reliability(panel, table, color=colour, label=f"{label}, ECE {error:.3f}")
         panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
         panel.legend(loc="lower right")
         panel.grid(alpha=0.3)
@@ -118,7 +118,7 @@ def draw(rows: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write the model to this file; the package's own is "
-                   "lunarsim/hazards/safety/calibration.json.")  # fmt: skip
+                   "lunarsim/safety/calibration.json.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for the diagram.")  # fmt: skip
 def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
@@ -127,7 +127,7 @@ def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
     judged = gathered(judge, range(fields), jobs, console, "testbeds")
     fields = len(judged)
     fitted, kept = judged[::2], judged[1::2]
-    note = f"scenarios/gaussian_dem_calibration.py --fields {fields}"
+    note = f"scenarios/gaussian_dem/calibration.py --fields {fields}"
     models = []
     for n in range(len(CONFIGURATIONS)):
         sites = merged(fitted, n)
@@ -147,18 +147,16 @@ def main(fields: int, jobs: int, target: Path | None, out: Path | None) -> None:
         tables = reliability(sites.p_safe, sites.safe), reliability(own, sites.safe)
         rows.append(tables)
         share = sites.safe.mean()
-        precision = [sites.safe[p > 0.5].mean() for p in (sites.p_safe, own)]
-        recall = [(p > 0.5)[sites.safe].mean() for p in (sites.p_safe, own)]
-        # The threshold at which the calibrated one finds as many.
-        level = float(np.quantile(own[sites.safe], 1.0 - recall[0]))
-        precision.append(sites.safe[own >= level].mean())
+        raw, calibrated = (MapQuality.of(p > 0.5, sites.safe) for p in (sites.p_safe, own))
+        # At the threshold at which the calibrated one finds as many.
+        strict = precision_at_recall(own, sites.safe, raw.recall)
         table.add_row(
             f"{distance:.0f}", f"{angle:.0f}", f"{sites.safe.size}", f"{share:.3f}",
             f"{calibration_error(tables[0]):.4f}", f"{sites.p_safe.mean() - share:+.3f}",
             f"{calibration_error(tables[1]):.4f}", f"{own.mean() - share:+.3f}",
-            *(f"{v:.4f}" for v in precision[:2]), *(f"{v:.4f}" for v in recall),
-            f"{precision[2]:.4f}",
-            *(f"{np.mean((p - sites.safe) ** 2):.4f}" for p in (sites.p_safe, own)),
+            f"{raw.precision:.4f}", f"{calibrated.precision:.4f}",
+            f"{raw.recall:.4f}", f"{calibrated.recall:.4f}", f"{strict:.4f}",
+            *(f"{brier_score(p, sites.safe):.4f}" for p in (sites.p_safe, own)),
         )  # fmt: skip
     console.print(table)
     if target is not None:

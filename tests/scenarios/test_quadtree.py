@@ -3,35 +3,43 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 from click.testing import CliRunner
 
 from lunarsim.onboard.hazards.quadtree.calibration import COUNT
 from lunarsim.safety.logistic import Logistic
-from tests.conftest import ROOT
-from tests.simulation.test_quadtree_flight import scenario
-
-sys.path.insert(0, str(ROOT / "scenarios"))
+from lunarsim.scenario import Scenario
+from tests.conftest import SCENARIOS
 
 
 @pytest.fixture
-def small(monkeypatch, tmp_path):
+def small(script, monkeypatch, tmp_path):
     """A short sweep in the place of the paper's, read by the script named."""
+    short = Scenario.load(SCENARIOS / "morpheus.toml").changed(
+        terrain={"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
+        start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
+        start_knowledge={"position_m": 8.0},
+        prior_map={"size_m": 180.0},
+        sensors={"flash": {"half_width": 0.025}},
+        tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
+        mappers={"sites": {"size_m": 64.0}},
+        approach={"time_to_go_s": 30.0},
+        decisions={"first_altitude_m": 80.0},
+        simulation={"cycle_s": 0.1},
+    )
 
-    def use(module):
-        scenario().save(tmp_path / "morpheus.toml")
-        monkeypatch.setattr(module, "HERE", tmp_path)
+    def use(name):
+        module = script("quadtree", name)
+        short.save(tmp_path / "morpheus.toml")
+        monkeypatch.setattr(module, "SCENARIOS", tmp_path)
         return module
 
     return use
 
 
 def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path):
-    import morpheus_hazard_field
-
-    experiment = small(morpheus_hazard_field)
+    experiment = small("hazard_field")
     monkeypatch.setattr(experiment, "TIMES", (4.0, 8.0))
     out, file = tmp_path / "out", tmp_path / "all.json"
     arguments = ["--seed", "5", "--out", str(out), "--json", str(file)]
@@ -55,9 +63,7 @@ def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path):
 
 
 def test_mappers_are_compared_on_the_same_scans(small, tmp_path):
-    import compare_mappers
-
-    experiment = small(compare_mappers)
+    experiment = small("compare_mappers")
     arguments = ["--fields", "1", "--boulders", "120", "--seed", "5"]
     files = ["--json", str(tmp_path / "c.json"), "--out", str(tmp_path)]
     done = CliRunner().invoke(experiment.main, arguments + files)
@@ -72,9 +78,7 @@ def test_mappers_are_compared_on_the_same_scans(small, tmp_path):
 
 
 def test_calibration_script_fits_and_judges(small, tmp_path):
-    import quadtree_calibration
-
-    experiment = small(quadtree_calibration)
+    experiment = small("calibration")
     arguments = ["--fields", "4", "--save", str(tmp_path / "m.json"), "--out", str(tmp_path)]
     done = CliRunner().invoke(experiment.main, arguments)
     assert done.exit_code == 0, done.output

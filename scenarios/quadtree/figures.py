@@ -59,14 +59,14 @@ def _terrain(axes: Any, maps: dict[str, Any]) -> Any:
 def draw_mapping(look: dict[str, Any], path: Path) -> None:
     """Draw true and mapped elevation and the error between (paper, Figures 10 to 12)."""
     maps = look["maps"]
-    xy, size, error, _ = maps["height"]
+    xy, size, error, true = maps["height"]
     figure = new_figure(13.0, 4.4)
     truth, mapped, wrong = figure.subplots(1, 3, sharex=True, sharey=True)
     image = _terrain(truth, maps)
     figure.colorbar(image, ax=truth, label="elevation (m)", shrink=0.8)
     _frame(truth, maps, "truth")
     low, high = image.get_clim()
-    cells = _cells(mapped, xy, size, maps["mapped"], cmap="cividis", vmin=low, vmax=high)
+    cells = _cells(mapped, xy, size, true + error, cmap="cividis", vmin=low, vmax=high)
     figure.colorbar(cells, ax=mapped, label="elevation (m)", shrink=0.8)
     _frame(mapped, maps, f"map at {look['time']:.0f} s")
     cells = _cells(wrong, xy, size, error, cmap="RdBu_r", vmin=-0.15, vmax=0.15)

@@ -3,36 +3,40 @@
 The experiment of the quadtree paper (section 5) on simulated fields: boulders and craters on level
 grass, a Morpheus-like lander, 20 s of sweep. Sites are looked at 13 s and 20 s after the start.
 
-python scenarios/morpheus_hazard_field.py --fields 30 --jobs 2 --out out/morpheus
+python scenarios/quadtree/hazard_field.py --fields 30 --jobs 2 --out out/morpheus
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
 import numpy as np
+from judging import Ground, confused, ground_under, judged_sites, map_errors, slope_errors
 from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.evaluation.truth_mesh import TruthMesh, truth_hazards
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.grid import Grid
-from lunarsim.onboard.guidance.jerk_limited import site_cost
-from lunarsim.onboard.hazards.quadtree import STATUS, InterestMap, Selection
+from lunarsim.onboard.hazards.quadtree import (
+    STATUS,
+    InterestMap,
+    QuadtreeMap,
+    QuadtreeMapper,
+    Selection,
+)
 from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-HERE = Path(__file__).parent
+SCENARIOS = Path(__file__).parents[1]
 TIMES = (13.0, 20.0)
-# Posting of the truth DEM, m.
-TRUTH = 0.1
 # Section 5 of the paper, by eye from its text: it gives no areas.
 PAPER = {
     "map error": "generally under 0.5 m",
@@ -53,57 +57,64 @@ class Task:
     pictures: bool
 
 
-def interest_map(grid: Grid) -> InterestMap:
+def interest_map(scenario: Scenario) -> InterestMap:
     """Return an interest that is greatest in the north-east and nought in the south-west corner."""
-    west, east, south, north = grid.extent
-    coarse = Grid.centred((0.5 * (west + east), 0.5 * (south + north)), east - west, 5.0)
-    centres = coarse.centres()
-    far = np.hypot(centres[..., 0] - 0.7 * east, centres[..., 1] - 0.7 * north)
-    value = np.clip(1.0 - far / (1.2 * (east - west)), 0.0, 1.0)
-    corner = (centres[..., 0] < 0.7 * west) & (centres[..., 1] < 0.7 * south)
-    return InterestMap(coarse, np.where(corner, 0.0, value))
+    side = scenario.mappers["sites"].size_m
+    grid = Grid.centred(scenario.target.position_m, side, 5.0)
+    east, north = np.moveaxis(grid.centres() - scenario.target.position_m, -1, 0)
+    far = np.hypot(east - 0.35 * side, north - 0.35 * side)
+    value = np.clip(1.0 - far / (1.2 * side), 0.0, 1.0)
+    corner = (east < -0.35 * side) & (north < -0.35 * side)
+    return InterestMap(grid, np.where(corner, 0.0, value))
+
+
+def prepared(task: Task, folder: Path) -> Simulation:
+    """Return the flight over one field, told by a file in `folder` where the interest lies."""
+    scenario = Scenario.load(SCENARIOS / "morpheus.toml")
+    interest = interest_map(scenario)
+    g, path = interest.grid, folder / "interest.npz"
+    np.savez(path, value=interest.value, x0=g.x0, y0=g.y0, posting=g.posting)
+    sites: dict[str, Any] = {"interest_path": str(path)}
+    if not task.hold:
+        sites["hold_sigma_m"] = 1e9
+    scenario = scenario.changed(mappers={"sites": sites})
+    return Simulation(scenario, flight_seed(task.seed, task.field))
 
 
 def fly(task: Task) -> dict[str, Any]:
     """Fly the sweep over one field; return figures of merit, and maps for the pictures."""
-    scenario = Scenario.load(HERE / "morpheus.toml")
-    if not task.hold:
-        sites = scenario.sites.model_copy(update={"hold_sigma_m": 1e9})
-        scenario = scenario.model_copy(update={"sites": sites})
-    simulation = Simulation(scenario, flight_seed(task.seed, task.field))
-    eyes = simulation.eyes
-    interest = interest_map(eyes.mapper.grid)
-    eyes.mapper.selector.interest = interest
+    with TemporaryDirectory() as folder:
+        simulation = prepared(task, Path(folder))
+    found: LidarInertialFilter = simulation.computer.navigation
     pending, looks = list(TIMES), []
     track: list[tuple[float, ...]] = []
     while pending:
-        simulation.step()
-        track.append((simulation.time, *navigation_error(simulation), *deviations(eyes.filter)))
+        # Estimate and truth of the same moment are there between the two halves of a cycle.
+        simulation.update()
+        track.append((simulation.time, *navigation_error(simulation), *deviations(found)))
         if simulation.time >= pending[0] - 1e-9:
             looks.append(look(simulation, pending.pop(0), task.pictures))
-    f = eyes.filter
+        simulation.move()
+    tree = simulation.computer.mappers["sites"].map
     return {
         "field": task.field,
-        "lock": next((e.time for e in f.events if e.name == "lock"), None),
-        "events": [(e.time, e.name) for e in f.events],
+        "lock": next((e.time for e in found.events if e.name == "lock"), None),
+        "events": [(e.time, e.name) for e in found.events],
         "position_error": list(track[-1][1:4]),
         "attitude_error": list(np.rad2deg(track[-1][4:7])),
         "position_sigma": list(track[-1][7:10]),
         "attitude_sigma": list(np.rad2deg(track[-1][10:13])),
-        "points": eyes.mapper.map.count,
-        "megabytes": eyes.mapper.map.nbytes / 1e6,
+        "points": tree.count,
+        "megabytes": tree.nbytes / 1e6,
         "looks": looks,
         "track": np.array(track) if task.pictures else None,
     }
 
 
 def navigation_error(simulation: Simulation) -> np.ndarray:
-    """Return true less estimated position (m) and the small turn between (rad) (6,)."""
-    inertial = simulation.eyes.filter.inertial
-    turn = quat_multiply(quat_conjugate(inertial.attitude), simulation.state.attitude)
-    return np.concatenate(
-        (simulation.state.position - inertial.position, quat_to_rotation_vector(turn))
-    )
+    """Return true less estimated position on the map (m) and the small turn between (rad) (6,)."""
+    turn = quat_multiply(quat_conjugate(simulation.estimate.attitude), simulation.state.attitude)
+    return np.concatenate((-simulation.site_error, quat_to_rotation_vector(turn)))
 
 
 def deviations(found: LidarInertialFilter) -> np.ndarray:
@@ -113,54 +124,16 @@ def deviations(found: LidarInertialFilter) -> np.ndarray:
 
 def look(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
     """Judge map and sites as they stand against the truth."""
-    mapper = simulation.eyes.mapper
+    mapper = simulation.computer.mappers["sites"]
     selection = mapper.select()
-    s = mapper.selector.settings
-    # A lander that has not found its place maps the ground where it believes it to be.
-    shift = np.zeros(3) if simulation.eyes.filter.found else -navigation_error(simulation)[:3]
-    g = mapper.grid
-    west, east, south, north = g.extent
-    fine = Grid.centred((0.5 * (west + east), 0.5 * (south + north)), east - west, TRUTH)
-    there = Grid(fine.x0 - shift[0], fine.y0 - shift[1], TRUTH, fine.rows, fine.cols)
-    elevation = simulation.world.terrain.raster(there)
-    hazard = truth_hazards(elevation, fine, 2.0 * s.zone, s.roughness_limit)
-    mesh = TruthMesh(elevation, fine, 2.0 * s.zone)
-    height = map_errors(simulation, elevation, fine, shift)
-    slope = slope_errors(simulation, selection, mesh)
-    confusion, estimated = confused(simulation, hazard, fine)
-    cost = site_cost(
-        simulation.estimate,
-        np.array([site.position for site in selection.ranked]).reshape(-1, 3)
-        + np.array([0.0, 0.0, simulation.lander.com_height]),
-        simulation.scenario.gravity_m_s2,
-        simulation.lander.exhaust_velocity,
-        jerk=simulation.scenario.sites.jerk_m_s3,
-        snap=simulation.scenario.sites.snap_m_s4,
-    )
-    exact = simulation.truth
-    sites = [
-        asdict(site)
-        | {
-            "position": list(site.position),
-            "propellant": float(cost.propellant[i]),
-            "increment": float(cost.increment[i]),
-            "time_to_go": float(cost.time_to_go[i]),
-            "hazard_m2": zone_hazard(site.position, hazard, fine, s.zone),
-            "exactly_safe": bool(exact.safe_at(site.position[:2] - shift[:2])),
-        }
-        for i, site in enumerate(selection.ranked)
-    ]
+    ground = ground_under(mapper, simulation)
+    height = map_errors(mapper, ground)
+    slope = slope_errors(mapper, selection, ground.mesh)
+    areas, estimated = confused(mapper, ground)
     maps = None
     if pictures:
-        maps = {
-            "elevation": elevation, "hazard": hazard, "estimated": estimated, "fine": fine,
-            "height": height, "slope": slope, "selection": selection,
-            "sizes": mapper.map.sizes(selection.nodes),
-            "cells": cells_of(mapper.map), "interest": mapper.selector.interest,
-            "zone": s.zone, "ratios": mapper.selector.ratios.copy(),
-            "side": mapper.map.side, "centre": mapper.map.centre.copy(),
-            "limit": s.exception_limit, "mapped": height[2] + height[3],
-        }  # fmt: skip
+        maps = pictured(mapper, selection, ground)
+        maps |= {"height": height, "slope": slope, "estimated": estimated}
     finite = height[2][np.isfinite(height[2])]
     angles = slope[np.isfinite(slope)]
     return {
@@ -170,75 +143,32 @@ def look(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
         "slope_error_max": float(angles.max()) if angles.size else float("nan"),
         "slope_error_mean": float(angles.mean()) if angles.size else float("nan"),
         "status": {STATUS[k]: int((selection.status == k).sum()) for k in range(len(STATUS))},
-        **confusion,
-        "sites": sites,
+        **areas,
+        "sites": judged_sites(simulation, selection, mapper.selector.settings, ground),
         "maps": maps,
     }
 
 
-def map_errors(
-    simulation: Simulation, elevation: np.ndarray, fine: Grid, shift: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return centres (n, 2), sides, elevation errors and true elevations (n,) of cells of 0.4 m."""
-    quadtree = simulation.eyes.mapper.map
-    nodes = quadtree.band(4.0 * quadtree.least, 8.0 * quadtree.least)
-    xy, side = quadtree.centres(nodes), quadtree.sizes(nodes)
-    truth = np.full(len(nodes), np.nan)
-    for size in np.unique(side):
-        n = round(size / fine.posting)
-        mine = np.flatnonzero(side == size)
-        row, col = fine.cell(xy[mine] - 0.5 * size + 0.5 * fine.posting)
-        good = (row >= 0) & (col >= 0) & (row + n <= fine.rows) & (col + n <= fine.cols)
-        rows = row[good, None] + np.arange(n)
-        cols = col[good, None] + np.arange(n)
-        truth[mine[good]] = elevation[rows[:, :, None], cols[:, None, :]].mean(axis=(1, 2))
-    truth += shift[2]
-    return xy, side, quadtree.elevation(nodes) - truth, truth
-
-
-def slope_errors(simulation: Simulation, selection: Selection, mesh: TruthMesh) -> np.ndarray:
-    """Return the angle between estimated and true normals at the sites (n,), deg; NaN off one."""
-    estimated = simulation.eyes.mapper.selector.mesh.normals_of(selection.nodes)
-    true, _ = mesh.plane(selection.position[:, :2])
-    cosine = np.einsum("ij,ij->i", estimated, true)
-    return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def confused(
-    simulation: Simulation, hazard: np.ndarray, fine: Grid
-) -> tuple[dict[str, float], np.ndarray]:
-    """Compare hazard cells with the truth; return areas (m^2) and the estimate (rows, cols).
-
-    The estimate is NaN where cells have too few points: the paper's grey.
-    """
-    mapper = simulation.eyes.mapper
-    ratios, tree = mapper.selector.ratios, mapper.map
-    square = tree.side / len(ratios)
-    corner = tree.centre[:2] - 0.5 * tree.side
-    col = np.floor((fine.x - corner[0]) / square).astype(int)
-    row = np.floor((fine.y - corner[1]) / square).astype(int)
-    ratio = ratios[np.ix_(row, col)]
-    estimated = np.where(np.isnan(ratio), np.nan, ratio > mapper.selector.settings.exception_limit)
-    judged = np.isfinite(estimated) & np.isfinite(hazard)
-    area = fine.posting**2
-    called, true = estimated == 1.0, hazard == 1.0
+def pictured(mapper: QuadtreeMapper, selection: Selection, ground: Ground) -> dict[str, Any]:
+    """Return what the pictures show besides the errors."""
+    tree, selector = mapper.map, mapper.selector
     return {
-        "judged_m2": float(judged.sum() * area),
-        "hazard_m2": float((judged & true).sum() * area),
-        "missed_m2": float((judged & true & ~called).sum() * area),
-        "false_m2": float((judged & ~true & called).sum() * area),
-    }, estimated
+        "elevation": ground.elevation,
+        "hazard": ground.hazard,
+        "fine": ground.grid,
+        "selection": selection,
+        "sizes": tree.sizes(selection.nodes),
+        "cells": cells_of(tree),
+        "interest": selector.interest,
+        "zone": selector.settings.zone,
+        "limit": selector.settings.exception_limit,
+        "ratios": selector.ratios.copy(),
+        "side": tree.side,
+        "centre": tree.centre.copy(),
+    }
 
 
-def zone_hazard(position: np.ndarray, hazard: np.ndarray, fine: Grid, zone: float) -> float:
-    """Return the area of true hazard in a landing zone, m^2."""
-    near = (np.abs(fine.x - position[0]) <= zone)[None, :] & (np.abs(fine.y - position[1]) <= zone)[
-        :, None
-    ]
-    return float((hazard[near] == 1.0).sum() * fine.posting**2)
-
-
-def cells_of(quadtree: Any) -> tuple[np.ndarray, np.ndarray]:
+def cells_of(quadtree: QuadtreeMap) -> tuple[np.ndarray, np.ndarray]:
     """Return centres (n, 2) and sides (n,) of the smallest cells down to the eighth division."""
     nodes = quadtree.band(quadtree.side / 2**8, quadtree.side)
     return quadtree.centres(nodes), quadtree.sizes(nodes)
@@ -279,10 +209,11 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> None:
     """Print the tables."""
-    n = summary["fields"]
+    n, lock = summary["fields"], summary["lock_time_median_s"]
     console.print(
-        f"{summary['locked']} of {n} flights found their place on the map, the median after "
-        f"{summary['lock_time_median_s']} s; then at 20 s, root mean square of each axis: position "
+        f"{summary['locked']} of {n} flights found their place on the map"
+        + (f", the median after {lock:.1f} s" if lock is not None else "")
+        + "; then at 20 s, root mean square of each axis: position "
         + ", ".join(f"{v:.3f}" for v in summary["position_rms_m"])
         + " m, attitude "
         + ", ".join(f"{v:.3f}" for v in summary["attitude_rms_deg"])
@@ -309,7 +240,7 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
         table.add_row(label, *(form.format(one[key]) for one in summary["looks"]), paper)
     console.print(table)
     for one in first["looks"]:
-        sites = Table(title=f"Field {first['field']}: sites at {one['time']:.0f} s")
+        sites = Table(title=f"Field {first['field']}: sites at {one['time']:.0f} s, local frame")
         for heading in ("rank", "east (m)", "north (m)", "score", "interest", "slope (deg)",
                         "roughness (m)", "time-to-go (s)", "delta-v (m/s)",
                         "propellant (kg)"):  # fmt: skip
@@ -357,7 +288,7 @@ def main(
             json.dumps({"summary": summary, "flights": plain}, indent=1), encoding="utf-8"
         )
     if out is not None:
-        from morpheus_figures import draw_all
+        from figures import draw_all
 
         draw_all(results[0], out)
 

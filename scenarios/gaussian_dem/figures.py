@@ -1,4 +1,4 @@
-"""Figures of `gaussian_dem_tables.py`."""
+"""Figures of `tables.py`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import ListedColormap
 
-from lunarsim.evaluation.reliability import calibration_error, frequencies
+from lunarsim.evaluation.precision_recall import PrecisionRecall
+from lunarsim.evaluation.reliability import calibration_error
+from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 
 _VIEW = 10.0  # side of the segment that the paper shows, m
@@ -80,8 +82,8 @@ def draw_reliability(
     figure = new_figure(9.0, 8.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     for ax, counts, (distance, angle) in zip(axes.ravel(), bins, configurations, strict=True):
-        ax.plot([0, 1], [0, 1], color="0.6", lw=1, label="true probability")
-        ax.plot(*frequencies(counts[counts[:, 0] > 50]), "o-", color="#0072B2", ms=4, label="map")
+        plot_ideal(ax, label="true probability")
+        plot_reliability(ax, counts, color="#0072B2", label="map")
         share = counts[:, 0] / counts[:, 0].sum()
         ax.bar((np.arange(20) + 0.5) / 20, share, width=0.045, color="#E69F00", alpha=0.6,
                label="share of cells")  # fmt: skip
@@ -190,7 +192,7 @@ def draw_truth(field: Any, layer: np.ndarray, limit: float, label: str, path: Pa
 
 
 def draw_precision_recall(
-    curves: np.ndarray, names: tuple[str, ...], configurations: list[tuple[float, float]],
+    curves: list[dict[str, PrecisionRecall]], configurations: list[tuple[float, float]],
     paper: list[tuple[float, float]], title: str, lowest: float, path: Path,
 ) -> None:  # fmt: skip
     """Precision against recall as the threshold falls, the paper's point beside.
@@ -198,10 +200,7 @@ def draw_precision_recall(
     Parameters
     ----------
     curves
-        Numbers of unsafe and safe cells by bin of probability, rising (configurations, methods,
-        2, bins).
-    names
-        Of the methods.
+        By configuration and name of the method.
     configurations
         Range and angle of each scan.
     paper
@@ -214,10 +213,12 @@ def draw_precision_recall(
     for ax, own, (distance, angle), (precision, recall) in zip(
         axes.ravel(), curves, configurations, paper, strict=True
     ):
-        for name, counts, colour in zip(names, own, ("#D55E00", "#0072B2", "#009E73"), strict=True):
-            p, r, half = precision_recall(counts)
+        colours = ("#D55E00", "#0072B2", "#009E73")
+        for (name, curve), colour in zip(own.items(), colours, strict=True):
+            p, r = curve.curve()
+            half = curve.at_half()
             ax.plot(r, p, color=colour, label=name)
-            ax.plot(r[half], p[half], "o", color=colour, ms=4)
+            ax.plot(half.recall, half.precision, "o", color=colour, ms=4)
         ax.plot(recall, precision, "k*", ms=9, label="proposed, paper")
         ax.set_title(f"{distance:.0f} m, {angle:.0f} deg")
         ax.set_xlim(0.6, 1.003)
@@ -230,15 +231,3 @@ def draw_precision_recall(
     axes[0, 0].legend(loc="lower left", fontsize=7)
     figure.suptitle(f"{title}; dots: p > 0.5")
     save(figure, path)
-
-
-def precision_recall(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return precision and recall by falling threshold, and the index of the threshold 0.5.
-
-    `counts` are the numbers of unsafe and safe cells by bin (2, bins), an even number of bins
-    that lie symmetrically about one half.
-    """
-    wrong, hits = np.cumsum(counts[:, ::-1], axis=1)
-    used = hits + wrong > 0
-    half = int(used[: counts.shape[1] // 2].sum()) - 1
-    return hits[used] / (hits + wrong)[used], hits[used] / max(hits[-1], 1), max(half, 0)

@@ -5,7 +5,7 @@ prior is scanned, interpolated like the scan itself, and what the interpolation 
 the mean (Matheron's rule). The exact test on many such terrains gives the probability of safety
 under the model; Eqs. 15 to 17 and `plane_stochastic_safety` are compared with it.
 
-python scenarios/gaussian_dem_monte_carlo.py --samples 200 --jobs 2 --out out/gaussian_dem
+python scenarios/gaussian_dem/monte_carlo.py --samples 200 --jobs 2 --out out/gaussian_dem
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any
 
 import click
 import numpy as np
-from gaussian_dem_testbed import LANDER, MARGIN, Field, crop, scan, testbed
 from rich.console import Console
 from rich.table import Table
 from scipy import fft, ndimage
+from testbed import LANDER, MARGIN, Field, crop, scan, testbed
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
+from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, gaussian_dem
 from lunarsim.safety import (
@@ -32,6 +32,7 @@ from lunarsim.safety import (
     safe_sites,
     stochastic_safety,
 )
+from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 CONFIGURATIONS = [(200.0, 30.0), (500.0, 0.0), (500.0, 60.0), (1000.0, 30.0)]
@@ -121,10 +122,9 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
     figure = new_figure(3.0 * len(results), 3.6)
     panels = figure.subplots(1, len(results), sharey=True)
     for panel, result, (distance, angle) in zip(panels, results, CONFIGURATIONS, strict=True):
-        panel.plot([0, 1], [0, 1], color="#999999", lw=1)
+        plot_ideal(panel)
         for name, colour in zip(METHODS, (COLOURS[1], COLOURS[0]), strict=True):
-            table = result["table"][name]
-            panel.plot(*frequencies(table[table[:, 0] >= 50]), "o-", color=colour, ms=4, label=name)
+            plot_reliability(panel, result["table"][name], color=colour, label=name)
         panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
         panel.set_xlabel("stated probability of safety")
         panel.set_aspect("equal")

@@ -1,4 +1,4 @@
-"""Every script in scenarios/ runs; the tables hold what they promise, small."""
+"""The Gaussian DEM scripts run; the tables hold what they promise, small."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.conftest import ROOT
+from tests.conftest import SCENARIOS
 
-SCRIPT = ROOT / "scenarios" / "gaussian_dem_tables.py"
+SCRIPT = SCENARIOS / "gaussian_dem" / "tables.py"
 
 
 def run(*arguments: str) -> str:
@@ -55,19 +55,8 @@ def test_unknown_table_is_refused():
     assert "Traceback" not in done.stderr
 
 
-def test_gallery_renders_a_scene_and_fits_the_rocks(tmp_path):
-    script = ROOT / "scenarios" / "gallery.py"
-    for only in ("hirise", "rocks"):
-        command = [sys.executable, str(script), "--only", only, "--out", str(tmp_path)]
-        subprocess.run(command, capture_output=True, text=True, check=True)
-    assert (tmp_path / "hirise.png").stat().st_size > 20_000
-    assert (tmp_path / "rock_sizes.png").exists()
-
-
-def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "scenarios"))
-    import gaussian_dem_monte_carlo as study
-
+def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):
+    study = script("gaussian_dem", "monte_carlo")
     for configuration in (1, 3):
         dem = study.scanned(configuration, 0)[-1]
         task = study.Task(configuration, 0, 0, 1)
@@ -83,3 +72,9 @@ def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, monkeypatc
     assert done.output.count("support planes") == 4
     assert (tmp_path / "monte_carlo.png").stat().st_size > 20_000
     assert CliRunner().invoke(study.main, ["--samples", "0"]).exit_code == 2
+
+
+def test_calibration_wants_fields_to_judge_by(script):
+    study = script("gaussian_dem", "calibration")
+    done = CliRunner().invoke(study.main, ["--fields", "1"])
+    assert done.exit_code == 2

@@ -4,7 +4,7 @@ The Gaussian DEM and the quadtree are given the same scans at the same estimated
 where the lander would be safe; the exact safety of the true ground judges both. The paper of each
 compares with a simpler map of its own kind, never with the other.
 
-python scenarios/compare_mappers.py --fields 4 --out out/mappers
+python scenarios/quadtree/compare_mappers.py --fields 4 --out out/mappers
 """
 
 from __future__ import annotations
@@ -23,21 +23,24 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from lunarsim.evaluation.reliability import frequencies, reliability
+from lunarsim.evaluation.map_quality import MapQuality, local_ground, precision_at_recall
+from lunarsim.evaluation.reliability import reliability
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem import fuse, gaussian_dem
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSelector
-from lunarsim.onboard.hazards.quadtree.mapper import rasterised
+from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapping, rasterised
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.parts.settings import settings_of
 from lunarsim.rng import flight_seed
-from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety import SafetyMap, exact_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.recorder import Tap
+from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 
-HERE = Path(__file__).parent
+SCENARIOS = Path(__file__).parents[1]
 # Of the common grid, m.
 POSTING = 0.2
 # At which precisions are compared too: mappers see less ground, or call it with more care.
@@ -48,6 +51,12 @@ NAMES = {
     "planes": "Gaussian DEM, support planes",
     "quadtree": "quadtree",
     "eligible": "quadtree, eligible sites (Table 1)",
+}
+CLASSES = {
+    "safe, called safe": "#a6cee3",
+    "safe, called unsafe": "#fdbf6f",
+    "unsafe, called safe": "#e31a1c",
+    "unsafe, called unsafe": "#8c8c8c",
 }
 
 
@@ -77,23 +86,22 @@ class Answer:
 
 def sweep(field: int, seed: int, boulders: int) -> tuple[Simulation, Scans]:
     """Fly the sweep over a field; return the simulation and its scans after the lock."""
-    base = Scenario.load(HERE / "morpheus.toml")
-    terrain = base.terrain.model_copy(update={"boulders": boulders})
-    simulation = Simulation(base.model_copy(update={"terrain": terrain}), flight_seed(seed, field))
+    scenario = Scenario.load(SCENARIOS / "morpheus.toml").changed(terrain={"boulders": boulders})
+    tap = Tap()
+    simulation = Simulation(scenario, flight_seed(seed, field), tap=tap)
+    duration = scenario.tasking["flash"].duration_s
     scans: Scans = []
-    eyes = simulation.eyes
-
-    def keep(scan: LidarScan, estimate: Estimate) -> None:
-        if eyes.filter.locked:
-            scans.append((scan, estimate))
-
-    eyes.on_scan = keep
-    while simulation.time < base.sweep.duration_s and not simulation.done:
+    while simulation.time < duration and not simulation.done:
         simulation.step()
+        taken, *_ = tap.exchanges[-1]
+        if simulation.computer.navigation.locked:
+            scans += [(m, simulation.estimate) for _, m in taken.items if isinstance(m, LidarScan)]
     return simulation, scans
 
 
-def by_gaussian_dem(simulation: Simulation, scans: Scans, grid: Grid) -> dict[str, Answer]:
+def by_gaussian_dem(
+    lander: Lander, scans: Scans, grid: Grid, ground: np.ndarray
+) -> dict[str, Answer]:
     """Return what the Gaussian DEM says, by the conservative test and by support planes."""
     began = time.perf_counter()
     dem = None
@@ -104,24 +112,26 @@ def by_gaussian_dem(simulation: Simulation, scans: Scans, grid: Grid) -> dict[st
         dem = new if dem is None else fuse(dem, new)
     build = time.perf_counter() - began
     seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
-    error = root_mean_square(seen - simulation.world.terrain.raster(grid))
+    error = root_mean_square(seen - ground)
     megabytes = (dem.mean.nbytes + dem.variance.nbytes + dem.observed.nbytes) / 1e6
     answers = {}
     for name, judge in (("level", stochastic_safety), ("planes", plane_stochastic_safety)):
-        judge(seen, dem.variance, grid, simulation.lander)
+        judge(seen, dem.variance, grid, lander)
         began = time.perf_counter()
-        safety = judge(seen, dem.variance, grid, simulation.lander)
+        safety = judge(seen, dem.variance, grid, lander)
         judged = time.perf_counter() - began
         answers[name] = Answer(safety.p_safe, safety.observed, build, judged, megabytes, error)
     return answers
 
 
-def by_quadtree(simulation: Simulation, scans: Scans, grid: Grid) -> dict[str, Answer]:
+def by_quadtree(
+    part: QuadtreeMapping, scans: Scans, grid: Grid, ground: np.ndarray
+) -> dict[str, Answer]:
     """Return what the quadtree says, as a probability and by the limits of the paper."""
-    scenario = simulation.scenario
     mapper = QuadtreeMapper(
-        grid, settings_of(scenario), elevation=float(simulation.site[2]), hold_sigma=np.inf
-    )
+        grid, part.sites, elevation=float(np.median(ground)), least=part.least,
+        split_count=part.split_count, hold_sigma=np.inf,
+    )  # fmt: skip
     began = time.perf_counter()
     for scan, estimate in scans:
         mapper.map.insert(scan.points(estimate.position, estimate.attitude))
@@ -133,11 +143,10 @@ def by_quadtree(simulation: Simulation, scans: Scans, grid: Grid) -> dict[str, A
     selection = mapper.select()
     size = mapper.map.sizes(selection.nodes)
     good = rasterised(grid, selection.position[:, :2], size, selection.status == 0, 0.0)
-    truth = simulation.world.terrain.raster(grid)
     fine = mapper.map.band(grid.posting, 2.0 * grid.posting)
     r, c = grid.cell(mapper.map.centres(fine))
     inside = (r >= 0) & (c >= 0) & (r < grid.rows) & (c < grid.cols)
-    gap = mapper.map.elevation(fine)[inside] - truth[r[inside], c[inside]]
+    gap = mapper.map.elevation(fine)[inside] - ground[r[inside], c[inside]]
     megabytes, error = mapper.map.nbytes / 1e6, root_mean_square(gap)
     return {
         "quadtree": Answer(hazard_map.p_safe, hazard_map.observed, build, judged, megabytes, error),
@@ -153,31 +162,31 @@ def root_mean_square(x: np.ndarray) -> float:
 def compare(field: int, seed: int, boulders: int) -> dict[str, Any]:
     """Return figures by mapper, and the maps."""
     simulation, scans = sweep(field, seed, boulders)
-    own = simulation.eyes.mapper.grid
-    middle = (0.5 * (own.x[0] + own.x[-1]), 0.5 * (own.y[0] + own.y[-1]))
-    grid = Grid.centred(middle, own.cols * own.posting, POSTING)
     if not scans:
         return {"field": field, "scans": 0, "rows": {}}
-    answers = by_gaussian_dem(simulation, scans, grid) | by_quadtree(simulation, scans, grid)
-    elevation = simulation.world.terrain.raster(grid)
+    own = simulation.computer.mappers["sites"].grid
+    grid = Grid.centred(own.centre, own.cols * own.posting, POSTING)
+    # Maps are in the local frame: so is the ground that judges them.
+    ground = local_ground(simulation.world.terrain, grid, simulation.navigation_error)
+    lander, part = simulation.lander, simulation.scenario.mappers["sites"].make()
+    answers = by_gaussian_dem(lander, scans, grid, ground) | by_quadtree(part, scans, grid, ground)
     began = time.perf_counter()
-    truth = exact_safety(elevation, grid, simulation.lander)
+    truth = exact_safety(ground, grid, lander)
     took = time.perf_counter() - began
     # All ground that any of them has seen; what a mapper has not seen it does not call safe.
     common = np.logical_or.reduce([a.observed for a in answers.values()]) & truth.observed
     safe = truth.safe[common]
+    area = grid.posting**2
     rows = {}
     for name, a in answers.items():
         p = np.where(a.observed, a.p_safe, 0.0)[common]
-        called = p > 0.5
-        level = float(np.quantile(p[safe], 1.0 - RECALL))
-        strict = (p >= level) & (p > 0.0)
+        quality = MapQuality.of(p > 0.5, safe)
         rows[name] = {
-            "precision": float(safe[called].mean()) if called.any() else float("nan"),
-            "recall": float(called[safe].mean()),
-            "precision_at_recall": float(safe[strict].mean()) if level > 0.0 else float("nan"),
-            "false_safe_m2": float((called & ~safe).sum() * grid.posting**2),
-            "observed_m2": float(a.observed.sum() * grid.posting**2),
+            "precision": quality.precision,
+            "recall": quality.recall,
+            "precision_at_recall": precision_at_recall(p, safe, RECALL),
+            "false_safe_m2": quality.false_safe * area,
+            "observed_m2": float(a.observed.sum() * area),
             "build_ms_a_scan": 1e3 * a.build_s / len(scans),
             "judge_ms": 1e3 * a.judge_s,
             "megabytes": a.megabytes,
@@ -186,9 +195,9 @@ def compare(field: int, seed: int, boulders: int) -> dict[str, Any]:
     return {
         "field": field, "scans": len(scans),
         "points": int(sum(np.isfinite(s.range).sum() for s, _ in scans)),
-        "common_m2": float(common.sum() * grid.posting**2),
-        "safe_share": float(truth.safe[common].mean()), "truth_ms": 1e3 * took, "rows": rows,
-        "maps": (grid, elevation, truth, answers, common),
+        "common_m2": float(common.sum() * area),
+        "safe_share": float(safe.mean()), "truth_ms": 1e3 * took, "rows": rows,
+        "maps": (grid, ground, truth, answers, common),
     }  # fmt: skip
 
 
@@ -225,54 +234,50 @@ def show_table(results: list[dict[str, Any]], console: Console) -> None:
     )
 
 
-def draw(result: dict[str, Any], path: Path) -> None:
-    """Draw the truth and what each mapper gets right."""
-    grid, elevation, truth, answers, common = result["maps"]
-    figure = new_figure(13.0, 8.2)
-    axes = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
-    shade = hillshade(elevation, grid.posting)
-    show(axes[0], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
-    low, high = np.nanpercentile(elevation, [0.5, 99.5])
-    image = show(axes[0], elevation, grid, cmap="cividis", alpha=0.5, vmin=low, vmax=high)
-    figure.colorbar(image, ax=axes[0], label="elevation (m)", shrink=0.8)
-    map_axes(axes[0], "true ground")
-    palette = ListedColormap(["#a6cee3", "#fdbf6f", "#e31a1c", "#8c8c8c"])
-    for panel, (name, label) in zip(axes[1:5], NAMES.items(), strict=True):
-        a = answers[name]
-        called = a.p_safe > 0.5
-        classes = np.full(grid.shape, np.nan)
-        seen = truth.observed & a.observed
-        classes[seen & truth.safe & called] = 0
-        classes[seen & truth.safe & ~called] = 1
-        classes[seen & ~truth.safe & called] = 2
-        classes[seen & ~truth.safe & ~called] = 3
-        panel.set_facecolor("white")
-        show(panel, classes, grid, cmap=palette, vmin=-0.5, vmax=3.5)
-        row = result["rows"][name]
-        map_axes(panel, f"{label}\nprecision {row['precision']:.3f}, recall {row['recall']:.3f}")
-    axes[5].remove()
-    panel = figure.add_subplot(2, 3, 6)
+def classes_of(answer: Answer, truth: SafetyMap) -> np.ndarray:
+    """Return the number of each cell's class in `CLASSES`, NaN where not observed."""
+    called = answer.p_safe > 0.5
+    classes = np.where(truth.safe, np.where(called, 0.0, 1.0), np.where(called, 2.0, 3.0))
+    return np.where(truth.observed & answer.observed, classes, np.nan)
+
+
+def draw_reliability(panel: Any, truth: SafetyMap, answers: Any, common: np.ndarray) -> None:
+    """Draw the share of exactly safe cells against the stated probability."""
     for name, colour in (("level", "#0072B2"), ("planes", "#009E73"), ("quadtree", "#D55E00")):
         seen = common & answers[name].observed
         p, safe = answers[name].p_safe[seen], truth.safe[seen]
         table = reliability(p, safe, np.linspace(0.0, 1.0, 21))
-        panel.plot(
-            *frequencies(table[table[:, 0] >= 30]), "o-", color=colour, ms=4, label=NAMES[name]
-        )
-    panel.plot([0, 1], [0, 1], color="#999999", lw=1)
+        plot_reliability(panel, table, 30, color=colour, label=NAMES[name])
+    plot_ideal(panel)
     panel.set_box_aspect(1)
     panel.set_xlabel("probability of safety")
     panel.set_ylabel("share exactly safe")
     panel.set_title("reliability")
     panel.legend()
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """Draw the truth and what each mapper gets right."""
+    grid, ground, truth, answers, common = result["maps"]
+    figure = new_figure(13.0, 8.2)
+    axes = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
+    shade = hillshade(ground, grid.posting)
+    show(axes[0], shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
+    low, high = np.nanpercentile(ground, [0.5, 99.5])
+    image = show(axes[0], ground, grid, cmap="cividis", alpha=0.5, vmin=low, vmax=high)
+    figure.colorbar(image, ax=axes[0], label="elevation (m)", shrink=0.8)
+    map_axes(axes[0], "true ground")
+    palette = ListedColormap(list(CLASSES.values()))
+    for panel, (name, label) in zip(axes[1:5], NAMES.items(), strict=True):
+        panel.set_facecolor("white")
+        show(panel, classes_of(answers[name], truth), grid, cmap=palette, vmin=-0.5, vmax=3.5)
+        row = result["rows"][name]
+        map_axes(panel, f"{label}\nprecision {row['precision']:.3f}, recall {row['recall']:.3f}")
+    axes[5].remove()
+    draw_reliability(figure.add_subplot(2, 3, 6), truth, answers, common)
     figure.legend(
-        handles=[
-            Patch(color="#a6cee3", label="safe, called safe"),
-            Patch(color="#fdbf6f", label="safe, called unsafe"),
-            Patch(color="#e31a1c", label="unsafe, called safe"),
-            Patch(color="#8c8c8c", label="unsafe, called unsafe"),
-            Patch(fc="white", ec="black", label="not observed"),
-        ],
+        handles=[Patch(color=colour, label=label) for label, colour in CLASSES.items()]
+        + [Patch(fc="white", ec="black", label="not observed")],
         loc="outside lower center",
         ncols=5,
     )

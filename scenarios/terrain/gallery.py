@@ -1,7 +1,7 @@
 """Pictures of the grounds that ship with the project, and the size law of measured rocks.
 
-python scenarios/gallery.py                     # writes docs/images/gallery/
-python scenarios/gallery.py --out out/gallery --only mare
+python scenarios/terrain/gallery.py                     # writes docs/images/gallery/
+python scenarios/terrain/gallery.py --out out/gallery --only mare
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from lunarsim.rocks.laws import golombek_number
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.picture import take_picture
 
-HERE = Path(__file__).parent
-DATA = HERE / "data"
+SCENARIOS = Path(__file__).parents[1]
+DATA = SCENARIOS / "data"
+PICTURES = SCENARIOS.parent / "docs" / "images" / "gallery"
 _ROCKS: dict[str, Any] = {"cover": 0.03, "min_diameter_m": 0.2, "shape": "mixed"}
 # The Sun stands in the west unless a scene says otherwise.
 SCENES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -189,7 +190,7 @@ def draw_shadow_crops(out: Path) -> str:
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=HERE.parent / "docs" / "images" / "gallery",
+    "--out", type=click.Path(path_type=Path), default=PICTURES,
     show_default="docs/images/gallery", help="Folder for the pictures.",
 )  # fmt: skip
 @click.option("--only", type=click.Choice([*SCENES, "rocks", "shadows"]), help="One picture alone.")

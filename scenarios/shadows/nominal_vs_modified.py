@@ -4,13 +4,15 @@ The experiment of the shadow EKF paper (IV.B and V): a lander sees rocks by thei
 flies to a site, the Sun behind its camera. The modified path overflies the site by 60 m and sees
 the shadows that the rocks hide from the nominal one.
 
-python scenarios/nominal_vs_modified.py --fields 20 --jobs 2 --out out/shadows
+python scenarios/shadows/nominal_vs_modified.py --fields 20 --jobs 2 --out out/shadows
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import operator
+from dataclasses import asdict, dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +20,16 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import t as student
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
 from lunarsim.evaluation.reliability import reliability
-from lunarsim.grid import Grid
+from lunarsim.evaluation.statistics import MeanInterval, mean_interval
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-HERE = Path(__file__).parent
+SCENARIOS = Path(__file__).parents[1]
 PATHS = ("nominal", "modified")
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
@@ -60,28 +61,26 @@ class Task:
 
 def fly(task: Task) -> dict[str, Any]:
     """Fly once; return rates, reliability and maps by altitude, propellant and duration."""
-    scenario = Scenario.load(HERE / f"shadow_{task.path}.toml")
+    scenario = Scenario.load(SCENARIOS / f"shadow_{task.path}.toml")
     if task.shapes is not None:
-        mapper = scenario.mapper.model_copy(update={"expected_shape": task.shapes})
-        scenario = scenario.model_copy(update={"mapper": mapper})
+        scenario = scenario.changed(expected_rocks={"shape": task.shapes})
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     pending = list(ALTITUDES)
     levels: dict[float, dict[str, Any]] = {}
     track = []
     while not simulation.done:
         simulation.step()
-        track.append(simulation.state.position - simulation.site + simulation.map_error)
+        track.append(simulation.state.position - simulation.computer.briefing.target)
         if pending and simulation.altitude <= pending[0]:
             levels[pending.pop(0)] = judge(simulation)
             if not pending:
                 # The maps are done: the rest of the flight tells propellant and time.
-                simulation.eyes.stop()
-    wet = scenario.lander.dry_mass_kg + scenario.lander.propellant_kg
+                simulation.computer.stop_sensors()
     return {
         "path": task.path,
         "field": task.field,
         "levels": levels,
-        "propellant": wet - simulation.state.mass,
+        "propellant": simulation.lander.wet_mass - simulation.state.mass,
         "duration": simulation.time,
         "landed": simulation.verdict is not None and simulation.verdict.touchdown is not None,
         "track": np.array(track)[::5],
@@ -90,68 +89,53 @@ def fly(task: Task) -> dict[str, Any]:
 
 def judge(simulation: Simulation) -> dict[str, Any]:
     """Compare the map as it stands with the truth, in the frame that the lander lands in."""
-    mapper = simulation.eyes.mapper
+    mapper = simulation.computer.mappers["rocks"]
     probability = mapper.probability.probability(mapper.tracker)
-    g = mapper.grid
-    east, north, _ = simulation.map_error
-    shifted = Grid(g.x0 - east, g.y0 - north, g.posting, g.rows, g.cols)
     terrain = simulation.world.terrain
-    rock = terrain.rock_raster(shifted)
-    large = 2.0 * terrain.rocks.a >= simulation.scenario.mapper.hazard_diameter_m
+    rock = terrain.rock_raster(mapper.grid.moved(-simulation.navigation_error))
+    hazard = simulation.scenario.mappers["rocks"].hazard_diameter_m
+    large = 2.0 * terrain.rocks.a >= hazard
     occupied = (rock >= 0) & large[np.maximum(rock, 0)]
-    result = classify(probability, occupied)
     return {
-        "rates": result.rates,
-        "counts": result.counts(),
+        "classes": classify(probability, occupied),
         "reliability": reliability(probability, occupied, RELIABILITY_EDGES),
         "rocks": mapper.tracker.filter.count,
         "map": probability,
         "occupied": occupied,
-        "extent": g.extent,
+        "extent": mapper.grid.extent,
     }
 
 
-def mean_interval(values: list[float]) -> tuple[float, float]:
-    """Return the mean and half its 95 % interval over fields (Student's t)."""
-    x = np.array([v for v in values if np.isfinite(v)])
-    if x.size < 2:
-        return (float(x.mean()) if x.size else float("nan")), float("nan")
-    half = float(student.ppf(0.975, x.size - 1) * x.std(ddof=1) / np.sqrt(x.size))
-    return float(x.mean()), half
+def compared(nominal: list[float], modified: list[float]) -> dict[str, MeanInterval]:
+    """Return means over fields of both paths and of what one has more than the other."""
+    return {
+        "nominal": mean_interval(nominal),
+        "modified": mean_interval(modified),
+        "difference": mean_interval(np.subtract(modified, nominal)),
+    }
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
     """Return means and intervals by altitude, path and rate, and the paired differences."""
-    by = {p: [r for r in results if r["path"] == p] for p in PATHS}
-    out: dict[str, Any] = {"altitudes": {}, "fields": len(by["nominal"])}
+    by = [[r for r in results if r["path"] == p] for p in PATHS]
+    out: dict[str, Any] = {"altitudes": {}, "fields": len(by[0])}
     for altitude in ALTITUDES:
-        level = {}
-        for rate in LABELS:
-            values = {p: [r["levels"][altitude]["rates"][rate] for r in by[p]] for p in PATHS}
-            level[rate] = {p: mean_interval(values[p]) for p in PATHS}
-            level[rate]["difference"] = mean_interval(
-                [b - a for a, b in zip(values["nominal"], values["modified"], strict=True)]
-            )
+        classes = [[r["levels"][altitude]["classes"] for r in of] for of in by]
+        level: dict[str, Any] = {
+            rate: compared(*([c.rates[rate] for c in of] for of in classes)) for rate in LABELS
+        }
         # Over all fields together: false clears are few.
-        for p in PATHS:
-            counts = [r["levels"][altitude]["counts"] for r in by[p]]
-            wrong = sum(c["clear_wrong"] for c in counts)
-            called = sum(c["called_clear"] for c in counts)
-            level[f"pooled_clear_false_{p}"] = wrong / called if called else float("nan")
+        for path, of in zip(PATHS, classes, strict=True):
+            pooled = reduce(operator.add, of)
+            level[f"pooled_clear_false_{path}"] = pooled.rates["clear_false"]
         out["altitudes"][altitude] = level
     for name in ("propellant", "duration"):
-        pairs = zip(by["nominal"], by["modified"], strict=True)
-        out[name] = {p: mean_interval([r[name] for r in by[p]]) for p in PATHS}
-        out[name]["difference"] = mean_interval([b[name] - a[name] for a, b in pairs])
+        out[name] = compared(*([r[name] for r in of] for of in by))
     return out
 
 
 def show(summary: dict[str, Any], console: Console) -> None:
     """Print the tables."""
-
-    def text(pair: tuple[float, float], digits: int = 4) -> str:
-        return f"{pair[0]:.{digits}f} ± {pair[1]:.{digits}f}"
-
     for altitude, level in summary["altitudes"].items():
         table = Table(title=f"Map at {altitude:.0f} m, {summary['fields']} fields (95 % intervals)")
         for heading in ("", "nominal", "modified", "modified - nominal", "paper, at 50 m"):
@@ -161,10 +145,7 @@ def show(summary: dict[str, Any], console: Console) -> None:
             if altitude == 50.0:
                 figures = PAPER.get(rate)
                 paper = "{} / {}".format(*figures) if figures else "modified 0.09 less"
-            row = level[rate]
-            table.add_row(
-                label, text(row["nominal"]), text(row["modified"]), text(row["difference"]), paper
-            )
+            table.add_row(label, *(v.text() for v in level[rate].values()), paper)
         console.print(table)
         console.print(
             "  all fields together, hazard in the ground called clear: "
@@ -172,11 +153,10 @@ def show(summary: dict[str, Any], console: Console) -> None:
             f"modified {level['pooled_clear_false_modified']:.5f} (threshold 0.00250)"
         )
     for name, unit, paper in (("propellant", "kg", "about 1"), ("duration", "s", "2")):
-        row = summary[name]
+        nominal, modified, difference = (v.text(2) for v in summary[name].values())
         console.print(
-            f"{name}: nominal {text(row['nominal'], 2)} {unit}, modified "
-            f"{text(row['modified'], 2)} {unit}, difference {text(row['difference'], 2)} {unit} "
-            f"(paper: {paper} {unit})"
+            f"{name}: nominal {nominal} {unit}, modified {modified} {unit}, difference "
+            f"{difference} {unit} (paper: {paper} {unit})"
         )
 
 
@@ -207,9 +187,11 @@ def main(
     show(summary, console)
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(plain(summary, results), indent=1), encoding="utf-8")
+        json_file.write_text(
+            json.dumps(plain(summary, results), indent=1, default=asdict), encoding="utf-8"
+        )
     if out is not None:
-        from nominal_vs_modified_figures import draw_all
+        from figures import draw_all
 
         draw_all(results, out)
 
@@ -221,7 +203,9 @@ def plain(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, A
             **{k: r[k] for k in ("path", "field", "propellant", "duration", "landed")},
             "levels": {
                 str(a): {
-                    **{k: level[k] for k in ("rates", "counts", "rocks")},
+                    "rates": level["classes"].rates,
+                    "counts": level["classes"].counts(),
+                    "rocks": level["rocks"],
                     "reliability": level["reliability"].tolist(),
                 }
                 for a, level in r["levels"].items()
@@ -229,7 +213,7 @@ def plain(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, A
         }
         for r in results
     ]
-    return {"summary": summary, "flights": flights}
+    return {"summary": json.loads(json.dumps(summary, default=asdict)), "flights": flights}
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ The detector runs with the settings that rendered images use. Its finds are draw
 the direction of the shadows is measured and set beside the stated one, and finds in a window of
 100 x 100 pixels are compared with boulders told by eye.
 
-python scenarios/shadow_real_image.py --out out/nac
+python scenarios/shadows/real_image.py --out out/nac
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.perception.detector import Detections, detect_rocks
 from lunarsim.onboard.perception.direction import mean_direction, shadow_directions
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.viz.style import COLOURS, new_figure, save
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 NAME = "moon_nac_M143947267L"
 ALTITUDE = 54_470.0
 SAMPLE, LINE = 0.545, 0.58
@@ -151,10 +152,11 @@ def main(json_file: Path | None, out: Path | None) -> None:
     )
     labels = json.loads((DATA / f"{NAME}_labels.json").read_text(encoding="utf-8"))
     result = compare(seen, labels)
+    precision = Proportion(result["true"], result["finds"])
+    recall = Proportion(result["true"], result["labels"])
     console.print(
-        f"window: {result['finds']} found, {result['true']} of them boulders: precision "
-        f"{result['true'] / max(result['finds'], 1):.2f}; {result['labels']} told by eye, recall "
-        f"{result['true'] / result['labels']:.2f}"
+        f"window: {precision.total} found, {precision.count} of them boulders: precision "
+        f"{precision.value:.2f}; {recall.total} told by eye, recall {recall.value:.2f}"
     )
     table = Table(title="by width of the shadow, pixels")
     for heading in ("width", "told by eye", "found", "recall"):
@@ -162,18 +164,17 @@ def main(json_file: Path | None, out: Path | None) -> None:
     sizes = []
     for low, high in SIZES:
         those = (result["width"] >= low) & (result["width"] <= high)
-        hits = int(result["hit"][those].sum())
-        sizes.append({"from": low, "to": high, "told": int(those.sum()), "found": hits})
+        found = Proportion(int(result["hit"][those].sum()), int(those.sum()))
+        sizes.append({"from": low, "to": high, "told": found.total, "found": found.count})
         name = str(low) if low == high else f"{low} or more"
-        table.add_row(name, str(those.sum()), str(hits), f"{hits / max(those.sum(), 1):.2f}")
+        table.add_row(name, str(found.total), str(found.count), f"{found.value:.2f}")
     console.print(table)
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         figures = {
             "rocks": len(seen), "direction_deg": np.degrees(angle),
             "stated_deg": np.degrees(stated),
-            "precision": result["true"] / max(result["finds"], 1),
-            "recall": result["true"] / result["labels"], "by_width": sizes,
+            "precision": precision.value, "recall": recall.value, "by_width": sizes,
         }  # fmt: skip
         json_file.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     if out is not None:

@@ -6,13 +6,14 @@ of two; it is merged if its patch runs into another's, and missed otherwise. A d
 rock under it is false. Lines are fitted to the rates (shadow EKF
 paper, III.C).
 
-python scenarios/shadow_rates.py --images 60 --out out/rates
+python scenarios/shadows/rates.py --images 60 --out out/rates
 """
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,27 @@ def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> lis
     return [float(v) for v in best.x]
 
 
+def show(data: dict[str, Any], title: str, console: Console) -> None:
+    """Print rates and lines."""
+    table = Table(title=title)
+    for heading in ("q, pixels", "rocks", "merged", "missed", "line", "detections", "false",
+                    "line"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for k, (low, high) in enumerate(pairwise(data["edges"])):
+        missed, false = (
+            float(np.clip(start + slope * 0.5 * (low + high), floor, 1.0))
+            for start, slope, floor in data["lines"].values()
+        )
+        table.add_row(
+            f"{low:g} - {high:g}", str(data["rocks"][k]), f"{data['merged'][k]:.3f}",
+            f"{data['missed'][k]:.3f}", f"{missed:.3f}", str(data["detections"][k]),
+            f"{data['false'][k]:.4f}", f"{false:.4f}",
+        )  # fmt: skip
+    console.print(table)
+    for name, (start, slope, floor) in data["lines"].items():
+        console.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
+
+
 @click.command()
 @click.option("--images", type=click.IntRange(min=4), default=40, show_default=True)
 @click.option(
@@ -166,40 +188,16 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
         "missed": fit(middle[many], missed[many], rocks[many]),
         "false": fit(middle[some], made_up[some], detections[some]),
     }
-    table = Table(title=f"{shape}, Sun at {sun_elevation:g} deg, {images} images")
-    for heading in (
-        "q, pixels",
-        "rocks",
-        "merged",
-        "missed",
-        "line",
-        "detections",
-        "false",
-        "line",
-    ):
-        table.add_column(heading, justify="right")
-    for k in range(len(middle)):
-        row = [
-            float(np.clip(x[0] + x[1] * middle[k], x[2], 1.0))
-            for x in (lines["missed"], lines["false"])
-        ]
-        table.add_row(
-            f"{EDGES[k]:g} - {EDGES[k + 1]:g}", str(rocks[k]), f"{merged[k]:.3f}",
-            f"{missed[k]:.3f}", f"{row[0]:.3f}", str(detections[k]), f"{made_up[k]:.4f}",
-            f"{row[1]:.4f}",
-        )  # fmt: skip
-    console.print(table)
-    for name, (start, slope, floor) in lines.items():
-        console.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
+    data = {
+        "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),
+        "merged": merged.tolist(), "detections": detections.tolist(), "false": made_up.tolist(),
+        "lines": lines,
+    }  # fmt: skip
+    show(data, f"{shape}, Sun at {sun_elevation:g} deg, {images} images", console)
     if out is not None:
-        from nominal_vs_modified_figures import draw_rates
+        from figures import draw_rates
 
         out.mkdir(parents=True, exist_ok=True)
-        data = {
-            "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),
-            "merged": merged.tolist(),
-            "detections": detections.tolist(), "false": made_up.tolist(), "lines": lines,
-        }  # fmt: skip
         (out / f"rates_{shape}.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
         draw_rates(data, shape, out / f"rates_{shape}.png")
 

@@ -4,7 +4,7 @@ Flies the LiDAR sweep over fields of few and of many boulders, looks at every si
 holds afterwards, and fits the probability that the lander would be exactly safe there. Every fourth
 field is kept out of the fit and draws the reliability diagram.
 
-python scenarios/quadtree_calibration.py --fields 24 --jobs 2 --out out/calibration
+python scenarios/quadtree/calibration.py --fields 24 --jobs 2 --out out/calibration
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import EDGES, calibration_error, frequencies, reliability
 from lunarsim.onboard.hazards.quadtree.calibration import features
 from lunarsim.rng import flight_seed
 from lunarsim.safety.logistic import Logistic
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.viz.reliability import plot_ideal
 from lunarsim.viz.style import COLOURS, new_figure, save
 
-HERE = Path(__file__).parent
+SCENARIOS = Path(__file__).parents[1]
 # Fields differ in what lies on them, so that neither kind of site is rare.
 BOULDERS = (60, 150, 300, 500)
 
@@ -43,24 +45,23 @@ class Task:
 
 def sweep(task: Task) -> dict[str, Any]:
     """Fly one sweep and return features and truth of the sites (n,) that it saw whole."""
-    base = Scenario.load(HERE / "morpheus.toml")
-    boulders = BOULDERS[task.field % len(BOULDERS)]
-    terrain = base.terrain.model_copy(update={"boulders": boulders})
-    scenario = base.model_copy(update={"terrain": terrain})
+    scenario = Scenario.load(SCENARIOS / "morpheus.toml").changed(
+        terrain={"boulders": BOULDERS[task.field % len(BOULDERS)]}
+    )
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
-    while simulation.time < scenario.sweep.duration_s + 0.2 and not simulation.done:
+    duration = scenario.tasking["flash"].duration_s
+    while simulation.time < duration + 0.2 and not simulation.done:
         simulation.step()
-    selection = simulation.eyes.mapper.select()
+    mapper = simulation.computer.mappers["sites"]
+    selection, limits = mapper.select(), mapper.selector.settings
     seen = np.isfinite(selection.roughness)
-    # The map may lie beside the ground by what navigation errs.
-    error = simulation.navigation_error if not simulation.eyes.filter.found else np.zeros(3)
-    limits = simulation.eyes.mapper.selector.settings
+    true = selection.position[seen] - simulation.navigation_error
     return {
         "slope": selection.slope[seen] / limits.slope_limit,
         "roughness": selection.roughness[seen] / limits.roughness_limit,
         "ratio": selection.ratio[seen],
         "near": selection.near[seen],
-        "safe": simulation.truth.safe_at(selection.position[seen, :2] - error[:2]),
+        "safe": simulation.truth.safe_at(true[:, :2]),
     }
 
 
@@ -76,7 +77,7 @@ def draw(table: np.ndarray, fields: int, path: Path) -> None:
     full = table[:, 0] > 0
     (p, share), n = frequencies(table[full]), table[full, 0]
     half = 1.96 * np.sqrt(np.maximum(share * (1.0 - share), 0.25 / n) / n)
-    top.plot([0, 1], [0, 1], color="#999999", lw=1, label="perfect")
+    plot_ideal(top, label="perfect")
     top.errorbar(p, share, half, fmt="o", color=COLOURS[0], capsize=2, label="fields not fitted")
     top.set_ylabel("share of sites that are safe")
     top.set_title(
@@ -100,7 +101,7 @@ def draw(table: np.ndarray, fields: int, path: Path) -> None:
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write the model to this file; the package's own is "
-                   "lunarsim/hazards/quadtree/calibration.json.")  # fmt: skip
+                   "lunarsim/onboard/hazards/quadtree/calibration.json.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for the diagram.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
@@ -118,7 +119,7 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
 
     train, test = joined(fitted), joined(out_of_fit)
     note = (
-        f"scenarios/quadtree_calibration.py --fields {fields} --seed {seed}: "
+        f"scenarios/quadtree/calibration.py --fields {fields} --seed {seed}: "
         f"{train['safe'].size} sites of {len(fitted)} fields"
     )
     model = Logistic.fit(features_of(train), train["safe"], note)
@@ -132,11 +133,11 @@ def main(fields: int, seed: int, jobs: int, target: Path | None, out: Path | Non
     ):
         shown.add_row(f"{low:.2f}-{high:.2f}", f"{mean:.3f}", f"{share:.3f}", f"{n:.0f}")
     console.print(shown)
-    called = p > 0.5
+    quality = MapQuality.of(p > 0.5, test["safe"])
     console.print(
         f"expected calibration error {calibration_error(table):.4f}; at 0.5: precision "
-        f"{test['safe'][called].mean():.4f}, recall {called[test['safe']].mean():.4f}; "
-        f"{test['safe'].mean():.3f} of {p.size} sites are safe"
+        f"{quality.precision:.4f}, recall {quality.recall:.4f}; "
+        f"{quality.safe_share:.3f} of {quality.judged} sites are safe"
     )
     console.print("weights " + ", ".join(f"{w:.4f}" for w in model.weights))
     if target is not None:

@@ -1,6 +1,6 @@
 """A random and a rule-based agent in the retargeting environment.
 
-python scenarios/retarget_agents.py --episodes 10
+python scenarios/learning/retarget_agents.py --episodes 10
 """
 
 from __future__ import annotations

@@ -1,0 +1,60 @@
+"""Precision and recall of a probability of safety at every threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from lunarsim.evaluation.map_quality import MapQuality
+
+Array = NDArray[np.float64]
+
+# Symmetric about 0.5, finer at either end.
+THRESHOLDS: Array = ndtr(np.linspace(-6.0, 6.0, 241))
+
+
+@dataclass(frozen=True)
+class PrecisionRecall:
+    """Counts of cells between thresholds of probability.
+
+    Attributes
+    ----------
+    unsafe, safe
+        Numbers of cells at or below the first threshold, between each two, and above the last
+        (thresholds + 1,).
+    """
+
+    unsafe: Array
+    safe: Array
+
+    @classmethod
+    def of(cls, probability: ArrayLike, safe: ArrayLike) -> PrecisionRecall:
+        """Count cells by their probability of safety (n,) and by whether they are safe (n,)."""
+        place = np.searchsorted(THRESHOLDS, np.asarray(probability))
+        good = np.asarray(safe, np.bool_)
+        counts = (np.bincount(place[own], minlength=len(THRESHOLDS) + 1) for own in (~good, good))
+        return cls(*(np.asarray(n, np.float64) for n in counts))
+
+    def __add__(self, other: PrecisionRecall) -> PrecisionRecall:
+        """Pool the cells of two maps."""
+        return PrecisionRecall(self.unsafe + other.unsafe, self.safe + other.safe)
+
+    def curve(self) -> tuple[Array, Array]:
+        """Return precision and recall as the threshold falls, from where any cell is called."""
+        wrong, hits = np.cumsum(self.unsafe[::-1]), np.cumsum(self.safe[::-1])
+        used = hits + wrong > 0
+        return hits[used] / (hits + wrong)[used], hits[used] / max(hits[-1], 1.0)
+
+    def at_half(self) -> MapQuality:
+        """Return the quality of what is called safe at p > 0.5."""
+        half = len(THRESHOLDS) // 2 + 1
+        numbers = self.safe[half:], self.unsafe[half:], self.safe[:half], self.unsafe[:half]
+        return MapQuality(*(int(n.sum()) for n in numbers))
+
+    def precision_at(self, recall: float) -> float:
+        """Return the precision at the highest threshold with this recall, or at the lowest one."""
+        precision, found = self.curve()
+        return float(precision[min(int(np.searchsorted(found, recall)), len(found) - 1)])

@@ -1,0 +1,233 @@
+"""The tables of the Gaussian DEM paper, its figure beside ours.
+
+    python scenarios/gaussian_dem/tables.py --table all --seeds 2 --out out/gaussian_dem
+
+Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomous Safe Landing".
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from computed import KINDS, METHODS, table_3, table_4, table_5, table_6, table_7
+from figures import (
+    draw_conservativeness,
+    draw_panels,
+    draw_precision_recall,
+    draw_profiles,
+    draw_reliability,
+    draw_testbed,
+    draw_truth,
+)
+from paper import PAPER_4, PAPER_5, PAPER_6, PAPER_7
+from rich.console import Console
+from rich.table import Table
+from testbed import (
+    CONFIGURATIONS,
+    DENSITY,
+    LANDER,
+    MARGIN,
+    testbed,
+)
+
+from lunarsim.evaluation.reliability import calibration_error
+
+
+def print_3(result: dict[str, Any], console: Console) -> None:
+    table = Table(title="Table 3: conservative test on Eq. 20 terrain (HiRISE crop)")
+    headings = ("c", "precision", "paper", "false-safe cells, both tests", "recall", "paper",
+                "difference", "recall of bounded_safety")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for row in result["rows"]:
+        r = statistics.mean(row["recall"])
+        table.add_row(
+            str(row["c"]), f"{min(row['precision']):.4f}", "1.0000", str(row["false_safe"]),
+            spread(row["recall"]), f"{row['paper']:.4f}", f"{r - row['paper']:+.4f}",
+            spread(row["bounded"]),
+        )  # fmt: skip
+    console.print(table)
+
+
+def spread(values: list[float]) -> str:
+    """Mean and, with more than one seed, standard deviation."""
+    if len(values) < 2:
+        return f"{values[0]:.4f}"
+    return f"{statistics.mean(values):.4f} ± {statistics.stdev(values):.4f}"
+
+
+def print_4(result: dict[str, Any], console: Console) -> None:
+    table = Table(title="Table 4: scan configurations (ours / paper)")
+    headings = ("range m", "angle deg", "coverage x", "coverage y", "GSD x", "GSD y", "3 sigma cm")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for (r, a), ours, paper in zip(CONFIGURATIONS, result["rows"], PAPER_4, strict=True):
+        cells = [f"{o:.3f} / {p:.3f}" for o, p in zip(ours, paper, strict=True)]
+        table.add_row(f"{r:.0f}", f"{a:.0f}", *cells)
+    console.print(table)
+
+
+def print_5(result: dict[str, Any], console: Console) -> None:
+    table = Table(
+        title="Table 5: DEM quality, ours / paper "
+        f"(sigma_f {DENSITY['sigma_f']} m, length scale {DENSITY['length_scale']} m)"
+    )
+    names = ("RMSE baseline", "RMSE proposed", "NLPD baseline", "NLPD proposed")
+    for heading in ("range m", "angle deg", *names, "below paper", "below baseline"):
+        table.add_column(heading, justify="right")
+    for (r, a), ours, paper in zip(CONFIGURATIONS, result["rows"], PAPER_5, strict=True):
+        mean = [statistics.mean(v) for v in ours]
+        cells = [f"{spread(v)} / {p:.4f}" for v, p in zip(ours, paper, strict=True)]
+        beats_paper = mean[1] < paper[1] and mean[3] < paper[3]
+        beats_own = mean[1] < mean[0] and mean[3] < mean[2]
+        table.add_row(f"{r:.0f}", f"{a:.0f}", *cells, yes(beats_paper), yes(beats_own))
+    console.print(table)
+
+
+def yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def print_6(result: dict[str, Any], console: Console) -> None:
+    table = Table(
+        title="Table 6: safety at p > 0.5, ours / paper "
+        f"(sigma_f {MARGIN['sigma_f']} m, length scale {MARGIN['length_scale']} m)"
+    )
+    headings = ("range m", "angle deg", "P slope base", "P slope prop", "P rough base",
+                "P rough prop", "R slope base", "R slope prop", "R rough base", "R rough prop",
+                "P at paper", "R at paper", "calibration error")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for n, (r, a) in enumerate(CONFIGURATIONS):
+        ours, paper = result["rows"][n], PAPER_6[n]
+        mean = [statistics.mean(v) for v in ours]
+        cells = [f"{m:.4f} / {p:.4f}" for m, p in zip(mean, paper, strict=True)]
+        precise = round(mean[1], 4) >= paper[1] and round(mean[3], 4) >= paper[3]
+        complete = round(mean[5], 4) >= paper[5] and round(mean[7], 4) >= paper[7]
+        error = calibration_error(np.array(result["reliability"][n]))
+        table.add_row(f"{r:.0f}", f"{a:.0f}", *cells, yes(precise), yes(complete), f"{error:.3f}")
+    console.print(table)
+    table = Table(title="Precision at the recall of the paper's proposed method")
+    headings = ("range m", "angle deg", "slope: paper", "baseline", "proposed", "planes",
+                "roughness: paper", "baseline", "proposed", "planes")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for n, (r, a) in enumerate(CONFIGURATIONS):
+        cells = []
+        for which, kind in enumerate(KINDS):
+            cells.append(f"{PAPER_6[n][1 + 2 * which]:.4f}")
+            recall = PAPER_6[n][5 + 2 * which]
+            for method in METHODS:
+                cells.append(f"{result['curves'][kind, n, method].precision_at(recall):.4f}")
+        table.add_row(f"{r:.0f}", f"{a:.0f}", *cells)
+    console.print(table)
+
+
+def print_7(result: dict[str, Any], console: Console) -> None:
+    table = Table(title="Table 7: run time, s (ours / paper); ratios of ours in one run")
+    headings = ("posting m", "baseline safety", "proposed DEM", "proposed safety",
+                "baseline / proposed safety", "baseline / (DEM + safety)")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for row in result["rows"]:
+        paper = PAPER_7[row["posting"]]
+        table.add_row(
+            str(row["posting"]), f"{row['baseline']:.4f} / {paper[0]:.4f}",
+            f"{row['dem']:.4f} / {paper[1]:.4f}", f"{row['safety']:.4f} / {paper[2]:.4f}",
+            f"{row['baseline'] / row['safety']:.1f}",
+            f"{row['baseline'] / (row['dem'] + row['safety']):.1f}",
+        )  # fmt: skip
+    console.print(table)
+    ours = [row["dem"] + row["safety"] for row in result["rows"]]
+    cheap = [r["posting"] for r, o in zip(result["rows"], ours, strict=True) if r["baseline"] < o]
+    console.print(
+        "the baseline's safety alone is cheaper than the proposed DEM and safety at "
+        + (", ".join(f"{p} m" for p in cheap) or "no posting")
+    )
+    x = -np.log([row["posting"] for row in result["rows"]])
+    for name in ("baseline", "dem", "safety"):
+        exponent = np.polyfit(x, np.log([row[name] for row in result["rows"]]), 1)[0]
+        console.print(f"{name}: grows as (1 / posting)^{exponent:.1f}")
+
+
+TABLES: dict[str, tuple[Callable[[int], dict[str, Any]], Callable[[dict[str, Any], Console], None]]]
+TABLES = {
+    "3": (table_3, print_3),
+    "4": (table_4, print_4),
+    "5": (table_5, print_5),
+    "6": (table_6, print_6),
+    "7": (table_7, print_7),
+}
+
+
+def draw(name: str, result: dict[str, Any], out: Path) -> None:
+    """Draw the counterparts of the paper's figures that belong to a table."""
+    if name == "3":
+        draw_conservativeness(result["pictures"], out / "figure_12_conservativeness.png")
+    elif name == "5":
+        for number, key, label in ((14, "baseline", "elevation (m)"), (15, "mean", "elevation (m)"),
+                                   (16, "sigma", "standard deviation (m)")):  # fmt: skip
+            draw_panels(
+                result["pictures"][key], CONFIGURATIONS, label, out / f"figure_{number}.png"
+            )
+        field = testbed(0)
+        draw_testbed(field, CONFIGURATIONS, out / "figure_13.png")
+        draw_profiles(result["pictures"], field, CONFIGURATIONS, out / "figure_17.png")
+    elif name == "6":
+        for number, key in ((19, "baseline roughness"), (20, "proposed roughness"),
+                            (22, "baseline slope"), (23, "proposed slope")):  # fmt: skip
+            draw_panels(
+                result["pictures"][key], CONFIGURATIONS, f"{key}: truly safe - p(safe)",
+                out / f"figure_{number}.png", diverging=True,
+            )  # fmt: skip
+        draw_reliability(np.array(result["reliability"]), CONFIGURATIONS, out / "reliability.png")
+        field = testbed(0)
+        draw_truth(field, field.safety.roughness, LANDER.roughness_limit, "roughness (m)",
+                   out / "figure_18.png")  # fmt: skip
+        draw_truth(field, np.rad2deg(field.safety.slope), np.rad2deg(LANDER.slope_limit),
+                   "slope (deg)", out / "figure_21.png")  # fmt: skip
+        for which, kind in enumerate(KINDS):
+            curves = [
+                {m: result["curves"][kind, n, m] for m in METHODS}
+                for n in range(len(CONFIGURATIONS))
+            ]
+            paper = [(row[1 + 2 * which], row[5 + 2 * which]) for row in PAPER_6]
+            draw_precision_recall(
+                curves, CONFIGURATIONS, paper, f"Safety of {kind}", (0.995, 0.85)[which],
+                out / f"precision_recall_{kind}.png",
+            )  # fmt: skip
+
+
+@click.command()
+@click.option("--table", "which", type=click.Choice([*TABLES, "all"]), default="all",
+              show_default=True, help="Which table.")  # fmt: skip
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Fields or terrains a table.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write all figures to this file.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the figures; left out, none are drawn.")  # fmt: skip
+def main(which: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
+    """Print the paper's tables with ours beside them."""
+    console = Console(width=190)
+    gathered = {}
+    for name in TABLES if which == "all" else (which,):
+        compute, show = TABLES[name]
+        result = compute(seeds)
+        show(result, console)
+        if out is not None:
+            draw(name, result, out)
+        gathered[name] = {k: v for k, v in result.items() if k not in {"pictures", "curves"}}
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(gathered, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

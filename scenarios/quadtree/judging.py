@@ -1,0 +1,140 @@
+"""Map, hazards and sites of the quadtree against the true ground, in the local frame."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsim.evaluation.map_quality import MapQuality, local_ground
+from lunarsim.evaluation.truth_mesh import TruthMesh, truth_hazards
+from lunarsim.grid import Grid
+from lunarsim.onboard.guidance.jerk_limited import site_cost
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, Selection, SiteSettings
+from lunarsim.simulation import Simulation
+
+# Posting of the truth DEM, m.
+TRUTH = 0.1
+# Limits that set the time-to-go for the fuel to a site, m/s^3 and m/s^4.
+JERK, SNAP = 0.25, 0.05
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The truth as the lander would see it with its errors: local frame.
+
+    Attributes
+    ----------
+    grid
+        Fine cells over the map.
+    elevation
+        m (rows, cols).
+    hazard
+        1 where the ground leaves the mesh, else 0; NaN without a mesh (rows, cols).
+    mesh
+        The mesh.
+    error
+        Local less true coordinates (3,), m.
+    """
+
+    grid: Grid
+    elevation: np.ndarray
+    hazard: np.ndarray
+    mesh: TruthMesh
+    error: np.ndarray
+
+
+def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> Ground:
+    """Return the true ground where the map has its cells now."""
+    s, error = mapper.selector.settings, simulation.navigation_error
+    west, east, _, _ = mapper.grid.extent
+    grid = Grid.centred(mapper.grid.centre, east - west, TRUTH)
+    elevation = local_ground(simulation.world.terrain, grid, error)
+    hazard = truth_hazards(elevation, grid, 2.0 * s.zone, s.roughness_limit)
+    return Ground(grid, elevation, hazard, TruthMesh(elevation, grid, 2.0 * s.zone), error)
+
+
+def judged_sites(
+    simulation: Simulation, selection: Selection, settings: SiteSettings, ground: Ground
+) -> list[dict[str, Any]]:
+    """Return the ranked sites, what it takes to fly to them, and what they are in truth."""
+    com = np.array([0.0, 0.0, simulation.lander.com_height])
+    cost = site_cost(
+        simulation.estimate,
+        np.array([site.position for site in selection.ranked]).reshape(-1, 3) + com,
+        simulation.scenario.gravity_m_s2,
+        simulation.lander.exhaust_velocity,
+        jerk=JERK,
+        snap=SNAP,
+    )
+    return [
+        asdict(site)
+        | {
+            "position": list(site.position),
+            "propellant": float(cost.propellant[i]),
+            "increment": float(cost.increment[i]),
+            "time_to_go": float(cost.time_to_go[i]),
+            "hazard_m2": zone_hazard(site.position, ground, settings.zone),
+            "exactly_safe": bool(simulation.truth.safe_at((site.position - ground.error)[:2])),
+        }
+        for i, site in enumerate(selection.ranked)
+    ]
+
+
+def map_errors(
+    mapper: QuadtreeMapper, ground: Ground
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return centres (n, 2), sides, elevation errors and true elevations (n,) of cells of 0.4 m."""
+    tree, fine = mapper.map, ground.grid
+    nodes = tree.band(4.0 * tree.least, 8.0 * tree.least)
+    xy, side = tree.centres(nodes), tree.sizes(nodes)
+    truth = np.full(len(nodes), np.nan)
+    for size in np.unique(side):
+        n = round(size / fine.posting)
+        mine = np.flatnonzero(side == size)
+        row, col = fine.cell(xy[mine] - 0.5 * size + 0.5 * fine.posting)
+        good = (row >= 0) & (col >= 0) & (row + n <= fine.rows) & (col + n <= fine.cols)
+        rows = row[good, None] + np.arange(n)
+        cols = col[good, None] + np.arange(n)
+        truth[mine[good]] = ground.elevation[rows[:, :, None], cols[:, None, :]].mean(axis=(1, 2))
+    return xy, side, tree.elevation(nodes) - truth, truth
+
+
+def slope_errors(mapper: QuadtreeMapper, selection: Selection, mesh: TruthMesh) -> np.ndarray:
+    """Return the angle between estimated and true normals at the sites (n,), deg; NaN off one."""
+    estimated = mapper.selector.mesh.normals_of(selection.nodes)
+    true, _ = mesh.plane(selection.position[:, :2])
+    cosine = np.einsum("ij,ij->i", estimated, true)
+    return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def confused(mapper: QuadtreeMapper, ground: Ground) -> tuple[dict[str, float], np.ndarray]:
+    """Compare hazard cells with the truth; return areas (m^2) and the estimate (rows, cols).
+
+    The estimate is NaN where cells have too few points: the paper's grey.
+    """
+    fine, hazard = ground.grid, ground.hazard
+    ratios, tree = mapper.selector.ratios, mapper.map
+    square = tree.side / len(ratios)
+    corner = tree.centre[:2] - 0.5 * tree.side
+    col = np.floor((fine.x - corner[0]) / square).astype(int)
+    row = np.floor((fine.y - corner[1]) / square).astype(int)
+    ratio = ratios[np.ix_(row, col)]
+    estimated = np.where(np.isnan(ratio), np.nan, ratio > mapper.selector.settings.exception_limit)
+    judged = np.isfinite(estimated) & np.isfinite(hazard)
+    quality = MapQuality.of(estimated[judged] == 0.0, hazard[judged] == 0.0)
+    area = fine.posting**2
+    return {
+        "judged_m2": quality.judged * area,
+        "hazard_m2": (quality.false_safe + quality.rejected) * area,
+        "missed_m2": quality.false_safe * area,
+        "false_m2": quality.missed * area,
+    }, estimated
+
+
+def zone_hazard(position: np.ndarray, ground: Ground, zone: float) -> float:
+    """Return the area of true hazard in a landing zone, m^2."""
+    g = ground.grid
+    near = np.ix_(np.abs(g.y - position[1]) <= zone, np.abs(g.x - position[0]) <= zone)
+    return float((ground.hazard[near] == 1.0).sum() * g.posting**2)
