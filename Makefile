@@ -17,10 +17,11 @@ test: $(STAMP)          ## the test suite
 slow: $(STAMP)          ## the tests and studies that take minutes
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-lint: $(STAMP)          ## style and types
+lint: $(STAMP)          ## style, types, and the walls between rooms
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 bench: $(STAMP)         ## speed, as ratios to references in the same run
 	$(BIN)/python scripts/bench.py

@@ -68,7 +68,11 @@ def small_scenario() -> Scenario:
             "terrain": {"size_m": 80.0},
             "rocks": {"cover": 0.04, "min_diameter_m": 0.3},
             "target": {"scatter_m": [15.0, 15.0]},
-            "lidar": {"pixels": [96, 96]},
-            "mapper": {"posting_m": 0.4, "size_m": 60.0},
+            "sensors": {
+                "imu": {"kind": "imu"},
+                "fix": {"kind": "navigation-fix"},
+                "flash": {"kind": "flash-lidar", "rows": 96, "cols": 96},
+            },
+            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}},
         }
     )

@@ -152,11 +152,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         return draw_frame(self.simulation, self._observation)
 
     def _to_next_decision(self, simulation: Simulation) -> None:
-        """Fly until the navigation half of the cycle in which a decision is due, or the end."""
-        while not simulation.done:
-            simulation.update()
-            if simulation.decision_due:
-                break
+        """Fly until a decision is due, or the end."""
+        while not (simulation.done or simulation.decision_due):
             simulation.move()
         self._observation = simulation.observe()
 

@@ -157,13 +157,11 @@ def compare(
     flights, seed, jobs
         Flights a policy, root seed, processes.
     out
-        Folder for ``results.parquet``, ``summary.json``, ``scenario.toml``, ``flights/`` and
-        ``figures/``; nothing is written when left out. The results table is written last and
-        whole; an interrupt writes the flights that are finished.
-    progress
-        Called with the number of flights finished since the last call.
-    figures
-        Draw the first flight of each policy and the comparison.
+        New folder for all results; left out: nothing is written. The results table is written
+        last and whole; an interrupt writes the flights that are finished.
+    progress, figures
+        Called with the number of flights finished since the last call; whether to draw the first
+        flight of each policy and the comparison.
 
     Raises
     ------
@@ -173,25 +171,14 @@ def compare(
     check_request(policies, flights, jobs)
     if out is not None:
         check_folder(out)
-    # Fail before anything is written: this builds the first flight's world and start.
-    Simulation(scenario, flight_seed(seed, 0), "no-divert")
+    Simulation(scenario, flight_seed(seed, 0), "no-divert")  # fail before anything is written
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         scenario.save(out / "scenario.toml")
     tasks = [
         _Task(scenario, tuple(policies), seed, i, out, figures and i == 0) for i in range(flights)
     ]
-    done: list[_Outcome] = []
-    complete = False
-    try:
-        for _, outcome in outcomes(_fly_all, tasks, min(jobs, flights)):
-            done.append(outcome)
-            if progress is not None:
-                progress(len(policies))
-        complete = True
-    except KeyboardInterrupt:
-        pass
-    done.sort(key=lambda outcome: outcome.flight)
+    done, complete = _gather(tasks, min(jobs, flights), len(policies), progress)
     result = CompareResult(
         rows=[row for outcome in done for row in outcome.rows],
         seconds={
@@ -208,6 +195,23 @@ def compare(
 
             draw_comparison(result.rows, scenario, out / "figures" / "comparison.png")
     return result
+
+
+def _gather(
+    tasks: list[_Task], jobs: int, policies: int, progress: Progress | None
+) -> tuple[list[_Outcome], bool]:
+    """Return what came of the tasks by flight, and whether all are done."""
+    done: list[_Outcome] = []
+    complete = False
+    try:
+        for _, outcome in outcomes(_fly_all, tasks, jobs):
+            done.append(outcome)
+            if progress is not None:
+                progress(policies)
+        complete = True
+    except KeyboardInterrupt:
+        pass
+    return sorted(done, key=lambda outcome: outcome.flight), complete
 
 
 def _mean(values: list[float]) -> float:

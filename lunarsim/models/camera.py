@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.models.pinhole import View
+from lunarsim.models.pinhole import Pinhole, View
 from lunarsim.models.pose import Pose
 
 Array = NDArray[np.float64]
@@ -67,46 +67,37 @@ class CameraModel:
     @property
     def matrix(self) -> Array:
         """Intrinsic matrix (3, 3), as OpenCV's."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        return self.pinhole.matrix
+
+    @property
+    def pinhole(self) -> Pinhole:
+        """The projection, distortion left out."""
+        assert self.cx is not None
+        assert self.cy is not None
+        return Pinhole(self.fx, self.fy, self.cx, self.cy)
 
     def view(self, pose: Pose) -> View:
         """Return what the pin-hole sees from a state or an estimate, distortion left out."""
-        assert self.cx is not None
-        assert self.cy is not None
         rotation = quat_to_matrix(pose.attitude)
         position = pose.position + rotation @ np.asarray(self.offset)
-        return View(
-            position, rotation @ self.mount, self.fx, self.fy, self.cx, self.cy,
-            self.width, self.height,
-        )  # fmt: skip
+        return View(position, rotation @ self.mount, *self.pinhole, self.width, self.height)
 
     @property
     def tangents(self) -> tuple[Array, Array]:
         """Tangents of each pixel's line of sight, right and down (height, width), undistorted."""
-        assert self.cx is not None
-        assert self.cy is not None
-        return _tangents(
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, tuple(self.distortion)
-        )
+        return _tangents(self.width, self.height, self.pinhole, tuple(self.distortion))
 
 
 # A gimballed camera is a new object for every picture: what its optics cost is kept here.
 @lru_cache(maxsize=8)
 def _tangents(
-    width: int,
-    height: int,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    distortion: tuple[float, ...],
+    width: int, height: int, pinhole: Pinhole, distortion: tuple[float, ...]
 ) -> tuple[Array, Array]:
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     if not any(distortion):
-        return (u - cx) / fx, (v - cy) / fy
-    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        return pinhole.tangents(width, height)
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-    ideal = cv2.undistortPoints(pixels, matrix, np.array(distortion), criteria=stop)
+    ideal = cv2.undistortPoints(pixels, pinhole.matrix, np.array(distortion), criteria=stop)
     ideal = ideal.reshape(height, width, 2)
     return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])

@@ -61,14 +61,14 @@ class Lander:
     )
     thrust_min: float = quantity(600.0, "N", ge=0, help="of the running engine")
     thrust_max: float = quantity(6000.0, "N", gt=0, help="of the engine")
-    specific_impulse: float = quantity(311.0, "s", gt=0)
+    specific_impulse: float = quantity(311.0, "s", gt=0, help="of the engine")
     thrust_lag: float = quantity(0.1, "s", ge=0, help="time constant of the engine")
     torque_max: tuple[float, float, float] = quantity(
         (600.0, 600.0, 300.0), "N m", gt=0, help="of the thrusters about each body axis"
     )
     legs: Literal[3, 4] = quantity(4, help="number of legs")
     leg_radius: float = quantity(2.35, "m", gt=0, help="circle of the pads' centres")
-    pad_diameter: float = quantity(0.3, "m", gt=0)
+    pad_diameter: float = quantity(0.3, "m", gt=0, help="of each pad")
     com_height: float = quantity(1.6, "m", gt=0, help="centre of mass above the pads")
     belly_clearance: float = quantity(0.25, "m", gt=0, help="underside above the pads")
     slope_limit: float = quantity(10.0, "deg", gt=0, lt=45, help="of the ground landed on")

@@ -1,13 +1,62 @@
-"""Where a pin-hole looks from, and along which rays."""
+"""A pin-hole: where it looks from, along which rays, and where points come to lie in its image.
+
+Sensor coordinates are x right, y down, z along the boresight; the centre of the first pixel is
+(0, 0).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+_OWN = np.eye(3)
+
+
+class Pinhole(NamedTuple):
+    """Projection through a pin-hole: focal lengths and principal point, pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @property
+    def matrix(self) -> Array:
+        """Intrinsic matrix (3, 3), as OpenCV's."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: Array) -> Array:
+        """Return the pixels (n, 2) of points (n, 3) in sensor coordinates.
+
+        They mean nothing for points behind the pin-hole, and are no numbers beside it.
+        """
+        x, y, z = points.T
+        return np.column_stack((x / z * self.fx + self.cx, y / z * self.fy + self.cy))
+
+    def jacobian(self, points: Array, axes: Array = _OWN) -> Array:
+        """Return how the pixels of points (n, 3) move: derivatives (n, 2, k).
+
+        `axes` (3, k) says how a point's sensor coordinates move with k others; left out, the
+        derivatives are by the sensor coordinates themselves.
+        """
+        x, y, z = points.T
+        a, b, c = axes[:, :, None]
+        out = np.empty((len(points), 2, len(axes.T)))
+        out[:, 0] = (self.fx * (a - x / z * c) / z).T
+        out[:, 1] = (self.fy * (b - y / z * c) / z).T
+        return out
+
+    def tangents(self, width: int, height: int) -> tuple[Array, Array]:
+        """Return the tangents of all pixels' lines of sight, right and down (height, width)."""
+        u = (np.arange(width) - self.cx) / self.fx
+        v = (np.arange(height) - self.cy) / self.fy
+        right, down = np.meshgrid(u, v)
+        return right, down
 
 
 @dataclass(frozen=True)
@@ -35,10 +84,23 @@ class View:
     width: int
     height: int
 
+    @property
+    def pinhole(self) -> Pinhole:
+        """Its projection."""
+        return Pinhole(self.fx, self.fy, self.cx, self.cy)
+
+    @property
+    def border(self) -> tuple[float, float, float, float]:
+        """Tangents of the lines of sight along the left, right, upper and lower border."""
+        return (
+            (-0.5 - self.cx) / self.fx,
+            (self.width - 0.5 - self.cx) / self.fx,
+            (-0.5 - self.cy) / self.fy,
+            (self.height - 0.5 - self.cy) / self.fy,
+        )
+
     def rays(self) -> Array:
         """Return the unit vectors of all pixels (height, width, 3), ENU."""
-        u = (np.arange(self.width) - self.cx) / self.fx
-        v = (np.arange(self.height) - self.cy) / self.fy
-        uu, vv = np.meshgrid(u, v)
+        uu, vv = self.pinhole.tangents(self.width, self.height)
         rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1) @ self.axes.T
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))

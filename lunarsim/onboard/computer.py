@@ -6,12 +6,15 @@ whole control cycle; the loop calls its parts one by one where somebody outside 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
@@ -36,6 +39,22 @@ from lunarsim.onboard.tasking.contract import Situation
 Array = NDArray[np.float64]
 
 APPROACH, VERTICAL = 0, 1
+_OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expected_rocks"}
+
+
+@contextmanager
+def _named(table: str) -> Iterator[None]:
+    """Put the scenario's table before a key that a part complains of.
+
+    Fields that name another table (a sensor's, the mission's) are left as they are.
+    """
+    try:
+        yield
+    except InputError as error:
+        room, _, key = error.field.rpartition(".")
+        if room in _OTHER_TABLES:
+            raise
+        raise InputError(f"{table}.{key}", error.value, error.expected) from None
 
 
 class OnboardComputer:
@@ -67,10 +86,12 @@ class OnboardComputer:
         self.lander = briefing.lander
         self.approach = software.approach
         self.decisions = software.decisions
-        self.navigation = software.navigation.build(briefing)
-        self.mappers: dict[str, HazardMapper] = {
-            name: part.build(briefing, self.navigation) for name, part in software.mappers.items()
-        }
+        with _named("navigation"):
+            self.navigation = software.navigation.build(briefing)
+        self.mappers: dict[str, HazardMapper] = {}
+        for name, part in software.mappers.items():
+            with _named(f"mappers.{name}"):
+                self.mappers[name] = part.build(briefing, self.navigation)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag

@@ -28,10 +28,10 @@ class PartSettings(BaseModel):
             If its values contradict each other; the field is the scenario's key.
         """
         cls, keys = _origin(type(self))
-        values = {
-            name: q.to_si(_plain(getattr(self, key))) if q else _plain(getattr(self, key))
-            for key, (name, q) in keys.items()
-        }
+        values = {}
+        for key, (name, q) in keys.items():
+            value = _made(key, getattr(self, key))
+            values[name] = q.to_si(value) if q else value
         try:
             return cls(**values)
         except InputError as error:
@@ -46,10 +46,14 @@ class PartSettings(BaseModel):
         return InputError(wrong, error.value, error.expected)
 
 
-def _plain(value: Any) -> Any:
+def _made(key: str, value: Any) -> Any:
+    """Return the value of a key with nested tables made into parts and lists into tuples."""
     if isinstance(value, PartSettings):
-        return value.make()
-    return tuple(_plain(v) for v in value) if isinstance(value, list | tuple) else value
+        try:
+            return value.make()
+        except InputError as error:
+            raise InputError(f"{key}.{error.field}", error.value, error.expected) from None
+    return tuple(_made(key, v) for v in value) if isinstance(value, list | tuple) else value
 
 
 _ORIGINS: dict[type[BaseModel], tuple[type, dict[str, tuple[str, Quantity | None]]]] = {}

@@ -29,7 +29,7 @@ class RockPopulation:
     cover: float = quantity(0.05, ge=0, le=0.2, help="fraction k of ground under rocks")
     min_diameter: float = quantity(0.15, "m", gt=0, help="of the rocks drawn")
     max_diameter: float = quantity(3.0, "m", gt=0, help="of the rocks drawn")
-    shape: Shape = quantity("hemisphere")
+    shape: Shape = quantity("hemisphere", help="of the rocks")
     height_ratio: tuple[float, float] = quantity(
         (0.5, 0.1), help="height over diameter, mean and sigma"
     )
@@ -65,7 +65,7 @@ class RockExpectation:
     """
 
     cover: float = quantity(0.05, gt=0, le=0.2, help="fraction k of ground under rocks")
-    shape: Shape = quantity("hemisphere")
+    shape: Shape = quantity("hemisphere", help="of the rocks")
     height_ratio: tuple[float, float] = quantity(
         (0.5, 0.1), help="height over diameter, mean and sigma"
     )

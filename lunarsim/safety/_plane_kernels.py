@@ -81,12 +81,18 @@ def _risen(tops, here, blocks, centres, n, gx, gy):
 
 
 @kernel(inline=True)
-def _highest_of_four(tops, here, blocks, centres, n, gx, gy):
-    """Return the highest of the tops of blocks `n` to n + 3 above a plane through the site."""
+def _four_risen(tops, here, blocks, centres, n, gx, gy):
+    """Return the tops of blocks `n` to n + 3 above a plane through the site."""
     a = _risen(tops, here, blocks, centres, n, gx, gy)
     b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
     c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
     d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+    return a, b, c, d
+
+
+@kernel(inline=True)
+def _highest(four):
+    a, b, c, d = four
     return larger(larger(a, b), larger(c, d))
 
 
@@ -142,6 +148,43 @@ def _drop_steep(steepest, limit, lanes):
     return left
 
 
+@kernel(inline=True)
+def _open_four(z, here, cols, corners, allowed, n, gx, gy, risen, need):
+    """Return what `_open` does for those of blocks `n` to n + 3 that rise above what is needed."""
+    q0, q1, q2, q3 = risen
+    top = spread(-FAR)
+    if any_above(q0, need):
+        top = _open(z, here, cols, corners, allowed, n, gx, gy)
+    if any_above(q1, need):
+        top = larger(top, _open(z, here, cols, corners, allowed, n + 1, gx, gy))
+    if any_above(q2, need):
+        top = larger(top, _open(z, here, cols, corners, allowed, n + 2, gx, gy))
+    if any_above(q3, need):
+        top = larger(top, _open(z, here, cols, corners, allowed, n + 3, gx, gy))
+    return top
+
+
+@kernel(inline=True)
+def _stride(headings):
+    """Return by how much to go on so that every heading gets its turn, those far apart first.
+
+    They soon show about how rough a site is, which spares the others.
+    """
+    stride = max(1, round(0.382 * headings))
+    while math.gcd(stride, headings) > 1:
+        stride += 1
+    return stride
+
+
+@kernel(inline=True)
+def _write_sites(lanes, todo, i, first, beyond, least, slope_out, rough_out):
+    """Write the sites to do out of lanes of slopes and roughnesses, none of which is `beyond`."""
+    for k in range(min(LANES, beyond - first)):
+        if todo[i, first + k]:
+            slope_out[i, first + k] = lanes[1, k]
+            rough_out[i, first + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
+
+
 @kernel(parallel=True)
 def exact(
     z, feet, tops, todo, legs, inverse, place, blocks, centres, corners, allowed, first,
@@ -158,10 +201,7 @@ def exact(
     rows, cols = todo.shape
     headings = legs.shape[0]
     planes = inverse.shape[1]
-    # Headings far apart first: they soon show about how rough a site is, which spares the others.
-    stride = max(1, round(0.382 * headings))
-    while math.gcd(stride, headings) > 1:
-        stride += 1
+    stride = _stride(headings)
     span = np.float32(0.5 * (BLOCK - 1))
     for i in prange(reach, rows - reach):
         lanes = np.empty((3, LANES), np.float32)
@@ -191,24 +231,12 @@ def exact(
                     lowest = base + out - span * (magnitude(gx) + magnitude(gy)) - margin
                     need = lowest + worst * stretch
                     for n in range(item(first, h), item(first, h + 1), 4):
-                        q0 = _risen(tops, here, blocks, centres, n, gx, gy)
-                        q1 = _risen(tops, here, blocks, centres, n + 1, gx, gy)
-                        q2 = _risen(tops, here, blocks, centres, n + 2, gx, gy)
-                        q3 = _risen(tops, here, blocks, centres, n + 3, gx, gy)
-                        if not any_above(larger(larger(q0, q1), larger(q2, q3)), need):
-                            continue
-                        top = spread(-FAR)
-                        if any_above(q0, need):
-                            top = _open(z, here, cols, corners, allowed, n, gx, gy)
-                        if any_above(q1, need):
-                            top = larger(top, _open(z, here, cols, corners, allowed, n + 1, gx, gy))
-                        if any_above(q2, need):
-                            top = larger(top, _open(z, here, cols, corners, allowed, n + 2, gx, gy))
-                        if any_above(q3, need):
-                            top = larger(top, _open(z, here, cols, corners, allowed, n + 3, gx, gy))
-                        worst = larger(worst, (top - base) / stretch)
-                        need = lowest + worst * stretch
-                        last_raised = h
+                        q = _four_risen(tops, here, blocks, centres, n, gx, gy)
+                        if any_above(_highest(q), need):
+                            top = _open_four(z, here, cols, corners, allowed, n, gx, gy, q, need)
+                            worst = larger(worst, (top - base) / stretch)
+                            need = lowest + worst * stretch
+                            last_raised = h
                 if decide:
                     out = where_above(spread(limit_rough), worst, out, spread(FAR))
                     if not any_above(spread(np.float32(0.5) * FAR), out):
@@ -217,10 +245,7 @@ def exact(
             start = last_raised
             store(lanes[1], 0, root(steepest))
             store(lanes[2], 0, worst)
-            for k in range(min(LANES, cols - reach - j)):
-                if todo[i, j + k]:
-                    slope_out[i, j + k] = lanes[1, k]
-                    rough_out[i, j + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
+            _write_sites(lanes, todo, i, j, cols - reach, least, slope_out, rough_out)
 
 
 @kernel(parallel=True)
@@ -244,8 +269,8 @@ def bounded(tops, shape, feet, legs, inverse, place, blocks, centres, first, blo
                     gx, gy, base = _plane(feet, here, legs, inverse, place, h, s)
                     top = spread(-FAR)
                     for n in range(item(first, h), item(first, h + 1), 4):
-                        four = _highest_of_four(tops, here, blocks, centres, n, gx, gy)
-                        top = larger(top, four)
+                        four = _four_risen(tops, here, blocks, centres, n, gx, gy)
+                        top = larger(top, _highest(four))
                     # A block's top may stand at its corner where the plane is lowest.
                     top = top + span * (magnitude(gx) + magnitude(gy))
                     square = _squared_tangent(gx, gy, posting)

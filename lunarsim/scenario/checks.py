@@ -2,16 +2,82 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.measurements import InertialSamples
-
-if TYPE_CHECKING:
-    from lunarsim.scenario.scenario import Scenario
+from lunarsim.parts import kinds, resolve
 
 
-def check(scenario: Scenario) -> None:
+class Chosen(Protocol):
+    """A table with a kind."""
+
+    @property
+    def kind(self) -> str:
+        """Registered name or "module:Class"."""
+        ...
+
+    @property
+    def table(self) -> Any:
+        """The rest of the table."""
+        ...
+
+    def make(self) -> Any:
+        """Return the part."""
+        ...
+
+
+class Tables(Protocol):
+    """What is checked of a scenario."""
+
+    @property
+    def sensors(self) -> Mapping[str, Chosen]:
+        """By name."""
+        ...
+
+    @property
+    def tasking(self) -> Mapping[str, Chosen]:
+        """By the name of the sensor."""
+        ...
+
+    @property
+    def mappers(self) -> Mapping[str, Chosen]:
+        """By name."""
+        ...
+
+    @property
+    def navigation(self) -> Chosen:
+        """One part."""
+        ...
+
+    @property
+    def control(self) -> Chosen:
+        """One part."""
+        ...
+
+    @property
+    def decisions(self) -> Any:
+        """A fixed table."""
+        ...
+
+    @property
+    def simulation(self) -> Any:
+        """A fixed table."""
+        ...
+
+    @property
+    def prior_map(self) -> Any:
+        """A table or None."""
+        ...
+
+    @property
+    def start_knowledge(self) -> Any:
+        """A table or None."""
+        ...
+
+
+def check(scenario: Tables) -> None:
     """Raise `InputError` for parts that lack another, contradict another, or have no effect."""
     sensors = {name: part.make() for name, part in scenario.sensors.items()}
     _check_mappers(scenario, sensors)
@@ -30,8 +96,6 @@ def _gives(sensors: dict[str, Any], wanted: type) -> bool:
 
 def _kinds_giving(wanted: type) -> str:
     """Return the kinds of sensors that give a type of measurement, in words."""
-    from lunarsim.parts import kinds, resolve  # noqa: PLC0415
-
     found = []
     for kind in kinds("sensor"):
         try:
@@ -42,7 +106,7 @@ def _kinds_giving(wanted: type) -> str:
     return " or ".join(found) or f"a part that gives {wanted.__name__}"
 
 
-def _check_mappers(scenario: Scenario, sensors: dict[str, Any]) -> None:
+def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
@@ -58,7 +122,7 @@ def _check_mappers(scenario: Scenario, sensors: dict[str, Any]) -> None:
                 f"{field}.sensor", mapper.sensor,
                 f"a sensor of kind {_kinds_giving(mapper.takes)}: this one gives {given.__name__}",
             )  # fmt: skip
-        wanted = mapper.navigation
+        wanted = getattr(mapper, "navigation", None)
         if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
@@ -66,7 +130,7 @@ def _check_mappers(scenario: Scenario, sensors: dict[str, Any]) -> None:
             )  # fmt: skip
 
 
-def _check_navigation(scenario: Scenario, sensors: dict[str, Any]) -> None:
+def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:
     navigation = scenario.navigation.make()
     for wanted in navigation.needs:
         if not _gives(sensors, wanted):
@@ -82,7 +146,7 @@ def _check_navigation(scenario: Scenario, sensors: dict[str, Any]) -> None:
         )  # fmt: skip
 
 
-def _check_control(scenario: Scenario, sensors: dict[str, Any]) -> None:
+def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
     if scenario.control.make().torques and not _gives(sensors, InertialSamples):
         raise InputError(
             "control.kind", scenario.control.kind,
@@ -99,7 +163,7 @@ def _check_control(scenario: Scenario, sensors: dict[str, Any]) -> None:
         )  # fmt: skip
 
 
-def _check_tasking(scenario: Scenario, sensors: dict[str, Any]) -> None:
+def _check_tasking(scenario: Tables, sensors: dict[str, Any]) -> None:
     for name in scenario.tasking:
         if name not in sensors:
             raise InputError(
@@ -126,7 +190,7 @@ def _check_tasking(scenario: Scenario, sensors: dict[str, Any]) -> None:
                 )  # fmt: skip
 
 
-def _check_effect(scenario: Scenario, sensors: dict[str, Any]) -> None:
+def _check_effect(scenario: Tables, sensors: dict[str, Any]) -> None:
     """Refuse parts that nothing uses."""
     navigation = scenario.navigation.make()
     used = {part.make().sensor for part in scenario.mappers.values()}

@@ -40,7 +40,7 @@ class RadarAltimeter:
     )
     noise_ratio: float = quantity(0.01, ge=0, help="1 sigma over the range")
     noise_floor: float = quantity(0.1, "m", ge=0, help="1 sigma, in quadrature")
-    max_range: float = quantity(3000.0, "m", gt=0)
+    max_range: float = quantity(3000.0, "m", gt=0, help="no return beyond")
     max_incidence: float = quantity(60.0, "deg", gt=0, le=90, help="no return beyond")
 
     gives: ClassVar[type] = AltimeterReading

@@ -279,14 +279,14 @@ class FramingCamera:
     distortion: tuple[float, float, float, float, float] = quantity(
         (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"
     )
-    exposure: float = quantity(2e-3, "s", gt=0)
+    exposure: float = quantity(2e-3, "s", gt=0, help="time that the shutter is open")
     sensitivity: float = quantity(5e7, "e-/s", gt=0, help="for I/F = 1")
-    blur_sigma: float = quantity(0.6, "px", ge=0)
-    motion_blur: bool = quantity(True)
-    shot_noise: bool = quantity(True)
-    read_noise: float = quantity(12.0, "e-", ge=0)
-    full_well: float = quantity(20_000.0, "e-", gt=0)
-    bits: int = quantity(8, ge=1, le=16)
+    blur_sigma: float = quantity(0.6, "px", ge=0, help="point spread, 1 sigma")
+    motion_blur: bool = quantity(True, help="whether turning smears the picture")
+    shot_noise: bool = quantity(True, help="whether photons arrive at random")
+    read_noise: float = quantity(12.0, "e-", ge=0, help="1 sigma")
+    full_well: float = quantity(20_000.0, "e-", gt=0, help="electrons that saturate a pixel")
+    bits: int = quantity(8, ge=1, le=16, help="of the converter, full scale at the full well")
     gimbal_limit: float = quantity(
         180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
     )

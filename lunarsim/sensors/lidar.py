@@ -61,7 +61,7 @@ class FlashLidar:
     noise_ratio: float = quantity(
         0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="1 sigma over the range, along the ray"
     )
-    max_range: float = quantity(2000.0, "m", gt=0)
+    max_range: float = quantity(2000.0, "m", gt=0, help="no return beyond")
     spacing: Literal["tangent", "angle"] = quantity("tangent", help="pixels even in this")
     max_incidence: float = quantity(90.0, "deg", gt=0, le=90, help="no return beyond")
     photons: float | None = quantity(

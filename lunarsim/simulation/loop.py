@@ -109,10 +109,9 @@ class Simulation:
         self.computer = OnboardComputer(briefing, None if knows else self.policy)
         self.recorder = Recorder(briefing.target)
         self._tap = tap
-        self._at_update = state
         if tap is not None:
             tap.briefing = briefing
-        self._measurements = self.plant.measure()
+        self._take(self.plant.measure())
 
     # --- taps -----------------------------------------------------------------------------
 
@@ -173,15 +172,14 @@ class Simulation:
         """Estimated position, local frame, less the true one (3,), m.
 
         What local frame and true frame differ by: a point of a map less this is where it truly is.
-        Both are of the moment that the estimate is for, which `move` leaves behind.
         """
-        return self.estimate.position - self._at_update.position
+        return self.estimate.position - self.state.position
 
     @property
     def site_error(self) -> Array:
-        """Estimated position in the site frame less the true one (3,), m, likewise."""
+        """Estimated position in the site frame less the true one (3,), m."""
         shift = self.computer.navigation.site_to_local
-        return np.asarray(shift.to_site(self.estimate.position) - self._at_update.position)
+        return np.asarray(shift.to_site(self.estimate.position) - self.state.position)
 
     @property
     def decision_due(self) -> bool:
@@ -198,18 +196,14 @@ class Simulation:
         """Hand a decision to the computer; return False if its site is out of reach."""
         return self.computer.apply(decision)
 
-    def update(self) -> None:
-        """Do the first half of a cycle: the computer takes in what was measured."""
-        if self.done:
-            raise RuntimeError("the flight has ended")
-        self._take(self._measurements)
-        c = self.computer
-        self.recorder.row(self.time, self.state, c.estimate, c.site, c.time_to_go, c.phase)
-
     def _take(self, measurements: Measurements) -> None:
-        self._at_update = self.state
-        self.computer.update(measurements)
-        self.recorder.measured(measurements, self.computer, self.navigation_error)
+        """Let the computer take in what was measured, and note both sides as they are now."""
+        self._measurements = measurements
+        c = self.computer
+        c.update(measurements)
+        self.recorder.measured(measurements, c, self.navigation_error)
+        left = 0.0 if self.done else c.time_to_go
+        self.recorder.row(self.time, self.state, c.estimate, c.site, left, c.phase)
 
     def decide(self) -> None:
         """Ask the policy, if there is one and a decision is due."""
@@ -227,21 +221,19 @@ class Simulation:
         self.apply(decision)
 
     def move(self) -> None:
-        """Do the second half of a cycle: the computer commands, the plant moves and measures."""
-        before = self._measurements
+        """Let the computer command, the plant move and measure, and the computer take that in."""
+        if self.done:
+            raise RuntimeError("the flight has ended")
         command = self.computer.command()
         cycle = fly_cycle(self.plant, self.computer.attitude_loop, command)
-        self._measurements = cycle.measurements
         if self._tap is not None:
-            self._tap.exchange(before, command, cycle.torques)
-        if self.plant.verdict is not None:
-            self._take(self._measurements)
-            c = self.computer
-            self.recorder.row(self.time, self.state, c.estimate, c.site, 0.0, c.phase)
+            self._tap.exchange(self._measurements, command, cycle.torques)
+        self._take(cycle.measurements)
 
     def step(self) -> None:
         """Advance one control cycle."""
-        self.update()
+        if self.done:
+            raise RuntimeError("the flight has ended")
         self.decide()
         self.move()
 

@@ -117,17 +117,8 @@ def _conflicts(t, vertex, x, y, ghost, px, py):
 
 
 @kernel()
-def insert_all(points, order):
-    """Return the Delaunay triangles (m, 3) of distinct points, inserted in the given order.
-
-    A ghost triangle keeps its ghost vertex last, so its half-edge 0 is the hull edge seen from
-    outside.
-    """
-    n = points.shape[0]
-    x = points[:, 0].copy()
-    y = points[:, 1].copy()
-    ghost = n
-    # The first triangle: two points and the first that is not on their line.
+def _first_triangle(x, y, order):
+    """Return two points and the first that is not on their line, counter-clockwise; or -1s."""
     first = order[0]
     second = order[1] if order.size > 1 else -1
     third = -1
@@ -137,14 +128,15 @@ def insert_all(points, order):
                 third = order[m]
                 break
     if third < 0:
-        return np.empty((0, 3), np.int64)
+        return -1, -1, -1
     if orient(x[first], y[first], x[second], y[second], x[third], y[third]) < 0:
         second, third = third, second
+    return first, second, third
 
-    size = 2 * order.size + 8
-    vertex = np.empty(3 * size, np.int64)
-    twin = np.empty(3 * size, np.int64)
-    corner = (first, second, third)
+
+@kernel()
+def _surround_by_ghosts(corner, ghost, vertex, twin):
+    """Write the first triangle and a ghost outside each of its edges."""
     for e in range(3):
         vertex[e] = corner[e]
         t = e + 1  # ghost outside half-edge e
@@ -156,102 +148,117 @@ def insert_all(points, order):
         # The ghost after this one around the hull starts where this one ends.
         twin[3 * t + 1] = 3 * ((e + 2) % 3 + 1) + 2
         twin[3 * ((e + 2) % 3 + 1) + 2] = 3 * t + 1
-    count = 4
-    last = 0
-    fan = np.empty(n + 1, np.int64)  # new half-edge that starts at a vertex of the cavity's rim
-    state = np.zeros(size, np.int8)  # 1: in the cavity of the present point
-    stack = np.empty(size, np.int64)
-    cavity = np.empty(size, np.int64)
-    rim = np.empty(size, np.int64)
 
-    for m in range(order.size):
-        p = order[m]
-        if p in (first, second, third):
-            continue
-        px = x[p]
-        py = y[p]
-        # Walk from the last triangle to one that p destroys.
-        t = last
-        if vertex[3 * t + 2] == ghost:
-            t = twin[3 * t] // 3
-        came = -1
-        while True:
-            moved = False
-            for e in range(3 * t, 3 * t + 3):
-                if e == came:
-                    continue
-                a = vertex[e]
-                b = vertex[_next(e)]
-                if orient(x[a], y[a], x[b], y[b], px, py) < 0:
-                    came = twin[e]
-                    t = came // 3
-                    moved = True
-                    break
-            if not moved or vertex[3 * t + 2] == ghost:
+
+@kernel(inline=True)
+def _walk_to(px, py, t, x, y, ghost, vertex, twin):
+    """Walk from triangle t to one that point p destroys."""
+    if vertex[3 * t + 2] == ghost:
+        t = twin[3 * t] // 3
+    came = -1
+    while True:
+        moved = False
+        for e in range(3 * t, 3 * t + 3):
+            if e == came:
+                continue
+            a = vertex[e]
+            b = vertex[_next(e)]
+            if orient(x[a], y[a], x[b], y[b], px, py) < 0:
+                came = twin[e]
+                t = came // 3
+                moved = True
                 break
-        # All triangles that p destroys, and the rim of the hole.
-        top = 1
-        stack[0] = t
-        state[t] = 1
-        holes = 0
-        edges = 0
-        while top > 0:
-            top -= 1
-            t = stack[top]
-            cavity[holes] = t
-            holes += 1
-            for e in range(3 * t, 3 * t + 3):
-                other = twin[e] // 3
-                if state[other] == 1:
-                    continue
-                if _conflicts(other, vertex, x, y, ghost, px, py):
-                    state[other] = 1
-                    stack[top] = other
-                    top += 1
-                else:
-                    rim[edges] = twin[e]
-                    edges += 1
-        # A fan from p over the rim; old triangles' places are used again.
-        for h in range(holes):
-            state[cavity[h]] = 0
-        for h in range(edges):
-            outside = rim[h]
-            a = vertex[_next(outside)]  # the rim's half-edge as seen from inside: a to b
-            b = vertex[outside]
-            if h < holes:
-                t = cavity[h]
-            else:
-                t = count
-                count += 1
-            # Keep a ghost vertex last.
-            if a == ghost:
-                vertex[3 * t] = b
-                vertex[3 * t + 1] = p
-                vertex[3 * t + 2] = a
-                base = 3 * t + 2
-            elif b == ghost:
-                vertex[3 * t] = p
-                vertex[3 * t + 1] = a
-                vertex[3 * t + 2] = b
-                base = 3 * t + 1
-            else:
-                vertex[3 * t] = a
-                vertex[3 * t + 1] = b
-                vertex[3 * t + 2] = p
-                base = 3 * t
-            twin[base] = outside
-            twin[outside] = base
-            fan[a] = base
-            rim[h] = base
-            last = t
-        for h in range(edges):
-            base = rim[h]
-            inward = _next(base)  # b to p
-            neighbour = fan[vertex[inward]]  # half-edge of the rim that starts at b
-            outward = _next(_next(neighbour))  # p to b in that triangle
-            twin[inward] = outward
-            twin[outward] = inward
+        if not moved or vertex[3 * t + 2] == ghost:
+            return t
 
+
+@kernel(inline=True)
+def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim):
+    """List all triangles that point p destroys, t among them, and the rim of the hole.
+
+    The rim is made of the half-edges outside. Returns the number of triangles and of half-edges;
+    the marks are wiped again.
+    """
+    top = 1
+    stack[0] = t
+    marked[t] = 1
+    holes = 0
+    edges = 0
+    while top > 0:
+        top -= 1
+        t = stack[top]
+        cavity[holes] = t
+        holes += 1
+        for e in range(3 * t, 3 * t + 3):
+            other = twin[e] // 3
+            if marked[other] == 1:
+                continue
+            if _conflicts(other, vertex, x, y, ghost, px, py):
+                marked[other] = 1
+                stack[top] = other
+                top += 1
+            else:
+                rim[edges] = twin[e]
+                edges += 1
+    for h in range(holes):
+        marked[cavity[h]] = 0
+    return holes, edges
+
+
+@kernel(inline=True)
+def _write_fan_triangle(t, a, b, p, ghost, vertex):
+    """Write triangle a, b, p, a ghost vertex last; return its half-edge from a to b."""
+    if a == ghost:
+        vertex[3 * t] = b
+        vertex[3 * t + 1] = p
+        vertex[3 * t + 2] = a
+        return 3 * t + 2
+    if b == ghost:
+        vertex[3 * t] = p
+        vertex[3 * t + 1] = a
+        vertex[3 * t + 2] = b
+        return 3 * t + 1
+    vertex[3 * t] = a
+    vertex[3 * t + 1] = b
+    vertex[3 * t + 2] = p
+    return 3 * t
+
+
+@kernel(inline=True)
+def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
+    """Fill the hole by a fan from p over its rim; return the last triangle and their number.
+
+    Old triangles' places are used again. `fan` is room for the new half-edge that starts at each
+    vertex of the rim.
+    """
+    t = count
+    for h in range(edges):
+        outside = rim[h]
+        a = vertex[_next(outside)]  # the rim's half-edge as seen from inside: a to b
+        b = vertex[outside]
+        if h < holes:
+            t = cavity[h]
+        else:
+            t = count
+            count += 1
+        base = _write_fan_triangle(t, a, b, p, ghost, vertex)
+        twin[base] = outside
+        twin[outside] = base
+        fan[a] = base
+        rim[h] = base
+    for h in range(edges):
+        base = rim[h]
+        inward = _next(base)  # b to p
+        neighbour = fan[vertex[inward]]  # half-edge of the rim that starts at b
+        outward = _next(_next(neighbour))  # p to b in that triangle
+        twin[inward] = outward
+        twin[outward] = inward
+    return t, count
+
+
+@kernel()
+def _without_ghosts(vertex, count, ghost):
+    """Return the triangles (m, 3) of `count` that have no ghost vertex."""
     out = np.empty((count, 3), np.int64)
     kept = 0
     for t in range(count):
@@ -260,6 +267,43 @@ def insert_all(points, order):
                 out[kept, e] = vertex[3 * t + e]
             kept += 1
     return out[:kept]
+
+
+@kernel()
+def insert_all(points, order):
+    """Return the Delaunay triangles (m, 3) of distinct points, inserted in the given order.
+
+    A ghost triangle keeps its ghost vertex last, so its half-edge 0 is the hull edge seen from
+    outside.
+    """
+    n = points.shape[0]
+    x = points[:, 0].copy()
+    y = points[:, 1].copy()
+    ghost = n
+    corner = _first_triangle(x, y, order)
+    if corner[0] < 0:
+        return np.empty((0, 3), np.int64)
+    size = 2 * order.size + 8
+    vertex = np.empty(3 * size, np.int64)
+    twin = np.empty(3 * size, np.int64)
+    _surround_by_ghosts(corner, ghost, vertex, twin)
+    count = 4
+    last = 0
+    fan = np.empty(n + 1, np.int64)
+    marked = np.zeros(size, np.int8)
+    stack = np.empty(size, np.int64)
+    cavity = np.empty(size, np.int64)
+    rim = np.empty(size, np.int64)
+    for m in range(order.size):
+        p = order[m]
+        if p in corner:
+            continue
+        t = _walk_to(x[p], y[p], last, x, y, ghost, vertex, twin)
+        holes, edges = _dig_cavity(
+            x[p], y[p], t, x, y, ghost, vertex, twin, marked, stack, cavity, rim
+        )
+        last, count = _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan)
+    return _without_ghosts(vertex, count, ghost)
 
 
 @kernel()
@@ -330,23 +374,55 @@ def _runs_forward(x, y, first, step, count):
     return True
 
 
+@kernel(inline=True)
+def _pair(twin, e, f):
+    """Make two half-edges each other's twin."""
+    twin[e] = f
+    twin[f] = e
+
+
+@kernel(inline=True)
+def _which_diagonal(x, y, a, b, c, d):
+    """Return 1 to cut quad abcd along ac, 2 along bd, 0 if either leaves a triangle inverted."""
+    abc = orient(x[a], y[a], x[b], y[b], x[c], y[c])
+    acd = orient(x[a], y[a], x[c], y[c], x[d], y[d])
+    abd = orient(x[a], y[a], x[b], y[b], x[d], y[d])
+    bcd = orient(x[b], y[b], x[c], y[c], x[d], y[d])
+    first = abc > 0 and acd > 0
+    second = abd > 0 and bcd > 0
+    if first and second:
+        inside = in_circle(x[a], y[a], x[b], y[b], x[c], y[c], x[d], y[d]) > 0
+        return 2 if inside else 1
+    if first:
+        return 1
+    return 2 if second else 0
+
+
+@kernel(inline=True)
+def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
+    """Write the triangles of a quad from half-edge t on; return its east, north and west sides.
+
+    The south side is half-edge t itself.
+    """
+    vertex[t] = a
+    vertex[t + 1] = b
+    vertex[t + 4] = c
+    vertex[t + 5] = d
+    if diagonal == 1:  # a b c, a c d
+        vertex[t + 2] = c
+        vertex[t + 3] = a
+        _pair(twin, t + 2, t + 3)
+        return t + 1, t + 4, t + 5
+    # a b d, b c d
+    vertex[t + 2] = d
+    vertex[t + 3] = b
+    _pair(twin, t + 1, t + 5)
+    return t + 3, t + 4, t + 2
+
+
 @kernel()
-def flip_mesh(points, rows, cols):
-    """Return the Delaunay triangles of a detector's mesh, or none if the mesh folds over."""
-    n = rows * cols
-    nothing = np.empty((0, 3), np.int64)
-    x = points[:, 0].copy()
-    y = points[:, 1].copy()
-    if orient(x[0], y[0], x[cols - 1], y[cols - 1], x[n - 1], y[n - 1]) < 0:
-        for v in range(n):  # seen mirrored: triangulate the mirror image
-            x[v] = -x[v]
-        flipped = True
-    else:
-        flipped = False
-    size = 6 * (rows - 1) * (cols - 1)
-    room = size + 3 * (2 * (rows + cols) + 8)
-    vertex = np.empty(room, np.int64)
-    twin = np.full(room, -1, np.int64)
+def _cut_quads(x, y, rows, cols, vertex, twin):
+    """Write two triangles for each quad of a detector's mesh; tell whether none is folded over."""
     south = np.empty(cols - 1, np.int64)  # upper half-edges of the quads of the row below
     for i in range(rows - 1):
         west = -1
@@ -355,52 +431,37 @@ def flip_mesh(points, rows, cols):
             b = a + 1
             d = a + cols
             c = d + 1
-            abc = orient(x[a], y[a], x[b], y[b], x[c], y[c])
-            acd = orient(x[a], y[a], x[c], y[c], x[d], y[d])
-            abd = orient(x[a], y[a], x[b], y[b], x[d], y[d])
-            bcd = orient(x[b], y[b], x[c], y[c], x[d], y[d])
-            first = abc > 0 and acd > 0
-            second = abd > 0 and bcd > 0
-            if not first and not second:
-                return nothing
-            if first and second:
-                inside = in_circle(x[a], y[a], x[b], y[b], x[c], y[c], x[d], y[d]) > 0
-                first = not inside
+            diagonal = _which_diagonal(x, y, a, b, c, d)
+            if diagonal == 0:
+                return False
             t = 6 * (i * (cols - 1) + j)
-            if first:  # a b c, a c d
-                vertex[t] = a
-                vertex[t + 1] = b
-                vertex[t + 2] = c
-                vertex[t + 3] = a
-                vertex[t + 4] = c
-                vertex[t + 5] = d
-                twin[t + 2] = t + 3
-                twin[t + 3] = t + 2
-                low = t
-                east = t + 1
-                north = t + 4
-                left = t + 5
-            else:  # a b d, b c d
-                vertex[t] = a
-                vertex[t + 1] = b
-                vertex[t + 2] = d
-                vertex[t + 3] = b
-                vertex[t + 4] = c
-                vertex[t + 5] = d
-                twin[t + 1] = t + 5
-                twin[t + 5] = t + 1
-                low = t
-                east = t + 3
-                north = t + 4
-                left = t + 2
+            east, north, left = _cut_quad(t, a, b, c, d, diagonal, vertex, twin)
             if i > 0:
-                twin[low] = south[j]
-                twin[south[j]] = low
+                _pair(twin, t, south[j])
             if j > 0:
-                twin[left] = west
-                twin[west] = left
+                _pair(twin, left, west)
             south[j] = north
             west = east
+    return True
+
+
+@kernel()
+def flip_mesh(points, rows, cols):
+    """Return the Delaunay triangles of a detector's mesh, or none if the mesh folds over."""
+    n = rows * cols
+    nothing = np.empty((0, 3), np.int64)
+    x = points[:, 0].copy()
+    y = points[:, 1].copy()
+    mirrored = orient(x[0], y[0], x[cols - 1], y[cols - 1], x[n - 1], y[n - 1]) < 0
+    if mirrored:  # triangulate the mirror image
+        for v in range(n):
+            x[v] = -x[v]
+    size = 6 * (rows - 1) * (cols - 1)
+    room = size + 3 * (2 * (rows + cols) + 8)
+    vertex = np.empty(room, np.int64)
+    twin = np.full(room, -1, np.int64)
+    if not _cut_quads(x, y, rows, cols, vertex, twin):
+        return nothing
     # The outline must run forward along each side, or the mesh may overlap itself.
     if not (
         _runs_forward(x, y, 0, 1, cols)
@@ -420,8 +481,8 @@ def flip_mesh(points, rows, cols):
     out = np.empty((used // 3, 3), np.int64)
     for t in range(used // 3):
         out[t, 0] = vertex[3 * t]
-        out[t, 1] = vertex[3 * t + (2 if flipped else 1)]
-        out[t, 2] = vertex[3 * t + (1 if flipped else 2)]
+        out[t, 1] = vertex[3 * t + (2 if mirrored else 1)]
+        out[t, 2] = vertex[3 * t + (1 if mirrored else 2)]
     return out
 
 

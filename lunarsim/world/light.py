@@ -36,7 +36,9 @@ class Light:
     elevation: float = quantity(20.0, "deg", ge=-90, le=90, help="of the Sun above the horizon")
     albedo: float = quantity(0.12, gt=0, le=1, help="normal albedo")
     ambient: float = quantity(0.0, ge=0, le=1, help="I/F of shadows over the albedo")
-    photometry: Literal["lambert", "lunar-lambert"] = quantity("lunar-lambert")
+    photometry: Literal["lambert", "lunar-lambert"] = quantity(
+        "lunar-lambert", help="how the ground reflects"
+    )
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.azimuth):

@@ -39,7 +39,7 @@ class PriorSurvey:
     """
 
     size: float = quantity(300.0, "m", gt=0, help="side of the square about the target")
-    posting: float = quantity(0.5, "m", gt=0)
+    posting: float = quantity(0.5, "m", gt=0, help="distance of the posts")
     sigma: float = quantity(0.1, "m", gt=0, help="noise of each post")
     offset: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m", help="by which the whole map is wrong"

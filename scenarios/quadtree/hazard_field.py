@@ -89,12 +89,10 @@ def fly(task: Task) -> dict[str, Any]:
     pending, looks = list(TIMES), []
     track: list[tuple[float, ...]] = []
     while pending:
-        # Estimate and truth of the same moment are there between the two halves of a cycle.
-        simulation.update()
+        simulation.step()
         track.append((simulation.time, *navigation_error(simulation), *deviations(found)))
         if simulation.time >= pending[0] - 1e-9:
             looks.append(look(simulation, pending.pop(0), task.pictures))
-        simulation.move()
     tree = simulation.computer.mappers["sites"].map
     return {
         "field": task.field,

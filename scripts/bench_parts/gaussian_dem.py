@@ -8,50 +8,71 @@ from bench_parts.common import median_ms
 def gaussian_dem() -> None:
     """65,536 returns from 500 m straight above to a safety map, against Qhull and ALHAT."""
     import numpy as np
-    from scipy.spatial import Delaunay
 
-    from lunarsim.frames import sensor_axes
-    from lunarsim.grid import Grid
     from lunarsim.models.lander import Lander
-    from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as build
-    from lunarsim.safety import (
-        alhat_safety,
-        bounded_safety,
-        conservative_safety,
-        exact_safety,
-        safe_sites,
-        stochastic_safety,
-    )
     from lunarsim.sensors.lidar import FlashLidar
-    from lunarsim.triangulation import delaunay, delaunay_of_image
-    from lunarsim.vehicle import State
-    from lunarsim.world import World
-    from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 
     lander = Lander()
+    lidar = FlashLidar()
+    terrain = _plane_with_rocks()
+    points, shape = _scan(terrain, lidar, np.array([0.0, 0.0, 500.0]))
+    qhull = _triangulations(points, shape)
+    _safety_maps(points, shape, lidar.noise_ratio * 500.0, lander, qhull)
+    _safety_tests(terrain, lander)
+
+
+def _plane_with_rocks():
+    import numpy as np
+
+    from lunarsim.grid import Grid
+    from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+
     plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))
-    rocks = place_rocks(plane, np.full(500, 1.0), np.random.default_rng(0))
-    world = World(Terrain(plane, rocks), 1.622)
-    here = np.array([0.0, 0.0, 500.0])
+    return Terrain(plane, place_rocks(plane, np.full(500, 1.0), np.random.default_rng(0)))
+
+
+def _scan(terrain, lidar, here):
+    """Return the returns (n, 3) of a flash straight down, and the detector's shape."""
+    import numpy as np
+
+    from lunarsim.frames import sensor_axes
+    from lunarsim.vehicle import State
+    from lunarsim.world import World
+
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = State(here, np.zeros(3), upright, np.zeros(3), 1.0)
-    lidar = FlashLidar()
-    scan = lidar.measure(world, state, 0.0, np.random.default_rng(1), sensor_axes([0.0, 0.0, -1.0]))
-    points = scan.points(here, upright)
-    sigma = lidar.noise_ratio * 500.0
+    down = sensor_axes([0.0, 0.0, -1.0])
+    scan = lidar.measure(World(terrain, 1.622), state, 0.0, np.random.default_rng(1), down)
+    return scan.points(here, upright), scan.shape
+
+
+def _triangulations(points, shape) -> float:
+    """Time triangulations against Qhull's; return its time, ms."""
+    from scipy.spatial import Delaunay
+
+    from lunarsim.triangulation import delaunay, delaunay_of_image
 
     qhull = median_ms(lambda: Delaunay(points[:, :2]), 5)
     print(f"  Delaunay: Qhull {qhull:.1f} ms; as ratios to it:")
     for name, call in (
-        ("detector image", lambda: delaunay_of_image(points[:, :2], scan.shape)),
+        ("detector image", lambda: delaunay_of_image(points[:, :2], shape)),
         ("any points", lambda: delaunay(points[:, :2])),
     ):
         print(f"    {name:15s} {median_ms(call) / qhull:.3f}")
+    return qhull
+
+
+def _safety_maps(points, shape, sigma: float, lander, qhull: float) -> None:
+    """Time points to safety map on ever finer grids."""
+    from lunarsim.grid import Grid
+    from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as build
+    from lunarsim.safety import alhat_safety, conservative_safety, stochastic_safety
+
     print("  points to safety map, ratio to Qhull's triangulation alone; baseline / conservative:")
     for posting in (0.5, 0.3, 0.2, 0.1):
         grid = Grid.centred((0.0, 0.0), 100.0, posting)
-        dem = build(points, grid, sigma_eps=sigma, image_shape=scan.shape)
-        first = median_ms(lambda g=grid: build(points, g, sigma_eps=sigma, image_shape=scan.shape))
+        dem = build(points, grid, sigma_eps=sigma, image_shape=shape)
+        first = median_ms(lambda g=grid: build(points, g, sigma_eps=sigma, image_shape=shape))
         second = median_ms(lambda g=grid, d=dem: stochastic_safety(d.mean, d.variance, g, lander))
         cheap = median_ms(lambda g=grid, d=dem: conservative_safety(d.mean, g, lander))
         base = median_ms(
@@ -62,11 +83,20 @@ def gaussian_dem() -> None:
             f"{(first + second) / qhull:.3f}; ALHAT-style {base:8.1f} / conservative "
             f"{cheap:6.1f} ms = {base / cheap:6.1f}"
         )
+
+
+def _safety_tests(terrain, lander) -> None:
+    """Time the exact map, the decision alone and the bounded test on a million cells."""
+    import numpy as np
+
+    from lunarsim.grid import Grid
+    from lunarsim.safety import bounded_safety, exact_safety, safe_sites
+    from lunarsim.world.terrain import fractal_relief
+
     grid = Grid.centred((0.0, 0.0), 100.0, 0.1)
     relief = fractal_relief(grid, np.random.default_rng(1), hurst=0.85, rms_slope=np.deg2rad(8.0)).z
-    field = world.terrain.raster(grid)
     print("  1000 x 1000 cells at 0.1 m: exact map, decision alone, bounded test (ms)")
-    for name, z in (("rock field", field), ("relief", relief)):
+    for name, z in (("rock field", terrain.raster(grid)), ("relief", relief)):
         times = [
             median_ms(lambda c=call, z=z: c(z, grid, lander), 3)
             for call in (exact_safety, safe_sites, bounded_safety)

@@ -11,36 +11,54 @@ from bench_parts.common import ROOT, Timed, median_ms
 def quadtree() -> None:
     """Points into the quadtree against SciPy's KD-tree and binned means; sites as the map grows."""
     import numpy as np
+
+    from lunarsim.onboard.hazards.quadtree import QuadtreeMap
+
+    rng = np.random.default_rng(0)
+    QuadtreeMap((0.0, 0.0), 100.0).insert(_cloud(rng, 10_000, 99.0))
+    _points_at_once(rng)
+    _flash_after_flash(rng)
+    _larger_maps(rng)
+
+
+def _cloud(rng, count: int, width: float, centre=(0.0, 0.0)):
+    """Return points (n, 3) at random on gentle ground with bumps."""
+    import numpy as np
+
+    xy = rng.uniform(-0.5 * width, 0.5 * width, (count, 2)) + centre
+    bump = np.hypot(xy[:, 0] % 9.0 - 4.0, xy[:, 1] % 11.0 - 5.0) < 0.5
+    z = 0.1 * np.sin(xy[:, 0] / 7.0) + 0.005 * xy[:, 1] + 0.45 * bump
+    return np.column_stack((xy, z + rng.normal(0.0, 0.02, count)))
+
+
+def _flash(rng):
+    """Return the points of 128 x 128 pixels somewhere on a map of 100 m."""
+    return _cloud(rng, 16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
+
+
+def _flash_ms(rng, quadtree, selector) -> tuple[float, float]:
+    """Return the median times (ms) to insert one more flash and to update the sites."""
+    steps = []
+    for _ in range(9):
+        flash = _flash(rng)
+        began = time.perf_counter()
+        quadtree.insert(flash)
+        middle = time.perf_counter()
+        selector.update()
+        steps.append((middle - began, time.perf_counter() - middle))
+    insert, update = (1e3 * statistics.median(column) for column in zip(*steps, strict=True))
+    return insert, update
+
+
+def _points_at_once(rng) -> None:
     from scipy.spatial import cKDTree
     from scipy.stats import binned_statistic_2d
 
-    from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
+    from lunarsim.onboard.hazards.quadtree import QuadtreeMap
 
-    rng = np.random.default_rng(0)
-
-    def cloud(count: int, width: float, centre=(0.0, 0.0)):
-        xy = rng.uniform(-0.5 * width, 0.5 * width, (count, 2)) + centre
-        bump = np.hypot(xy[:, 0] % 9.0 - 4.0, xy[:, 1] % 11.0 - 5.0) < 0.5
-        z = 0.1 * np.sin(xy[:, 0] / 7.0) + 0.005 * xy[:, 1] + 0.45 * bump
-        return np.column_stack((xy, z + rng.normal(0.0, 0.02, count)))
-
-    def flash_ms(quadtree: QuadtreeMap, selector: SiteSelector) -> tuple[float, float]:
-        """Return the median times (ms) to insert one more flash and to update the sites."""
-        steps = []
-        for _ in range(9):
-            flash = cloud(16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
-            began = time.perf_counter()
-            quadtree.insert(flash)
-            middle = time.perf_counter()
-            selector.update()
-            steps.append((middle - began, time.perf_counter() - middle))
-        insert, update = (1e3 * statistics.median(column) for column in zip(*steps, strict=True))
-        return insert, update
-
-    QuadtreeMap((0.0, 0.0), 100.0).insert(cloud(10_000, 99.0))
     print("  points at once, 100 x 100 m, least cells of 0.1 m")
     for count in (100_000, 1_000_000, 10_000_000):
-        points = cloud(count, 99.0)
+        points = _cloud(rng, count, 99.0)
         quadtree = QuadtreeMap((0.0, 0.0), 100.0)
         began = time.perf_counter()
         quadtree.insert(points)
@@ -58,7 +76,7 @@ def quadtree() -> None:
             cKDTree(points[:, :2])
             line += f", {ours / (time.perf_counter() - began):.2f} of a KD-tree"
         print(line)
-    points = cloud(10_000_000, 999.0)
+    points = _cloud(rng, 10_000_000, 999.0)
     quadtree = QuadtreeMap((0.0, 0.0), 1000.0)
     began = time.perf_counter()
     quadtree.insert(points)
@@ -66,14 +84,18 @@ def quadtree() -> None:
     print(
         f"    10,000,000 at random on a square kilometre: {took:.2f} s, {quadtree.cells:,d} cells"
     )
-    del points, quadtree
+
+
+def _flash_after_flash(rng) -> None:
+    from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
+
     print("  flashes of 128 x 128 points on 8 x 8 m, one after the other; then one update of sites")
     quadtree = QuadtreeMap((0.0, 0.0), 100.0)
     selector = SiteSelector(quadtree)
     shown = [10_000, 100_000, 1_000_000, 3_000_000, 10_000_000]
     inserted = 0.0
     while shown:
-        flash = cloud(16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
+        flash = _flash(rng)
         began = time.perf_counter()
         quadtree.insert(flash)
         inserted += time.perf_counter() - began
@@ -82,27 +104,39 @@ def quadtree() -> None:
                 selector.update()
             continue
         selector.update()
-        insert, update = flash_ms(quadtree, selector)
-        fresh = median_ms(lambda q=quadtree: SiteSelector(q).update(), 3)
-        box = median_ms(lambda q=quadtree: q.points_in(0.0, 2.0, 0.0, 2.0))
-        band = median_ms(lambda q=quadtree: q.band(0.8, 1.6))
-        places = rng.uniform(-45.0, 45.0, (1000, 2))
-        cell = median_ms(lambda q=quadtree, p=places: [q.cell_at(xy) for xy in p])
-        print(
-            f"    {quadtree.count:10,d} points: insert {insert:.1f} + update {update:.1f} ms; from "
-            f"scratch {fresh:.1f} ms, {fresh / update:.0f} times as long; 4 m2 of points {box:.2f} "
-            f"ms, band of {len(quadtree.band(0.8, 1.6))} cells {band:.2f} ms, cell at a place "
-            f"{cell:.1f} us"
-        )
+        _queries(rng, quadtree, selector)
         shown.pop(0)
     print(f"    all flashes together {inserted:.2f} s")
+
+
+def _queries(rng, quadtree, selector) -> None:
+    """Time one more flash, and what is asked of the map, at the size that it has."""
+    from lunarsim.onboard.hazards.quadtree import SiteSelector
+
+    insert, update = _flash_ms(rng, quadtree, selector)
+    fresh = median_ms(lambda: SiteSelector(quadtree).update(), 3)
+    box = median_ms(lambda: quadtree.points_in(0.0, 2.0, 0.0, 2.0))
+    band = median_ms(lambda: quadtree.band(0.8, 1.6))
+    places = rng.uniform(-45.0, 45.0, (1000, 2))
+    cell = median_ms(lambda: [quadtree.cell_at(xy) for xy in places])
+    print(
+        f"    {quadtree.count:10,d} points: insert {insert:.1f} + update {update:.1f} ms; from "
+        f"scratch {fresh:.1f} ms, {fresh / update:.0f} times as long; 4 m2 of points {box:.2f} "
+        f"ms, band of {len(quadtree.band(0.8, 1.6))} cells {band:.2f} ms, cell at a place "
+        f"{cell:.1f} us"
+    )
+
+
+def _larger_maps(rng) -> None:
+    from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
+
     print("  the same number of points to a square metre on larger maps, one flash more")
     for side in (100.0, 200.0, 400.0):
         quadtree = QuadtreeMap((0.0, 0.0), side)
-        quadtree.insert(cloud(round(100 * side**2), side - 1.0))
+        quadtree.insert(_cloud(rng, round(100 * side**2), side - 1.0))
         selector = SiteSelector(quadtree)
         selector.update()
-        insert, update = flash_ms(quadtree, selector)
+        insert, update = _flash_ms(rng, quadtree, selector)
         print(
             f"    {side:4.0f} m, {quadtree.count:10,d} points, {len(selector.mesh.nodes):5d} mesh "
             f"nodes: {insert + update:.1f} ms"

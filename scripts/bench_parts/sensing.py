@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 
 import numba
@@ -108,25 +109,17 @@ def lidar() -> None:
     """65,536 rays from 500 m against Embree on the same triangles, one thread each."""
     import numpy as np
 
-    from lunarsim.frames import sensor_axes
     from lunarsim.grid import Grid
-    from lunarsim.sensors.lidar import FlashLidar
     from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 
-    try:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-    except ImportError:
-        raise SystemExit(
-            'error: this part compares with Embree: pip install "lunarsim[bench]"'
-        ) from None
+    if importlib.util.find_spec("embreex") is None:
+        raise SystemExit('error: this part compares with Embree: pip install "lunarsim[bench]"')
     rng = np.random.default_rng(0)
     side, posting = 2001, 0.1
     grid = Grid(-100.0, -100.0, posting, side, side)
     flat = Heightfield(grid, np.zeros(grid.shape, np.float32))
     rough = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(8.0))
     rough = rough.scaled(22.0 / float(np.ptp(rough.z)))
-    threads = numba.get_num_threads()
     for name, relief, tilt in (
         ("flat, 500 rocks, nadir", flat, 0.0),
         ("22 m relief, 60 deg", rough, 60.0),
@@ -134,50 +127,88 @@ def lidar() -> None:
         diameters = rng.uniform(0.3, 1.5, 500)
         began = time.perf_counter()
         terrain = Terrain(relief, place_rocks(relief, diameters, rng))
-        ours_built = time.perf_counter() - began
-        boresight = np.array([np.sin(np.radians(tilt)), 0.0, -np.cos(np.radians(tilt))])
-        rays = np.ascontiguousarray(FlashLidar().directions() @ sensor_axes(boresight).T)
-        origin = -500.0 * boresight
-        began = time.perf_counter()
-        surface = terrain.raster(grid)
-        xx, yy = np.meshgrid(grid.x, grid.y)
-        vertices = np.stack((xx, yy, surface), axis=-1).reshape(-1, 3).astype(np.float32)
-        first = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
-        around = (first, first + 1, first + side + 1, first, first + side + 1, first + side)
-        scene = rtcore_scene.EmbreeScene()
-        mesh = TriangleMesh(scene, vertices, np.stack(around, 1).reshape(-1, 3).astype(np.int32))
-        starts = np.broadcast_to(origin, rays.shape).astype(np.float32).copy()
-        directions = rays.astype(np.float32)
-        theirs = np.asarray(scene.run(starts, directions, query="DISTANCE"))
-        embree_built = time.perf_counter() - began
-        numba.set_num_threads(1)
-        one = median_ms(lambda t=terrain, o=origin, d=rays: t.cast(o, d, normals=False))
-        numba.set_num_threads(min(2, threads))
-        two = median_ms(lambda t=terrain, o=origin, d=rays: t.cast(o, d, normals=False))
-        embree = median_ms(
-            lambda s=scene, o=starts, d=directions: s.run(o, d, query="DISTANCE"), repeats=5
-        )
-        # The very triangles that Embree has.
-        same = Terrain(Heightfield(grid, surface)).cast(origin, rays, normals=False).range
-        seen = np.isfinite(same) & (theirs < 1e6)
-        gap = np.abs(same[seen] - theirs[seen])
-        print(
-            f"  {name}: {one:.1f} ms against Embree's {embree:.1f} ms: {embree / one:.2f} times "
-            f"its rays a second; on two threads {two:.1f} ms"
-        )
-        print(
-            f"    built in {ours_built:.2f} s against {embree_built:.2f} s; memory "
-            f"{terrain.nbytes / 1e6:.0f} MB against {_mesh_megabytes(vertices, first):.0f} MB of "
-            "triangles alone"
-        )
-        alone = np.mean(np.isfinite(same) != (theirs < 1e6))
-        print(
-            f"    same triangles: median difference {1e3 * np.median(gap):.3f} mm, greatest "
-            f"{1e3 * gap.max():.2f} mm, seen by one only {alone:.1e}"
-        )
-        del mesh, scene
+        built = time.perf_counter() - began
+        print(f"  {name}:")
+        _against_embree(terrain, grid, np.radians(tilt), built)
+
+
+def _against_embree(terrain, grid, tilt: float, built: float) -> None:
+    """Cast the same rays by both; `built` is how long the terrain took, s."""
+    import numpy as np
+
+    from lunarsim.frames import sensor_axes
+    from lunarsim.sensors.lidar import FlashLidar
+    from lunarsim.world.terrain import Heightfield, Terrain
+
+    boresight = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    rays = np.ascontiguousarray(FlashLidar().directions() @ sensor_axes(boresight).T)
+    origin = -500.0 * boresight
+    began = time.perf_counter()
+    surface = terrain.raster(grid)
+    vertices, triangles = _triangles_of(grid, surface)
+    embree = _Embree(vertices, triangles)
+    starts = np.broadcast_to(origin, rays.shape).astype(np.float32).copy()
+    directions = rays.astype(np.float32)
+    theirs = embree.ranges(starts, directions)
+    embree_built = time.perf_counter() - began
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    one = median_ms(lambda: terrain.cast(origin, rays, normals=False))
+    numba.set_num_threads(min(2, threads))
+    two = median_ms(lambda: terrain.cast(origin, rays, normals=False))
     numba.set_num_threads(threads)
+    peer = median_ms(lambda: embree.ranges(starts, directions), repeats=5)
+    # The very triangles that Embree has.
+    same = Terrain(Heightfield(grid, surface)).cast(origin, rays, normals=False).range
+    print(
+        f"    {one:.1f} ms against Embree's {peer:.1f} ms: {peer / one:.2f} times its rays a "
+        f"second; on two threads {two:.1f} ms"
+    )
+    print(
+        f"    built in {built:.2f} s against {embree_built:.2f} s; memory "
+        f"{terrain.nbytes / 1e6:.0f} MB against {(vertices.nbytes + triangles.nbytes) / 1e6:.0f} "
+        "MB of triangles alone"
+    )
+    _print_gap(same, theirs)
 
 
-def _mesh_megabytes(vertices, cells) -> float:
-    return (vertices.nbytes + cells.size * 2 * 3 * 4) / 1e6
+def _print_gap(same, theirs) -> None:
+    """Print by how much two sets of ranges over the same triangles differ."""
+    import numpy as np
+
+    seen = np.isfinite(same) & (theirs < 1e6)
+    gap = np.abs(same[seen] - theirs[seen])
+    alone = np.mean(np.isfinite(same) != (theirs < 1e6))
+    print(
+        f"    same triangles: median difference {1e3 * np.median(gap):.3f} mm, greatest "
+        f"{1e3 * gap.max():.2f} mm, seen by one only {alone:.1e}"
+    )
+
+
+def _triangles_of(grid, surface):
+    """Return vertices (n, 3) and triangles (m, 3) of a raster, float32 and int32."""
+    import numpy as np
+
+    rows, cols = grid.shape
+    xx, yy = np.meshgrid(grid.x, grid.y)
+    vertices = np.stack((xx, yy, surface), axis=-1).reshape(-1, 3).astype(np.float32)
+    first = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
+    around = (first, first + 1, first + cols + 1, first, first + cols + 1, first + cols)
+    return vertices, np.stack(around, 1).reshape(-1, 3).astype(np.int32)
+
+
+class _Embree:
+    """A scene of triangles in Embree."""
+
+    def __init__(self, vertices, triangles):
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        self._scene = rtcore_scene.EmbreeScene()
+        self._mesh = TriangleMesh(self._scene, vertices, triangles)
+
+    def ranges(self, starts, directions):
+        """Return the distances (n,) along rays, float32."""
+        import numpy as np
+
+        return np.asarray(self._scene.run(starts, directions, query="DISTANCE"))

@@ -32,30 +32,31 @@ def _rock_filter(count, seed=0):
 def shadows() -> None:
     """Detection, filter, map and a whole flight of the shadow pipeline."""
     import numpy as np
-    from filterpy.kalman import ExtendedKalmanFilter
-    from threadpoolctl import threadpool_limits
 
-    from lunarsim.frames import direction_from_angles
-    from lunarsim.grid import Grid
-    from lunarsim.onboard.hazards.shadows import ProbabilityMap, RockTracker
-    from lunarsim.onboard.hazards.shadows.association import associate
-    from lunarsim.onboard.perception.detector import detect_rocks
     from lunarsim.onboard.perception.shadow_model import ShadowModel
-    from lunarsim.rng import flight_seed
-    from lunarsim.scenario import Scenario
-    from lunarsim.sensors.camera import Camera
-    from lunarsim.simulation import Simulation
-    from lunarsim.vehicle import State
-    from lunarsim.world import World
-    from lunarsim.world.light import Light
 
     elevation = np.radians(20.0)
     model = ShadowModel(elevation)
     rng = np.random.default_rng(0)
+    _detection(model, elevation, rng)
+    _images(rng)
+    _update_alone()
+    _maps(model)
+    _flights()
+
+
+def _detection(model, elevation: float, rng) -> None:
+    import numpy as np
+
+    from lunarsim.frames import direction_from_angles
+    from lunarsim.onboard.perception.detector import detect_rocks
+    from lunarsim.vehicle import State
+    from lunarsim.world import World
+    from lunarsim.world.light import Light
 
     for count in (300, 1200):
         terrain = square(0.0, count, 2.0, 120.0)
-        rocks, camera, _ = _rock_filter(1)
+        _, camera, _ = _rock_filter(1)
         state = State(
             np.array([-20.0, 10.0, 80.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]),
             np.zeros(3), 1.0,
@@ -69,26 +70,42 @@ def shadows() -> None:
         )
         print(f"  detection: {seen.labels.max()} shadows in view, {len(seen)} rocks: {ms:.1f} ms")
 
-    def one_update(rocks, camera, xy, seen):
-        """Associate and update as for one image in which the first `seen` rocks are found."""
-        sight = rocks.sight(camera)
-        noise = np.tile(0.25 * np.eye(2), (seen, 1, 1))
-        pixel = sight.pixel[:seen] + 0.5 * rng.standard_normal((seen, 2))
-        radius, variance = np.full(seen, 0.5), np.full(seen, 0.01)
-        _, index, _, _ = associate(
-            pixel, noise, radius, variance, sight.pixel, rocks.innovation_covariance(sight),
-            rocks.radius, rocks.radius_variance,
-        )  # fmt: skip
-        index = np.unique(index)[:seen]
-        n = len(index)
-        rocks.update_rocks(index, sight, sight.pixel[index], noise[:n], radius[:n], variance[:n])
 
+def _images(rng) -> None:
+    """Time association and update for one image, as the number of rocks grows."""
     for count in (100, 200, 500, 1000, 2000):
-        rocks, camera, xy = _rock_filter(count)
+        rocks, camera, _ = _rock_filter(count)
         seen = min(150, count)
-        ms = median_ms(lambda r=rocks, c=camera, x=xy, s=seen: one_update(r, c, x, s), 9)
+        ms = median_ms(lambda r=rocks, c=camera, s=seen: _one_image(r, c, s, rng), 9)
         print(f"  filter: {count:4d} rocks tracked, {seen} seen: {ms:6.1f} ms an image")
-    rocks, camera, xy = _rock_filter(500)
+
+
+def _one_image(rocks, camera, seen: int, rng) -> None:
+    """Associate and update as for one image in which the first `seen` rocks are found."""
+    import numpy as np
+
+    from lunarsim.onboard.hazards.shadows.association import associate
+
+    sight = rocks.sight(camera)
+    noise = np.tile(0.25 * np.eye(2), (seen, 1, 1))
+    pixel = sight.pixel[:seen] + 0.5 * rng.standard_normal((seen, 2))
+    radius, variance = np.full(seen, 0.5), np.full(seen, 0.01)
+    _, index, _, _ = associate(
+        pixel, noise, radius, variance, sight.pixel, rocks.innovation_covariance(sight),
+        rocks.radius, rocks.radius_variance,
+    )  # fmt: skip
+    index = np.unique(index)[:seen]
+    n = len(index)
+    rocks.update_rocks(index, sight, sight.pixel[index], noise[:n], radius[:n], variance[:n])
+
+
+def _update_alone() -> None:
+    """Time the update against filterpy's of the same states."""
+    import numpy as np
+    from filterpy.kalman import ExtendedKalmanFilter
+    from threadpoolctl import threadpool_limits
+
+    rocks, camera, _ = _rock_filter(500)
     seen = 150
     sight, noise = rocks.sight(camera), np.tile(0.25 * np.eye(2), (seen, 1, 1))
     index, flat = np.arange(seen), np.full(seen, 0.01)
@@ -111,6 +128,13 @@ def shadows() -> None:
         f"update of the same states {peer:.1f} ms, {peer / ours:.1f} times"
     )
 
+
+def _maps(model) -> None:
+    import numpy as np
+
+    from lunarsim.grid import Grid
+    from lunarsim.onboard.hazards.shadows import ProbabilityMap, RockTracker
+
     for count in (100, 500, 2000):
         rocks, _, _ = _rock_filter(count)
         tracker = RockTracker(rocks, model)
@@ -118,6 +142,13 @@ def shadows() -> None:
         mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 160.0, 0.25), model)
         ms = median_ms(lambda m=mapping, t=tracker: m.probability(t), 5)
         print(f"  map: 640 x 640 cells, {count:4d} rocks: {ms:6.1f} ms")
+
+
+def _flights() -> None:
+    from lunarsim.rng import flight_seed
+    from lunarsim.scenario import Scenario
+    from lunarsim.sensors.camera import Camera
+    from lunarsim.simulation import Simulation
 
     for name in ("nominal", "modified"):
         scenario = Scenario.load(ROOT / "scenarios" / f"shadow_{name}.toml")

@@ -12,80 +12,109 @@ from tests.conftest import ROOT
 
 
 def scenario(**changes):
-    base = Scenario.load(ROOT / "scenarios" / "morpheus.toml").model_dump(
-        mode="json", exclude_none=True
+    base = Scenario.load(ROOT / "scenarios" / "morpheus.toml").changed(
+        terrain={"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
+        start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
+        approach={"time_to_go_s": 30.0},
+        simulation={"cycle_s": 0.1},
+        tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
+        prior_map={"size_m": 180.0},
+        sensors={"flash": {"half_width": 0.025}},
+        mappers={"sites": {"size_m": 64.0}},
+        start_knowledge={"position_m": 8.0},
+        decisions={"first_altitude_m": 80.0},
     )
-    small = {
-        "terrain": {"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
-        "start": {"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
-        "guidance": {"time_to_go_s": 30.0},
-        "sweep": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0},
-        "prior": {"size_m": 180.0},
-        "lidar": {"half_width": 0.025},
-        "mapper": {"size_m": 64.0},
-        "navigation": {"position_bias_m": 8.0},
-        "simulation": {"cycle_s": 0.1},
-        "decisions": {"first_altitude_m": 80.0},
-    }
-    for change in (small, changes):
-        for table, values in change.items():
-            base[table] = base.get(table, {}) | values
-    return Scenario.from_dict(base)
+    return base.changed(**changes)
+
+
+def filter_of(simulation):
+    return simulation.computer.navigation
+
+
+def mapper_of(simulation):
+    return simulation.computer.mappers["sites"]
 
 
 @pytest.fixture(scope="module")
 def flown():
     simulation = Simulation(scenario(), 2, "safest")
-    return simulation, simulation.run()
+    while not simulation.done:
+        simulation.step()
+        if filter_of(simulation).locked:
+            sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
+            at_lock = simulation.site_error, sigma
+    return simulation, simulation.flight(), at_lock
 
 
 def test_a_policy_lands_on_the_quadtree(flown):
-    simulation, flight = flown
+    simulation, flight, _ = flown
     assert flight.verdict.safe, flight.verdict
     names = [event["name"] for event in flight.events]
-    assert names[0] == "lock"
+    assert names[:2] == ["scan", "lock"]
     assert len(flight.decisions)
     hazard_map = flight.hazard_map
     assert hazard_map.observed.mean() > 0.3
-    # After the lock estimated frame and ground agree.
-    assert 0.0 < np.linalg.norm(flight.map_error) < 0.5
+    # After the lock the site frame and the ground agree; the local frame stays where it was.
+    shift = filter_of(simulation).site_to_local.offset
+    assert 0.0 < np.linalg.norm(flight.map_error - shift) < 0.5
+    assert np.linalg.norm(flight.map_error) > 2.0
     touchdown = flight.verdict.touchdown.position
-    assert np.linalg.norm(touchdown[:2] - simulation.site[:2]) < 0.7
+    aimed = simulation.site - simulation.navigation_error
+    assert np.linalg.norm(touchdown[:2] - aimed[:2]) < 0.7
 
 
 def test_the_map_tells_safe_from_unsafe(flown):
-    simulation, flight = flown
+    simulation, flight, _ = flown
     hazard_map = flight.hazard_map
-    safe = simulation.truth.safe_at(hazard_map.grid.centres())
+    there = hazard_map.grid.centres() - flight.map_error[:2]
+    safe = simulation.truth.safe_at(there)
     seen = hazard_map.observed
     assert hazard_map.p_safe[seen & safe].mean() > hazard_map.p_safe[seen & ~safe].mean() + 0.2
     ground = simulation.world.terrain.relief
-    z = type(simulation.world.terrain)(ground).elevation(hazard_map.grid.centres())
-    gap = hazard_map.elevation - z
+    z = type(simulation.world.terrain)(ground).elevation(there)
+    gap = hazard_map.elevation - flight.map_error[2] - z
     assert np.nanmedian(np.abs(gap[np.isfinite(hazard_map.elevation)])) < 0.05
 
 
 def test_the_estimate_is_as_good_as_it_says(flown):
-    simulation, _ = flown
-    error = simulation.navigation_error
-    sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
+    _, _, (error, sigma) = flown
     assert (np.abs(error) < 4.0 * sigma + 0.05).all()
     assert np.linalg.norm(error) < 0.5
 
 
-def test_a_map_that_lies_aside_takes_estimate_sites_and_record_with_it():
+def test_a_map_that_lies_aside_moves_the_site_frame_alone():
     offset = np.array([4.0, -3.0, 2.0])
-    aside = scenario(prior={"offset_m": offset.tolist()}, simulation={"max_time_s": 12.0})
+    aside = scenario(prior_map={"offset_m": offset.tolist()}, simulation={"max_time_s": 12.0})
     simulation = Simulation(aside, 2, "truth-oracle")
     flight = simulation.run()
-    assert simulation.eyes.filter.found
-    assert simulation.navigation_error == pytest.approx(offset, abs=0.5)
-    assert flight.map_error == pytest.approx(offset, abs=0.5)
-    # The map's heights are those of the ground that lies aside.
+    assert filter_of(simulation).found
+    assert simulation.site_error == pytest.approx(offset, abs=0.5)
+    # Lander and map share the error: what the map shows at a place is the ground there.
     hazard_map = flight.hazard_map
     z = simulation.world.terrain.elevation(hazard_map.grid.centres() - flight.map_error[:2])
-    gap = hazard_map.elevation - z
-    assert np.nanmedian(gap) == pytest.approx(offset[2], abs=0.2)
+    gap = hazard_map.elevation - flight.map_error[2] - z
+    assert np.nanmedian(gap) == pytest.approx(0.0, abs=0.2)
+
+
+def test_the_local_frame_never_jumps():
+    simulation = Simulation(scenario(), 2)
+    rows, offsets = [], []
+    while simulation.time < 9.0:
+        simulation.step()
+        e = simulation.estimate
+        rows.append(np.concatenate((e.position, e.velocity)))
+        offsets.append(filter_of(simulation).site_to_local.offset)
+    rows, offsets = np.array(rows), np.array(offsets)
+    assert filter_of(simulation).found
+    # The lock moves the map by metres, the lander in its local frame by no more than it flies.
+    assert np.abs(np.diff(offsets, axis=0)).max() > 3.0
+    stride = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)
+    flown = np.linalg.norm(rows[1:, 3:], axis=1) * simulation.scenario.simulation.cycle_s
+    assert (stride < flown + 0.35).all()
+    # The site is where the briefed target is now known to lie.
+    target = simulation.computer.briefing.target
+    assert simulation.site == pytest.approx(target + offsets[-1])
+    assert mapper_of(simulation).grid.contains(simulation.site[:2])
 
 
 def test_two_flights_of_a_seed_are_the_same():
@@ -94,58 +123,59 @@ def test_two_flights_of_a_seed_are_the_same():
     a.run()
     b.run()
     assert np.array_equal(a.estimate.position, b.estimate.position)
-    assert np.array_equal(a.eyes.mapper.map.points, b.eyes.mapper.map.points)
+    assert np.array_equal(mapper_of(a).map.points, mapper_of(b).map.points)
 
 
 def test_scans_wait_for_the_lock_and_are_placed_after_it():
     simulation = Simulation(scenario(), 2)
     held = 0
-    while not simulation.eyes.filter.locked:
-        assert simulation.eyes.mapper.map.count == 0
-        held = max(held, simulation.eyes.mapper.held)
+    while not filter_of(simulation).locked:
+        assert mapper_of(simulation).map.count == 0
+        held = max(held, mapper_of(simulation).held)
         simulation.step()
         assert simulation.time < 9.0
     assert held > 0
     for _ in range(10):
         simulation.step()
-    assert simulation.eyes.mapper.held == 0
-    assert simulation.eyes.mapper.map.count > 0
-    at_once = Simulation(scenario(sites={"hold_sigma_m": 1e9}), 2)
+    assert mapper_of(simulation).held == 0
+    assert mapper_of(simulation).map.count > 0
+    at_once = Simulation(scenario(mappers={"sites": {"hold_sigma_m": 1e9}}), 2)
     at_once.step()
-    assert at_once.eyes.mapper.held == 0
-    assert at_once.eyes.mapper.map.count > 0
+    at_once.step()
+    assert mapper_of(at_once).held == 0
+    assert mapper_of(at_once).map.count > 0
 
 
 def test_interest_comes_from_a_file(tmp_path):
     grid = {"x0": -30.0, "y0": -30.0, "posting": 10.0}
     np.savez(tmp_path / "west.npz", value=np.tile([1.0, 1, 1, 0, 0, 0, 0], (7, 1)), **grid)
-    given = scenario(sites={"interest_path": "west.npz"})
+    given = scenario(mappers={"sites": {"interest_path": str(tmp_path / "west.npz")}})
     given.save(tmp_path / "s.toml")
     simulation = Simulation(Scenario.load(tmp_path / "s.toml"), 2)
     while simulation.time < 8.0:
         simulation.step()
-    ranked = simulation.eyes.mapper.select().ranked
+    ranked = mapper_of(simulation).select().ranked
     assert len(ranked) > 0
     assert max(site.position[0] for site in ranked) < -5.0
     (tmp_path / "none.npz").write_text("no archive")
     for path in ("none.npz", "missing.npz"):
-        wrong = scenario(sites={"interest_path": str(tmp_path / path)})
-        with pytest.raises(InputError, match=r"sites\.interest_path"):
+        wrong = scenario(mappers={"sites": {"interest_path": str(tmp_path / path)}})
+        with pytest.raises(InputError, match=r"interest_path"):
             Simulation(wrong, 2)
     np.savez(tmp_path / "high.npz", value=np.full((7, 7), 1.5), **grid)
     with pytest.raises(InputError, match="interest"):
-        Simulation(scenario(sites={"interest_path": str(tmp_path / "high.npz")}), 2)
+        Simulation(scenario(mappers={"sites": {"interest_path": str(tmp_path / "high.npz")}}), 2)
 
 
 def test_no_site_is_an_answer_too():
     # No ground is even enough: the policy gets a map on which nothing is worth aiming at.
     strict = scenario(
-        sites={"slope_limit_deg": 1e-3}, simulation={"max_time_s": 9.0},
+        mappers={"sites": {"sites": {"slope_limit_deg": 1e-3}}}, simulation={"max_time_s": 9.0},
         decisions={"first_altitude_m": 400.0},
     )  # fmt: skip
     simulation = Simulation(strict, 2, "safest")
     simulation.run()
-    selection = simulation.eyes.mapper.select()
+    selection = mapper_of(simulation).select()
     assert selection.ranked == ()
     assert len(selection.nodes) > 100
     observation = simulation.observe()
@@ -153,7 +183,7 @@ def test_no_site_is_an_answer_too():
     assert len(observation.candidates) == 0
     # Without a lock there is no map at all, and the lander still flies on.
     blind = Simulation(
-        scenario(prior={"offset_m": [0.0, 0.0, 500.0]}, simulation={"max_time_s": 4.0},
+        scenario(prior_map={"offset_m": [0.0, 0.0, 500.0]}, simulation={"max_time_s": 4.0},
                  decisions={"first_altitude_m": 400.0}), 2, "safest",
     )  # fmt: skip
     flight = blind.run()
@@ -164,25 +194,28 @@ def test_no_site_is_an_answer_too():
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
-        ({"sweep": {"rate_hz": 30.0}}, "sweep.rate_hz"),
-        ({"sweep": {"dwell_rate_hz": 30.0}}, "sweep.dwell_rate_hz"),
-        ({"sweep": {"size_m": -1.0}}, "sweep.size_m"),
-        ({"prior": {"sigma_m": 0.0}}, "prior.sigma_m"),
-        ({"prior": {"size_m": 600.0}}, None),
-        ({"prior": {"stale_share": 1.0}}, "prior.stale_share"),
-        ({"sites": {"zone_m": 0.0}}, "sites.zone_m"),
-        ({"sites": {"mesh_band_m": [3.2, 1.6]}}, "sites.mesh_band"),
-        ({"sites": {"least_m": 1e-9}}, "quadtree.least_m"),
-        ({"sites": {"split_count": 1}}, "sites.split_count"),
-        ({"mapper": {"size_m": 5.0}}, "mapper.size_m"),
-        ({"terrain": {"field_m": 900.0}}, "terrain.size_m"),
+        ({"tasking": {"flash": {"rate_hz": 30.0}}}, "tasking.flash.rate_hz"),
+        ({"tasking": {"flash": {"dwell_rate_hz": 30.0}}}, "tasking.flash.dwell_rate_hz"),
+        ({"tasking": {"flash": {"size_m": -1.0}}}, "tasking.flash.size_m"),
+        ({"prior_map": {"sigma_m": 0.0}}, "prior_map.sigma_m"),
+        ({"prior_map": {"size_m": 600.0}}, None),
+        ({"prior_map": {"stale_share": 1.0}}, "prior_map.stale_share"),
+        ({"mappers": {"sites": {"sites": {"zone_m": 0.0}}}}, "mappers.sites.sites.zone_m"),
+        (
+            {"mappers": {"sites": {"sites": {"mesh_band_m": [3.2, 1.6]}}}},
+            "mappers.sites.sites.mesh_band",
+        ),
+        ({"mappers": {"sites": {"least_m": 1e-9}}}, "mappers.sites.least_m"),
+        ({"mappers": {"sites": {"split_count": 1}}}, "mappers.sites.split_count"),
+        ({"mappers": {"sites": {"size_m": 5.0}}}, "mappers.sites.size_m"),
+        ({"terrain": {"field_m": 900.0}}, "terrain.field_m"),
     ],
 )
 def test_impossible_scenarios_are_refused(changes, field):
     if field is None:
         # A map larger than the ground is a map with an unknown edge.
         simulation = Simulation(scenario(**changes), 1)
-        assert np.isnan(simulation.eyes.filter.prior.elevation).any()
+        assert np.isnan(filter_of(simulation).prior.elevation).any()
         return
     with pytest.raises(InputError, match=field):
         Simulation(scenario(**changes), 1)

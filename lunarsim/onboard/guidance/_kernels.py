@@ -15,10 +15,9 @@ def survey(
     """Find for each target the admissible time-to-go that takes the least velocity increment.
 
     Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
-    (N) and the greatest tangent of its lean on that path. A trajectory is admissible when its
-    thrust, with the mass that is left by then, stays within [thrust_least, thrust_most], leans no
-    more than tan_tilt from the vertical, and its path stays above the cone of slope `glide`
-    around the target.
+    (N) and the greatest tangent of its lean. A path is admissible when its thrust, with the mass
+    that is left by then, stays within [thrust_least, thrust_most], leans no more than tan_tilt, and
+    it stays above the cone of slope `glide` around the target.
     """
     for n in range(targets.shape[0]):
         out[n, 0] = np.inf

@@ -56,13 +56,12 @@ class MapperPart(Protocol):
     takes
         Type of measurements that it maps.
     navigation
-        Part of navigation that it cannot work without, or None.
+        May be left out: part of navigation that it cannot work without.
     sensor
         Name of the sensor whose measurements it maps.
     """
 
     takes: ClassVar[type]
-    navigation: ClassVar[type | None]
 
     @property
     def sensor(self) -> str:

@@ -37,6 +37,69 @@ def _turn(q, phi):
     return out / np.sqrt(np.sum(out * out))
 
 
+@kernel(inline=True)
+def _hold(angle, velocity, n, step, held):
+    """Write rate and specific force (6,) of sample n, unless it is missing; tell if it is there."""
+    good = True
+    for k in range(3):
+        good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
+    if good:
+        for k in range(3):
+            held[k] = angle[n, k] / step
+            held[3 + k] = velocity[n, k] / step
+    return good
+
+
+@kernel(inline=True)
+def _write_transition(r, ra, w, step, phi):
+    """Write the transition of the errors over a step to `phi` (15, 15), which starts as unity.
+
+    `r` is the attitude R (3, 3) in the middle of the step, `ra` R [a x] with specific force a, and
+    `w` the rate (3,).
+    """
+    for i in range(3):
+        phi[i, 3 + i] = step
+        phi[9 + i, 12 + i] = -step
+        for j in range(3):
+            phi[i, 6 + j] = -0.5 * step * step * r[i, j]
+            phi[3 + i, 6 + j] = -step * r[i, j]
+            phi[i, 9 + j] = -0.5 * step * step * ra[i, j]
+            phi[3 + i, 9 + j] = -step * ra[i, j]
+            phi[3 + i, 12 + j] = 0.5 * step * step * ra[i, j]
+    phi[9, 10], phi[9, 11] = step * w[2], -step * w[1]
+    phi[10, 9], phi[10, 11] = -step * w[2], step * w[0]
+    phi[11, 9], phi[11, 10] = step * w[1], -step * w[0]
+
+
+@kernel()
+def _random_walks(step, velocity, angle, accelerometer, gyroscope):
+    """Return what random walks of given densities add to the errors' covariance in a step.
+
+    Of position; of position with velocity; of velocity, attitude and both biases.
+    """
+    return (
+        velocity**2 * step**3 / 3.0,
+        velocity**2 * step**2 / 2.0,
+        velocity**2 * step,
+        angle**2 * step,
+        accelerometer**2 * step,
+        gyroscope**2 * step,
+    )
+
+
+@kernel(inline=True)
+def _add_noise(walks, noise):
+    """Add what `_random_walks` returns to a covariance (15, 15)."""
+    for i in range(3):
+        noise[i, i] += walks[0]
+        noise[i, 3 + i] += walks[1]
+        noise[3 + i, i] += walks[1]
+        noise[3 + i, 3 + i] += walks[2]
+        noise[9 + i, 9 + i] += walks[3]
+        noise[6 + i, 6 + i] += walks[4]
+        noise[12 + i, 12 + i] += walks[5]
+
+
 @kernel()
 def propagate(state, held, angle, velocity, step, gravity, density, blind):
     """Carry the state over consecutive inertial samples (Eqs. 2-6).
@@ -71,19 +134,12 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
     phi = np.eye(15)
     r = np.empty((3, 3))
     ra = np.empty((3, 3))
+    accel = np.empty(3)
     for n in range(angle.shape[0]):
-        good = True
-        for k in range(3):
-            good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
-        if good:
-            for k in range(3):
-                held[k] = angle[n, k] / step
-                held[3 + k] = velocity[n, k] / step
+        good = _hold(angle, velocity, n, step, held)
         w = held[:3] - x[13:16]
         a = held[3:] - x[6:9]
-        middle = _turn(x[9:13], 0.5 * step * w)
-        _rotation(middle, r)
-        accel = np.empty(3)
+        _rotation(_turn(x[9:13], 0.5 * step * w), r)
         for i in range(3):
             accel[i] = r[i, 0] * a[0] + r[i, 1] * a[1] + r[i, 2] * a[2] + gravity[i]
             # R [a x]
@@ -93,28 +149,10 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
         x[0:3] += step * (x[3:6] + 0.5 * step * accel)
         x[3:6] += step * accel
         x[9:13] = _turn(x[9:13], step * w)
-        for i in range(3):
-            phi[i, 3 + i] = step
-            phi[9 + i, 12 + i] = -step
-            for j in range(3):
-                phi[i, 6 + j] = -0.5 * step * step * r[i, j]
-                phi[3 + i, 6 + j] = -step * r[i, j]
-                phi[i, 9 + j] = -0.5 * step * step * ra[i, j]
-                phi[3 + i, 9 + j] = -step * ra[i, j]
-                phi[3 + i, 12 + j] = 0.5 * step * step * ra[i, j]
-        phi[9, 10], phi[9, 11] = step * w[2], -step * w[1]
-        phi[10, 9], phi[10, 11] = -step * w[2], step * w[0]
-        phi[11, 9], phi[11, 10] = step * w[1], -step * w[0]
+        _write_transition(r, ra, w, step, phi)
         total = phi @ total
         noise = phi @ noise @ phi.T
         white_v = density[0] if good else blind[0]
         white_a = density[1] if good else blind[1]
-        for i in range(3):
-            noise[i, i] += white_v**2 * step**3 / 3.0
-            noise[i, 3 + i] += white_v**2 * step**2 / 2.0
-            noise[3 + i, i] += white_v**2 * step**2 / 2.0
-            noise[3 + i, 3 + i] += white_v**2 * step
-            noise[9 + i, 9 + i] += white_a**2 * step
-            noise[6 + i, 6 + i] += density[2] ** 2 * step
-            noise[12 + i, 12 + i] += density[3] ** 2 * step
+        _add_noise(_random_walks(step, white_v, white_a, density[2], density[3]), noise)
     return x, total, noise

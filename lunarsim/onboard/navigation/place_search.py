@@ -180,104 +180,183 @@ def search(
     match
         None if the patch is too small, or no shift puts all of it on the map.
     """
-    kept = patch.known
-    h, posts = high_pass(elevation, np.isfinite(elevation), reach)
-    total = float(kept.sum())
+    total = float(patch.known.sum())
     if total < least:
         return None
-    weight = kept.astype(np.float64)
-
-    def slide(template: Array, image: Array) -> Array:
-        return np.asarray(correlate(image, template, mode="valid", method="fft"))
-
-    covered = slide(weight, posts.astype(np.float64)) > total - 0.5
-    if not covered.any():
+    ground = _Ground.of(elevation, variance, reach)
+    shifts = _Shifts.of(patch, ground, posting, prior, first)
+    if not shifts.covered.any():
         return None
-    sy, sx = np.meshgrid(
-        np.arange(covered.shape[0]) * posting + first[1],
-        np.arange(covered.shape[1]) * posting + first[0],
-        indexing="ij",
-    )
-    inverse = np.linalg.inv(prior)
-    away = inverse[0, 0] * sx**2 + 2.0 * inverse[0, 1] * sx * sy + inverse[1, 1] * sy**2
+    row, col = _candidates(patch, ground, shifts)
+    log = _evidence(patch, ground, row, col) - 0.5 * shifts.away[row, col]
+    place = _Place.of(log, shifts.east[row, col], shifts.north[row, col], shifts, posting)
+    rise, agree = _compared(patch, ground, int(row[place.best]), int(col[place.best]))
+    up, up_variance = _level(patch, ground, shifts)
+    return Match(
+        np.array([*place.mean, float(np.median(rise[agree])) if agree.any() else up]),
+        np.diag([*place.variance, variance / total + (0.4 * posting) ** 2]),
+        place.certainty, float(agree.mean()), up, up_variance,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """The map as the search compares it.
+
+    Attributes
+    ----------
+    elevation
+        (rows, cols), m; NaN for none.
+    height
+        Above the mean of the square around (rows, cols), m.
+    known
+        Where all of that square is known (rows, cols).
+    variance
+        Of a residual, m^2.
+    """
+
+    elevation: Array
+    height: Array
+    known: NDArray[np.bool_]
+    variance: float
+
+    @classmethod
+    def of(cls, elevation: Array, variance: float, reach: int) -> _Ground:
+        return cls(elevation, *high_pass(elevation, np.isfinite(elevation), reach), variance)
+
+
+@dataclass(frozen=True)
+class _Shifts:
+    """All whole-post shifts at which a patch may lie on the map, (rows, cols) each.
+
+    Attributes
+    ----------
+    east, north
+        m.
+    away
+        Squared distance from no shift in units of the prior.
+    covered
+        Whether the map knows all of the ground under the patch.
+    """
+
+    east: Array
+    north: Array
+    away: Array
+    covered: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, patch: Patch, ground: _Ground, posting: float, prior: Array, first: Array
+    ) -> _Shifts:
+        known = _slide(patch.known.astype(np.float64), ground.known.astype(np.float64))
+        sy, sx = np.meshgrid(
+            np.arange(known.shape[0]) * posting + first[1],
+            np.arange(known.shape[1]) * posting + first[0],
+            indexing="ij",
+        )
+        inverse = np.linalg.inv(prior)
+        away = inverse[0, 0] * sx**2 + 2.0 * inverse[0, 1] * sx * sy + inverse[1, 1] * sy**2
+        return cls(sx, sy, away, known > float(patch.known.sum()) - 0.5)
+
+
+def _slide(template: Array, image: Array) -> Array:
+    """Return the correlation of a template with an image wherever it lies on it as a whole."""
+    return np.asarray(correlate(image, template, mode="valid", method="fft"))
+
+
+def _candidates(patch: Patch, ground: _Ground, shifts: _Shifts) -> tuple[IntArray, IntArray]:
+    """Return rows and columns (c,) of the places where a matched filter peaks, the best first."""
     # What is higher than features get is not worth more than they.
-    proposal = slide(patch.height, np.clip(h, -_FEATURE, _FEATURE)) / variance - 0.5 * away
-    proposal[~covered] = -np.inf
-    peaks = np.flatnonzero(covered & (proposal == ndimage.maximum_filter(proposal, 3)))
+    limited = np.clip(ground.height, -_FEATURE, _FEATURE)
+    proposal = _slide(patch.height, limited) / ground.variance - 0.5 * shifts.away
+    proposal[~shifts.covered] = -np.inf
+    peaks = np.flatnonzero(shifts.covered & (proposal == ndimage.maximum_filter(proposal, 3)))
     best_first = np.argsort(-proposal.ravel()[peaks], kind="stable")
-    row, col = np.unravel_index(peaks[best_first[:_CANDIDATES]], covered.shape)
-    rows, cols = np.nonzero(kept)
-    shown = h[row[:, None] + rows, col[:, None] + cols]
-    tile = (rows // _TILE) * (1 + kept.shape[1] // _TILE) + cols // _TILE
-    busy = float(np.mean(np.abs(h[posts]) > _FEATURE))
-    log = _evidence(patch.height[kept], shown, variance, busy, tile) - 0.5 * away[row, col]
-    # Places not looked at are as likely as they were before.
-    elsewhere = float(np.exp(-0.5 * away[covered] - log.max()).sum())
-    p = np.exp(log - log.max())
-    best = int(np.argmax(p))
-    x, y = sx[row, col], sy[row, col]
-    near = np.hypot(x - x[best], y - y[best]) <= 1.5 * posting + 1e-9
-    certainty = float(p[near].sum() / (p.sum() + elsewhere))
-    q = np.where(near, p, 0.0) / p[near].sum()
-    east, north = float(q @ x), float(q @ y)
-    agree = (shown[best] - patch.height[kept]) ** 2 <= 9.0 * variance
-    rise = elevation[row[best] + rows, col[best] + cols] - patch.level[kept]
-    # A post's width is left open besides the spread of the posterior.
-    covariance = np.diag(
-        [
+    row, col = np.unravel_index(peaks[best_first[:_CANDIDATES]], shifts.covered.shape)
+    return row, col
+
+
+def _compared(patch: Patch, ground: _Ground, row: int, col: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Return how far the map lies above the patch at a place, and which posts agree (m,)."""
+    rows, cols = np.nonzero(patch.known)
+    misfit = ground.height[row + rows, col + cols] - patch.height[patch.known]
+    rise = ground.elevation[row + rows, col + cols] - patch.level[patch.known]
+    return rise, misfit**2 <= 9.0 * ground.variance
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The posterior over places, about its best one.
+
+    Attributes
+    ----------
+    best
+        Index of the best candidate.
+    mean, variance
+        East and north, m, of the candidates next to it, and m^2.
+    certainty
+        Their probability.
+    """
+
+    best: int
+    mean: tuple[float, float]
+    variance: tuple[float, float]
+    certainty: float
+
+    @classmethod
+    def of(cls, log: Array, x: Array, y: Array, shifts: _Shifts, posting: float) -> _Place:
+        """Weigh candidates (c,) by their log-likelihoods, and all other places by the prior."""
+        # Places not looked at are as likely as they were before.
+        elsewhere = float(np.exp(-0.5 * shifts.away[shifts.covered] - log.max()).sum())
+        p = np.exp(log - log.max())
+        best = int(np.argmax(p))
+        near = np.hypot(x - x[best], y - y[best]) <= 1.5 * posting + 1e-9
+        certainty = float(p[near].sum() / (p.sum() + elsewhere))
+        q = np.where(near, p, 0.0) / p[near].sum()
+        east, north = float(q @ x), float(q @ y)
+        # A post's width is left open besides the spread of the posterior.
+        spread = (
             float(q @ (x - east) ** 2) + posting**2,
             float(q @ (y - north) ** 2) + posting**2,
-            variance / total + (0.4 * posting) ** 2,
-        ]
-    )
-    up, up_variance = _level(
-        slide(weight, np.where(posts, elevation, 0.0)) / total - patch.level[kept].mean(),
-        np.where(covered, np.exp(-0.5 * (away - away[covered].min())), 0.0),
-    )
-    return Match(
-        np.array([east, north, float(np.median(rise[agree])) if agree.any() else up]),
-        covariance,
-        certainty,
-        float(agree.mean()),
-        up,
-        up_variance,
-    )
+        )
+        return cls(best, (east, north), spread, certainty)
 
 
-def _evidence(patch: Array, shown: Array, variance: float, busy: float, tile: IntArray) -> Array:
+def _evidence(patch: Patch, ground: _Ground, row: IntArray, col: IntArray) -> Array:
     """Return the log-likelihood ratio of places (c,): the patch lies there, or it does not.
 
-    Parameters
-    ----------
-    patch
-        Features scanned (m,), m.
-    shown
-        What the map shows at each place (c, m), m.
-    variance
-        Of the map's noise, m^2.
-    busy
-        Share of the map's posts that are features.
-    tile
-        Part of the patch that a post belongs to (m,): ground changes by parts, and one that has
-        tells nothing, however many posts it has.
+    Ground changes by parts, and a part that has tells nothing, however many posts it has.
     """
+    rows, cols = np.nonzero(patch.known)
+    scanned = patch.height[patch.known]
+    shown = ground.height[row[:, None] + rows, col[:, None] + cols]
+    # Share of the map's posts that are features.
+    busy = float(np.mean(np.abs(ground.height[ground.known]) > _FEATURE))
     busy = float(np.clip(busy, 0.01, 0.5))
-    wide = variance + _FEATURE**2
+    wide = ground.variance + _FEATURE**2
 
     def normal(x: Array, v: float) -> Array:
         return np.asarray(np.exp(-0.5 * x * x / v) / np.sqrt(v))
 
-    elsewhere = (1.0 - busy) * normal(shown, variance) + busy * normal(shown, wide)
-    here = (1.0 - busy) * normal(shown - patch, variance) + busy * normal(shown - patch, wide)
+    def likelihood(x: Array) -> Array:
+        return np.asarray((1.0 - busy) * normal(x, ground.variance) + busy * normal(x, wide))
+
+    tile = (rows // _TILE) * (1 + patch.known.shape[1] // _TILE) + cols // _TILE
     order = np.argsort(tile, kind="stable")
     starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
+    ratio = likelihood(shown - scanned) / likelihood(shown)
     # Neighbouring posts on one feature agree or fail together: they count half.
-    parts = 0.5 * np.add.reduceat(np.log(here / elsewhere)[:, order], starts, axis=1)
+    parts = 0.5 * np.add.reduceat(np.log(ratio)[:, order], starts, axis=1)
     return np.asarray(np.logaddexp(parts + np.log1p(-_CHANGED), np.log(_CHANGED)).sum(axis=1))
 
 
-def _level(rise: Array, weight: Array) -> tuple[float, float]:
+def _level(patch: Patch, ground: _Ground, shifts: _Shifts) -> tuple[float, float]:
     """Return mean and variance of the vertical shift over all places, by their probability."""
+    known = patch.known.astype(np.float64)
+    above = _slide(known, np.where(ground.known, ground.elevation, 0.0)) / float(patch.known.sum())
+    rise = above - patch.level[patch.known].mean()
+    least = shifts.away[shifts.covered].min()
+    weight = np.where(shifts.covered, np.exp(-0.5 * (shifts.away - least)), 0.0)
     weight = weight / weight.sum()
     mean = float((weight * rise).sum())
     return mean, float((weight * (rise - mean) ** 2).sum())

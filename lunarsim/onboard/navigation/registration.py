@@ -154,6 +154,14 @@ def pose_jacobian(points: Array, normals: Array, position: Array, attitude: Arra
     return np.hstack((normals, turn))
 
 
+def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
+    """Tell which squares of a scan (m,) a map has an elevation for."""
+    g, row, col = prior.grid, surface.row, surface.col
+    inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)
+    inside[inside] = np.isfinite(prior.elevation[row[inside], col[inside]])
+    return inside
+
+
 def register(
     scan: LidarScan,
     prior: PriorMap,
@@ -194,13 +202,7 @@ def register(
     for _ in range(passes):
         turned = quat_multiply(attitude, quat_from_rotation_vector(error[3:]))
         surface = surface_of(scan.points(position + error[:3], turned), g)
-        inside = (
-            (surface.col >= 0)
-            & (surface.col < g.cols)
-            & (surface.row >= 0)
-            & (surface.row < g.rows)
-        )
-        inside[inside] = np.isfinite(prior.elevation[surface.row[inside], surface.col[inside]])
+        inside = _on_known_ground(surface, prior)
         posts = surface.row[inside], surface.col[inside]
         jacobian = pose_jacobian(
             surface.position[inside], surface.normal[inside], position + error[:3], turned

@@ -259,24 +259,15 @@ class RockFilter:
         to_rock = np.column_stack((points, np.full(len(points), self.ground))) - s.position
         body = to_rock @ rotation
         seen = (body - np.asarray(camera.offset)) @ camera.mount
-        x, y, z = seen.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            tx, ty = x / z, y / z
-            zero = np.zeros_like(z)
-            by_seen = np.stack(
-                (
-                    np.stack((camera.fx / z, zero, -camera.fx * tx / z), -1),
-                    np.stack((zero, camera.fy / z, -camera.fy * ty / z), -1),
-                ),
-                axis=-2,
-            )
+            pixel = camera.pinhole.project(seen)
+            by_seen = camera.pinhole.jacobian(seen)
         by_body = by_seen @ camera.mount.T
         by_point = by_body @ rotation.T
         # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
         by_attitude = np.cross(by_body, body[:, None, :])
-        pixel = np.column_stack((camera.fx * tx + camera.cx, camera.fy * ty + camera.cy))
         return Sight(
-            pixel, z, np.concatenate((-by_point, by_attitude), axis=-1), by_point[:, :, :2]
+            pixel, seen[:, 2], np.concatenate((-by_point, by_attitude), axis=-1), by_point[:, :, :2]
         )
 
     def innovation_covariance(self, sight: Sight) -> Array:

@@ -6,11 +6,84 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Columns of the table of patches.
+# Columns of the table of patches: mean coordinate towards the Sun and to the left of it from below
+# the camera, m; length and width of the rectangle with the same variances, m; pixels; pixels at the
+# rim and how many of these lie on an edge of the image; whether the patch touches the border or the
+# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m.
 ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS = range(
     12
 )
 COLUMNS = 12
+
+
+@kernel(inline=True)
+def _borders_on(k, a, b, c, d):
+    """Tell whether one of four neighbours belongs to another patch than k."""
+    return a != k or b != k or c != k or d != k
+
+
+@kernel(inline=True)
+def _count_pixel(out, k, tx, ty, rim, edge):
+    """Count a pixel of patch k and add up its tangents."""
+    out[k, PIXELS] += 1.0
+    out[k, TX] += tx
+    out[k, TY] += ty
+    if rim:
+        out[k, EDGE] += 1.0
+        if edge:
+            out[k, SEEN] += 1.0
+
+
+@kernel()
+def _line_of_sight(tx, ty, right, down, ahead):
+    """Return east, north and up for a metre of depth; the sensor's axes are tuples."""
+    return (
+        right[0] * tx + down[0] * ty + ahead[0],
+        right[1] * tx + down[1] * ty + ahead[1],
+        right[2] * tx + down[2] * ty + ahead[2],
+    )
+
+
+@kernel()
+def _to_sun(e, n, sun):
+    """Return what lies along the Sun and across of a vector to the east and north."""
+    return e * sun[0] + n * sun[1], n * sun[0] - e * sun[1]
+
+
+@kernel()
+def _pixel_on_ground(depth, ray, right, down, sun):
+    """Return the size of a pixel along the Sun and across, m, times the focal length.
+
+    The line of sight `ray` meets the ground at `depth`; `right` and `down` are the sensor's axes.
+    """
+    # How far the point on the ground moves along and across for a pixel right and down.
+    along_u, across_u = _to_sun(
+        depth * (right[0] - ray[0] * right[2] / ray[2]),
+        depth * (right[1] - ray[1] * right[2] / ray[2]),
+        sun,
+    )
+    along_v, across_v = _to_sun(
+        depth * (down[0] - ray[0] * down[2] / ray[2]),
+        depth * (down[1] - ray[1] * down[2] / ray[2]),
+        sun,
+    )
+    return np.hypot(along_u, along_v), np.hypot(across_u, across_v)
+
+
+@kernel()
+def _sums_to_means(out):
+    """Turn the sums over the pixels of each patch into what `measure_patches` returns."""
+    for k in range(1, out.shape[0]):
+        pixels = max(out[k, PIXELS], 1.0)
+        out[k, TX] /= pixels
+        out[k, TY] /= pixels
+        for mean, size in ((ALONG, LENGTH), (ACROSS, WIDTH)):
+            out[k, mean] /= pixels
+            variance = out[k, size] / pixels - out[k, mean] ** 2
+            out[k, size] = np.sqrt(12.0 * max(variance, 0.0))
+        rims = max(out[k, EDGE], 1.0)
+        out[k, SPAN_ALONG] /= rims
+        out[k, SPAN_ACROSS] /= rims
 
 
 @kernel()
@@ -37,72 +110,40 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
     Returns
     -------
     out
-        (count + 1, 12): mean coordinate towards the Sun and to the left of it from below the
-        camera, m; length and width of the rectangle with the same variances, m; pixels; pixels
-        at the rim and how many of these lie on an edge of the image; whether the patch touches
-        the border or the horizon; mean tangents; size of a pixel along the Sun and across at the
-        patch, m.
+        (count + 1, 12), by the columns above; sizes of pixels still times the focal length.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape
     drop = ground - position[2]
+    sun = (sun_e, sun_n)
+    right = (axes[0, 0], axes[1, 0], axes[2, 0])
+    down = (axes[0, 1], axes[1, 1], axes[2, 1])
+    ahead = (axes[0, 2], axes[1, 2], axes[2, 2])
     for i in range(height):
         for j in range(width):
             k = labels[i, j]
             if k == 0:
                 continue
-            tx = x[i, j]
-            ty = y[i, j]
-            dz = axes[2, 0] * tx + axes[2, 1] * ty + axes[2, 2]
+            ray = _line_of_sight(x[i, j], y[i, j], right, down, ahead)
             rim = i == 0 or j == 0 or i == height - 1 or j == width - 1
-            if rim or dz * drop <= 0.0 or abs(dz) < 1e-3:
+            if rim or ray[2] * drop <= 0.0 or abs(ray[2]) < 1e-3:
                 out[k, BORDER] = 1.0
             else:
-                rim = (
-                    labels[i - 1, j] != k
-                    or labels[i + 1, j] != k
-                    or labels[i, j - 1] != k
-                    or labels[i, j + 1] != k
+                rim = _borders_on(
+                    k, labels[i - 1, j], labels[i + 1, j], labels[i, j - 1], labels[i, j + 1]
                 )
-            out[k, PIXELS] += 1.0
-            out[k, TX] += tx
-            out[k, TY] += ty
-            if rim:
-                out[k, EDGE] += 1.0
-                if edges[i, j] != 0:
-                    out[k, SEEN] += 1.0
-            if dz * drop <= 0.0:
+            _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0)
+            if ray[2] * drop <= 0.0:
                 continue
-            depth = drop / dz
-            de = axes[0, 0] * tx + axes[0, 1] * ty + axes[0, 2]
-            dn = axes[1, 0] * tx + axes[1, 1] * ty + axes[1, 2]
-            e = depth * de
-            n = depth * dn
-            along = e * sun_e + n * sun_n
-            across = n * sun_e - e * sun_n
+            depth = drop / ray[2]
+            along, across = _to_sun(depth * ray[0], depth * ray[1], sun)
             out[k, ALONG] += along
             out[k, ACROSS] += across
             out[k, LENGTH] += along * along
             out[k, WIDTH] += across * across
-            if not rim:
-                continue
-            # How far the point on the ground moves along and across for a pixel right and down;
-            # the scale 1 / f is applied by the caller.
-            ue = depth * (axes[0, 0] - de * axes[2, 0] / dz)
-            un = depth * (axes[1, 0] - dn * axes[2, 0] / dz)
-            ve = depth * (axes[0, 1] - de * axes[2, 1] / dz)
-            vn = depth * (axes[1, 1] - dn * axes[2, 1] / dz)
-            out[k, SPAN_ALONG] += np.hypot(ue * sun_e + un * sun_n, ve * sun_e + vn * sun_n)
-            out[k, SPAN_ACROSS] += np.hypot(un * sun_e - ue * sun_n, vn * sun_e - ve * sun_n)
-    for k in range(1, count + 1):
-        pixels = max(out[k, PIXELS], 1.0)
-        out[k, TX] /= pixels
-        out[k, TY] /= pixels
-        for mean, size in ((ALONG, LENGTH), (ACROSS, WIDTH)):
-            out[k, mean] /= pixels
-            variance = out[k, size] / pixels - out[k, mean] ** 2
-            out[k, size] = np.sqrt(12.0 * max(variance, 0.0))
-        rims = max(out[k, EDGE], 1.0)
-        out[k, SPAN_ALONG] /= rims
-        out[k, SPAN_ACROSS] /= rims
+            if rim:
+                along, across = _pixel_on_ground(depth, ray, right, down, sun)
+                out[k, SPAN_ALONG] += along
+                out[k, SPAN_ACROSS] += across
+    _sums_to_means(out)
     return out

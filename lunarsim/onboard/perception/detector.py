@@ -165,9 +165,7 @@ def detect_rocks(
         vector.
     """
     settings = settings or DetectorSettings()
-    direction = np.asarray(sun, dtype=np.float64)
-    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
-        raise InputError("sun", sun, "a unit vector (3,), ENU")
+    direction = _unit_vector(sun)
     if np.shape(image) != (camera.height, camera.width):
         raise InputError(
             "image", np.shape(image), f"the camera's size ({camera.height}, {camera.width})"
@@ -181,6 +179,13 @@ def detect_rocks(
     return _measure(
         labels, table, view, direction, ground, model or _half_spheres(elevation), settings
     )
+
+
+def _unit_vector(sun: ArrayLike) -> Array:
+    direction = np.asarray(sun, dtype=np.float64)
+    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
+        raise InputError("sun", sun, "a unit vector (3,), ENU")
+    return direction
 
 
 @lru_cache(maxsize=8)
@@ -351,12 +356,7 @@ def _to_pixels(
 ) -> tuple[Array, Array]:
     """Return pixels (n, 2) and their covariances (n, 2, 2) of points on the ground."""
     points = np.column_stack((offset, np.full(len(offset), drop))) @ view.axes
-    z = points[:, 2]
-    focal = np.array([view.fx, view.fy])
-    pixel = points[:, :2] / z[:, None] * focal + np.array([view.cx, view.cy])
-    # d(pixel) / d(east, north).
-    slope = view.axes[:2, :2].T[None] - (points[:, :2] / z[:, None])[:, :, None] * view.axes[:2, 2]
-    jacobian = focal[:, None] * slope / z[:, None, None]
-    turned = jacobian @ frame
+    # By east and north, then along the Sun and across.
+    turned = view.pinhole.jacobian(points, view.axes[:2].T) @ frame
     covariance = (turned * (spread**2)[:, None, :]) @ np.swapaxes(turned, 1, 2)
-    return pixel, covariance
+    return view.pinhole.project(points), covariance

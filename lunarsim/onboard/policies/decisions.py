@@ -29,7 +29,7 @@ class Decisions:
     map: str = quantity("", help="name of the mapper that decides; left out: the first")
     first_altitude: float = quantity(400.0, "m", gt=0, help="above the site")
     last_altitude: float = quantity(50.0, "m", gt=0, help="above the site")
-    interval: float = quantity(1.0, "s", gt=0)
+    interval: float = quantity(1.0, "s", gt=0, help="between two decisions")
     candidates: int = quantity(16, ge=1, le=256, help="sites to choose from")
     separation: float = quantity(3.0, "m", gt=0, help="least distance between them")
     touchdown_sigma: float = quantity(0.3, "m", ge=0, help="expected miss on the map, an axis")

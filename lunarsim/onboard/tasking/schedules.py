@@ -62,7 +62,7 @@ class Periodic:
         Above the site, m.
     """
 
-    rate: float = quantity(10.0, "Hz", gt=0)
+    rate: float = quantity(10.0, "Hz", gt=0, help="measurements a second")
     first_altitude: float = quantity(400.0, "m", gt=0, help="of the first, above the site")
 
     def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel, prange
+from lunarsim.models._pinhole_kernels import to_pixel
 
 
 @kernel(parallel=True)
@@ -107,8 +108,7 @@ def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, hei
                 break
             sx = to_sensor[0, 0] * x + to_sensor[0, 1] * y + to_sensor[0, 2] * z
             sy = to_sensor[1, 0] * x + to_sensor[1, 1] * y + to_sensor[1, 2] * z
-            u = fx * sx / sz + cx
-            v = fy * sy / sz + cy
+            u, v = to_pixel(sx, sy, sz, fx, fy, cx, cy)
             u0 = min(u0, u)
             u1 = max(u1, u)
             v0 = min(v0, v)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel, prange
+from lunarsim.models._pinhole_kernels import to_tangents
 from lunarsim.rocks._kernels import rock_hit, rock_normal
 
 MOST = 16  # pixels that a small rock's box holds
@@ -46,8 +47,7 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
         for p in range(start[k + 1] - at):
             u = np.float64(box[m, 0]) + 0.5 + p % wide
             v = np.float64(box[m, 1]) + 0.5 + p // wide
-            sx = (u - cx) / fx
-            sy = (v - cy) / fy
+            sx, sy = to_tangents(u, v, fx, fy, cx, cy)
             dx = to_sensor[0, 0] * sx + to_sensor[1, 0] * sy + to_sensor[2, 0]
             dy = to_sensor[0, 1] * sx + to_sensor[1, 1] * sy + to_sensor[2, 1]
             dz = to_sensor[0, 2] * sx + to_sensor[1, 2] * sy + to_sensor[2, 2]

@@ -10,6 +10,57 @@ from lunarsim._jit import kernel, prange
 _MENDED = 4.0
 
 
+@kernel()
+def _extremes(z, i0, j0, i1, j1):
+    """Return lowest, highest and steepest (a cell) of a tile, and whether a post is missing."""
+    low = np.inf
+    top = -np.inf
+    steep = 0.0
+    missing = False
+    for i in range(i0, i1 + 1):
+        for j in range(j0, j1 + 1):
+            here = np.float64(z[i, j])
+            if np.isnan(here):
+                missing = True
+            else:
+                low = min(low, here)
+                top = max(top, here)
+            if i < i1 and j < j1:
+                z00 = np.float64(z[i, j])
+                z10 = np.float64(z[i, j + 1])
+                z01 = np.float64(z[i + 1, j])
+                z11 = np.float64(z[i + 1, j + 1])
+                lower = (z10 - z00) ** 2 + (z11 - z10) ** 2
+                upper = (z11 - z01) ** 2 + (z01 - z00) ** 2
+                steep = max(steep, lower)
+                steep = max(steep, upper)
+    return low, top, np.sqrt(steep), missing
+
+
+@kernel()
+def _decimation_error(z, i0, j0, i1, j1, step):
+    """Return the greatest distance in height between a tile and that through every n-th post."""
+    worst = 0.0
+    for ci in range(i0, i1, step):
+        for cj in range(j0, j1, step):
+            ei = min(ci + step, i1)
+            ej = min(cj + step, j1)
+            z00 = np.float64(z[ci, cj])
+            z10 = np.float64(z[ci, ej])
+            z01 = np.float64(z[ei, cj])
+            z11 = np.float64(z[ei, ej])
+            for i in range(ci, ei + 1):
+                v = (i - ci) / (ei - ci)
+                for j in range(cj, ej + 1):
+                    u = (j - cj) / (ej - cj)
+                    if u >= v:
+                        flat = z00 + u * (z10 - z00) + v * (z11 - z10)
+                    else:
+                        flat = z00 + v * (z01 - z00) + u * (z11 - z01)
+                    worst = max(worst, abs(flat - np.float64(z[i, j])))
+    return worst
+
+
 @kernel(parallel=True)
 def tile_tables(z, side, levels, p):
     """Return lowest, highest, steepest gradient and decimation errors of tiles.
@@ -27,50 +78,18 @@ def tile_tables(z, side, levels, p):
     error = np.zeros((levels, high, wide))
     for ti in prange(high):
         for tj in range(wide):
-            i1 = min((ti + 1) * side, rows - 1)
-            j1 = min((tj + 1) * side, cols - 1)
-            missing = False
-            for i in range(ti * side, i1 + 1):
-                for j in range(tj * side, j1 + 1):
-                    here = np.float64(z[i, j])
-                    if np.isnan(here):
-                        missing = True
-                    else:
-                        low[ti, tj] = min(low[ti, tj], here)
-                        top[ti, tj] = max(top[ti, tj], here)
-                    if i < i1 and j < j1:
-                        z00 = np.float64(z[i, j])
-                        z10 = np.float64(z[i, j + 1])
-                        z01 = np.float64(z[i + 1, j])
-                        z11 = np.float64(z[i + 1, j + 1])
-                        lower = (z10 - z00) ** 2 + (z11 - z10) ** 2
-                        upper = (z11 - z01) ** 2 + (z01 - z00) ** 2
-                        steep[ti, tj] = max(steep[ti, tj], lower)
-                        steep[ti, tj] = max(steep[ti, tj], upper)
-            steep[ti, tj] = np.sqrt(steep[ti, tj]) / p
+            i0 = ti * side
+            j0 = tj * side
+            i1 = min(i0 + side, rows - 1)
+            j1 = min(j0 + side, cols - 1)
+            lowest, highest, steepest, missing = _extremes(z, i0, j0, i1, j1)
+            low[ti, tj] = lowest
+            top[ti, tj] = highest
+            steep[ti, tj] = steepest / p
             for level in range(1, levels):
-                step = 1 << level
-                worst = np.inf if missing else 0.0
-                for ci in range(ti * side, i1, step):
-                    if missing:
-                        break
-                    for cj in range(tj * side, j1, step):
-                        ei = min(ci + step, i1)
-                        ej = min(cj + step, j1)
-                        z00 = np.float64(z[ci, cj])
-                        z10 = np.float64(z[ci, ej])
-                        z01 = np.float64(z[ei, cj])
-                        z11 = np.float64(z[ei, ej])
-                        for i in range(ci, ei + 1):
-                            v = (i - ci) / (ei - ci)
-                            for j in range(cj, ej + 1):
-                                u = (j - cj) / (ej - cj)
-                                if u >= v:
-                                    flat = z00 + u * (z10 - z00) + v * (z11 - z10)
-                                else:
-                                    flat = z00 + v * (z01 - z00) + u * (z11 - z01)
-                                worst = max(worst, abs(flat - np.float64(z[i, j])))
-                error[level, ti, tj] = worst
+                error[level, ti, tj] = (
+                    np.inf if missing else _decimation_error(z, i0, j0, i1, j1, 1 << level)
+                )
     return low, top, steep, error
 
 

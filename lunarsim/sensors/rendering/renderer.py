@@ -179,18 +179,14 @@ class Renderer:
     @staticmethod
     def _tan(view: View) -> float:
         """Return the tangent of the angle between boresight and the farthest corner."""
-        u = max(view.cx + 0.5, view.width - 0.5 - view.cx) / view.fx
-        v = max(view.cy + 0.5, view.height - 0.5 - view.cy) / view.fy
-        return float(np.hypot(u, v))
+        left, right, upper, lower = view.border
+        return float(np.hypot(max(-left, right), max(-upper, lower)))
 
     def _choose(self, view: View, sun: Array, near: float) -> TileChoice:
         """Return what to draw of the relief, and how finely."""
-        bounds = np.array([
-            (-0.5 - view.cx) / view.fx, (view.width - 0.5 - view.cx) / view.fx,
-            (-0.5 - view.cy) / view.fy, (view.height - 0.5 - view.cy) / view.fy,
-        ])  # fmt: skip
         run = max(sun[2], 0.02) / max(float(np.hypot(sun[0], sun[1])), 1e-6)
         shift = min(_RANGE_ERROR, _SHADOW_ERROR / max(view.fx, view.fy) * run)
+        bounds = np.array(view.border)
         return self._tiles.choose(view.position, view.axes, bounds, near, _RANGE_ERROR, shift)
 
     def _shadow_frame(self, view: View, sun: Array, choice: TileChoice) -> ShadowFrame:

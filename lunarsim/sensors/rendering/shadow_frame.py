@@ -121,9 +121,8 @@ def _extent(
     lowest and the highest elevation in it, and inside the tiles in it.
     """
     low, high = choice.low, choice.high + np.array([0.0, 0.0, rock])
-    u = np.array([-0.5, view.width - 0.5]) - view.cx
-    v = np.array([-0.5, view.height - 0.5]) - view.cy
-    border = np.array([[a / view.fx, b / view.fy, 1.0] for a in u for b in v]) @ view.axes.T
+    u, v = view.border[:2], view.border[2:]
+    border = np.array([[a, b, 1.0] for a in u for b in v]) @ view.axes.T
     # Rays that come down beyond the tiles, or not at all, end well beyond the tiles, on the level
     # all the same: cut off in mid-air they would leave out the ground below.
     reach = 3.0 * np.linalg.norm(np.maximum(high - view.position, view.position - low)[:2])

@@ -9,11 +9,57 @@ rocks (`start`, `index`, in compressed rows).
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from lunarsim._jit import kernel, prange
 from lunarsim.rocks._kernels import rock_hit, rock_normal
 from lunarsim.world.terrain._surface_kernels import relief_normal
+
+
+class Pyramid(NamedTuple):
+    """Maxima of the surface over squares of cells; see above."""
+
+    base: Any  # level of the buckets
+    peak: Any
+    ground: Any
+    offset: Any
+    high: Any
+    wide: Any
+
+
+class Rocks(NamedTuple):
+    """The rocks, their shapes, and which of them each bucket holds."""
+
+    rows: Any  # (n, 9)
+    planes: Any
+    count: Any
+    start: Any
+    index: Any
+
+
+class _Ray(NamedTuple):
+    """A ray in metres, ENU, and over the relief's posts.
+
+    In posts the pyramid's nodes are at whole numbers: the ray starts at (u, v) and moves by
+    (du, dv) a metre. The inverses (nu, nv, nz) of du, dv and dz turn posts and heights into
+    distances.
+    """
+
+    ox: Any
+    oy: Any
+    oz: Any
+    dx: Any
+    dy: Any
+    dz: Any
+    u: Any
+    v: Any
+    du: Any
+    dv: Any
+    nu: Any
+    nv: Any
+    nz: Any
 
 
 @kernel()
@@ -80,12 +126,11 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
 
 
 @kernel(inline=True)
-def _cell_hit(z, i, j, u, v, h, du, dv, dz, t0, t1):
+def _cell_hit(ray, z, i, j, t0, t1):
     """Return the distance at which a ray meets the two triangles of cell (i, j).
 
-    The answer is inf for none and -1 for a ray that enters the cell underground. The ray starts
-    at (u, v) in posts and h in metres, and moves by (du, dv, dz) a metre; it is in the cell from
-    t0 to t1.
+    The answer is inf for none and -1 for a ray that enters the cell underground. The ray is in the
+    cell from t0 to t1.
 
     Within a triangle the surface is a plane, so the height of the ray above it is linear in
     the distance. The ray's stay in the cell is cut at the diagonal.
@@ -94,10 +139,12 @@ def _cell_hit(z, i, j, u, v, h, du, dv, dz, t0, t1):
     z10 = np.float64(z[i, j + 1])
     z01 = np.float64(z[i + 1, j])
     z11 = np.float64(z[i + 1, j + 1])
-    u0 = u + t0 * du - j
-    v0 = v + t0 * dv - i
-    u1 = u + t1 * du - j
-    v1 = v + t1 * dv - i
+    h = ray.oz
+    dz = ray.dz
+    u0 = ray.u + t0 * ray.du - j
+    v0 = ray.v + t0 * ray.dv - i
+    u1 = ray.u + t1 * ray.du - j
+    v1 = ray.v + t1 * ray.dv - i
     if u0 >= v0:
         above0 = h + t0 * dz - (z00 + u0 * (z10 - z00) + v0 * (z11 - z10))
     else:
@@ -129,13 +176,13 @@ def _cell_hit(z, i, j, u, v, h, du, dv, dz, t0, t1):
 
 
 @kernel(inline=True)
-def _try_rocks(
-    ox, oy, oz, dx, dy, dz, t, bucket, best, which, rocks, planes, count, start, index
-):  # fmt: skip
+def _try_rocks(ray, t, bucket, best, which, rocks):
     """Return the nearest hit at or after t of the bucket's rocks, and the rock."""
-    for m in range(start[bucket], start[bucket + 1]):
-        n = index[m]
-        hit = rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count)
+    for m in range(rocks.start[bucket], rocks.start[bucket + 1]):
+        n = rocks.index[m]
+        hit = rock_hit(
+            ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, rocks.rows, n, rocks.planes, rocks.count
+        )
         # A hit beyond this bucket is a hit all the same.
         if hit >= t - 1e-9 and hit < best:
             best = hit
@@ -144,236 +191,274 @@ def _try_rocks(
 
 
 @kernel(inline=True)
-def _steep_hit(
-    ox, oy, oz, dx, dy, dz, u, v, du, dv, nu, nv, nz, t, t1, z,
-    base, peak, ground, offset, high, wide, rocks, planes, count, start, index,
-):  # fmt: skip
+def _walls(ray, i, j, level):
+    """Return the distances at which a ray leaves node (i, j) eastward or westward, and else."""
+    wu = 1 if ray.dx > 0.0 else 0
+    wv = 1 if ray.dy > 0.0 else 0
+    tu = (((j + wu) << level) - ray.u) * ray.nu if ray.du != 0.0 else np.inf
+    tv = (((i + wv) << level) - ray.v) * ray.nv if ray.dv != 0.0 else np.inf
+    return tu, tv
+
+
+@kernel(inline=True)
+def _come_down(ray, level, t, t1, i, j, rows, cols):
+    """Follow a ray down to elevation `level`; return distance and cell, (-1, -1) beyond t1.
+
+    A ray that is there already stays where it is.
+    """
+    below = (np.float64(level) - ray.oz) * ray.nz
+    if below > t:
+        t = below
+        j = min(int(ray.u + t * ray.du), cols - 2) if t <= t1 else -1
+        i = min(int(ray.v + t * ray.dv), rows - 2) if t <= t1 else -1
+    return t, i, j
+
+
+@kernel(inline=True)
+def _walk_cells(ray, z, base, t, t1, i, j):
+    """Go from cell (i, j) to cell until the ray meets the ground or leaves the bucket.
+
+    Returns
+    -------
+    hit
+        As `_cell_hit`.
+    t, i, j
+        Where the ray then is; t1 or more at the end of the ray, inf beyond the map.
+    """
+    rows, cols = z.shape
+    su = 1 if ray.dx > 0.0 else -1
+    sv = 1 if ray.dy > 0.0 else -1
+    bucket_i = i >> base
+    bucket_j = j >> base
+    while True:
+        tu, tv = _walls(ray, i, j, 0)
+        out = max(min(min(tu, tv), t1), t)
+        hit = _cell_hit(ray, z, i, j, t, out)
+        if hit < np.inf:
+            return hit, t, i, j
+        t = out
+        if t >= t1:
+            return np.inf, t, i, j
+        if tu <= tv:
+            j += su
+        else:
+            i += sv
+        if j < 0 or j > cols - 2 or i < 0 or i > rows - 2:
+            return np.inf, np.inf, i, j
+        if (j >> base) != bucket_j or (i >> base) != bucket_i:
+            return np.inf, t, i, j
+
+
+@kernel(inline=True)
+def _nearer(hit, t, best, which):
+    """Return the first of a hit on the ground, as `_cell_hit` has it, and one on a rock.
+
+    Of a ray that is underground at t, what it met before is all.
+    """
+    if hit < 0.0:
+        return (best, which) if best <= t else (np.inf, -2)
+    return (hit, -1) if hit < best else (best, which)
+
+
+@kernel(inline=True)
+def _steep_hit(ray, t, t1, z, pyramid, rocks):
     """Return what `_first_hit` does for a ray that comes down steeply.
 
     It meets the ground within a few cells of the place where it gets below the highest point of
     a bucket, so this goes from there from cell to cell.
     """
     rows, cols = z.shape
-    su = 1 if dx > 0.0 else -1
-    sv = 1 if dy > 0.0 else -1
-    wu = 1 if dx > 0.0 else 0
-    wv = 1 if dy > 0.0 else 0
-    width = wide[base]
-    height = high[base]
-    start_of_peaks = offset[base]
+    base = pyramid.base
+    width = pyramid.wide[base]
+    height = pyramid.high[base]
+    start_of_peaks = pyramid.offset[base]
     best = np.inf
     which = -2
-    cj = min(max(int(u + t * du), 0), cols - 2)
-    ci = min(max(int(v + t * dv), 0), rows - 2)
+    cj = min(max(int(ray.u + t * ray.du), 0), cols - 2)
+    ci = min(max(int(ray.v + t * ray.dv), 0), rows - 2)
     j = cj >> base
     i = ci >> base
     while True:
         bucket = i * width + j
-        below = (np.float64(peak[start_of_peaks + bucket]) - oz) * nz
-        if below > t:
-            t = below
-            cj = min(int(u + t * du), cols - 2) if t <= t1 else -1
-            ci = min(int(v + t * dv), rows - 2) if t <= t1 else -1
+        t, ci, cj = _come_down(
+            ray, pyramid.peak[start_of_peaks + bucket], t, t1, ci, cj, rows, cols
+        )
         # The ray gets below the bucket's highest point before it leaves the bucket.
         inside = (cj >> base) == j and (ci >> base) == i
-        if inside and start[bucket] < start[bucket + 1]:
-            best, which = _try_rocks(
-                ox, oy, oz, dx, dy, dz, t, bucket, best, which, rocks, planes, count, start, index
-            )
+        if inside and rocks.start[bucket] < rocks.start[bucket + 1]:
+            best, which = _try_rocks(ray, t, bucket, best, which, rocks)
             t1 = min(t1, best)
-            below = (np.float64(ground[bucket]) - oz) * nz
-            if below > t:
-                t = below
-                cj = min(int(u + t * du), cols - 2) if t <= t1 else -1
-                ci = min(int(v + t * dv), rows - 2) if t <= t1 else -1
+            t, ci, cj = _come_down(ray, pyramid.ground[bucket], t, t1, ci, cj, rows, cols)
             inside = (cj >> base) == j and (ci >> base) == i
-        if not inside:
-            # Over the bucket: leave it through its nearer wall.
-            tu = (((j + wu) << base) - u) * nu if du != 0.0 else np.inf
-            tv = (((i + wv) << base) - v) * nv if dv != 0.0 else np.inf
-            t = min(tu, tv)
+        if inside:
+            hit, t, ci, cj = _walk_cells(ray, z, base, t, t1, ci, cj)
+            if hit < np.inf:
+                return _nearer(hit, t, best, which)
             if t >= t1:
                 return best, which
-            if tu <= tv:
-                j += su
-            else:
-                i += sv
-            if j < 0 or j >= width or i < 0 or i >= height:
-                return best, which
-            cj = min(max(int(u + t * du), j << base), min((j + 1) << base, cols - 1) - 1)
-            ci = min(max(int(v + t * dv), i << base), min((i + 1) << base, rows - 1) - 1)
+            j = cj >> base
+            i = ci >> base
             continue
-        while True:
-            cu = (cj + wu - u) * nu if du != 0.0 else np.inf
-            cv = (ci + wv - v) * nv if dv != 0.0 else np.inf
-            out = max(min(min(cu, cv), t1), t)
-            hit = _cell_hit(z, ci, cj, u, v, oz, du, dv, dz, t, out)
-            if hit < 0.0:
-                return (best, which) if best <= t else (np.inf, -2)
-            if hit < np.inf:
-                return (hit, -1) if hit < best else (best, which)
-            if out >= t1:
-                return best, which
-            t = out
-            if cu <= cv:
-                cj += su
-            else:
-                ci += sv
-            if cj < 0 or cj > cols - 2 or ci < 0 or ci > rows - 2:
-                return best, which
-            if (cj >> base) != j or (ci >> base) != i:
-                j = cj >> base
-                i = ci >> base
-                break
+        # Over the bucket: leave it through its nearer wall.
+        tu, tv = _walls(ray, i, j, base)
+        t = min(tu, tv)
+        if t >= t1:
+            return best, which
+        if tu <= tv:
+            j += 1 if ray.dx > 0.0 else -1
+        else:
+            i += 1 if ray.dy > 0.0 else -1
+        if j < 0 or j >= width or i < 0 or i >= height:
+            return best, which
+        cj = min(max(int(ray.u + t * ray.du), j << base), min((j + 1) << base, cols - 1) - 1)
+        ci = min(max(int(ray.v + t * ray.dv), i << base), min((i + 1) << base, rows - 1) - 1)
 
 
 @kernel(inline=True)
-def _first_hit(
-    ox, oy, oz, dx, dy, dz, max_range, z, x0, y0, p,
-    base, peak, ground, offset, high, wide, rocks, planes, count, start, index,
-):  # fmt: skip
-    """Return the distance of the first hit of one ray and the rock it met (-1 relief, -2 none).
+def _rise(here, there, level, base, last):
+    """Return by how many levels to go up after a step from one row or column to the next."""
+    # A step out of a bucket must enter the next one through its list of rocks.
+    shift = max(base - level, 1)
+    if (here >> shift) != (there >> shift):
+        return min(shift, last - level)
+    return 1 if (here >> 1) != (there >> 1) else 0
+
+
+@kernel(inline=True)
+def _grazing_hit(ray, t, t1, z, pyramid, rocks):
+    """Return what `_first_hit` does for a ray that grazes the ground or goes up.
 
     The ray walks over the pyramid: it steps over nodes that it passes above, and looks into the
     others one level down. At the level of the buckets it tries the rocks, at level 0 the two
-    triangles of the cell. A ray that comes in underground meets nothing.
+    triangles of the cell.
     """
     rows, cols = z.shape
-    none = (np.inf, -2)
-    # From here on in posts: the pyramid's nodes are then at whole numbers.
+    base, _, _, _, high, wide = pyramid
+    last = pyramid.offset.size - 1
+    down = ray.dz < 0.0
+    level = base
+    j = min(max(int(ray.u + t * ray.du), 0), cols - 2) >> level
+    i = min(max(int(ray.v + t * ray.dv), 0), rows - 2) >> level
+    best = np.inf
+    which = -2
+    while True:
+        tu, tv = _walls(ray, i, j, level)
+        leave = max(min(min(tu, tv), t1), t)
+        bucket = i * wide[level] + j
+        top = np.float64(pyramid.peak[pyramid.offset[level] + bucket])
+        inside = ray.oz + (leave if down else t) * ray.dz <= top
+        if inside and down:
+            t = min(max(t, (top - ray.oz) * ray.nz), leave)
+        if inside and level == base and rocks.start[bucket] < rocks.start[bucket + 1]:
+            best, which = _try_rocks(ray, t, bucket, best, which, rocks)
+            t1 = min(t1, best)
+            bare = np.float64(pyramid.ground[bucket])
+            leave = max(min(leave, t1), t)
+            inside = ray.oz + (leave if down else t) * ray.dz <= bare
+            if inside and down:
+                t = min(max(t, (bare - ray.oz) * ray.nz), leave)
+        if inside and level > 0:
+            level -= 1
+            j = min(max(int(ray.u + t * ray.du) >> level, 2 * j), min(2 * j + 1, wide[level] - 1))
+            i = min(max(int(ray.v + t * ray.dv) >> level, 2 * i), min(2 * i + 1, high[level] - 1))
+            continue
+        if inside:
+            hit = _cell_hit(ray, z, i, j, t, leave)
+            if hit < np.inf:
+                return _nearer(hit, t, best, which)
+        t = leave
+        if t >= t1:
+            return best, which
+        if tu <= tv:
+            here = j
+            j += 1 if ray.dx > 0.0 else -1
+            there = j
+        else:
+            here = i
+            i += 1 if ray.dy > 0.0 else -1
+            there = i
+        if there < 0 or there >= (wide[level] if tu <= tv else high[level]):
+            return best, which
+        rise = _rise(here, there, level, base, last)
+        level += rise
+        j >>= rise
+        i >>= rise
+
+
+@kernel(inline=True)
+def _over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
+    """Return a ray over a relief whose first post is at (x0, y0)."""
     q = 1.0 / p
-    u = (ox - x0) * q
-    v = (oy - y0) * q
     du = dx * q
     dv = dy * q
     # An infinite inverse would turn 0 * inf into NaN; this is as good as infinite.
     nu = 1.0 / du if abs(du) > 1e-200 else 1e200
     nv = 1.0 / dv if abs(dv) > 1e-200 else 1e200
     nz = 1.0 / dz if abs(dz) > 1e-200 else 1e200
-    ta = -u * nu
-    tb = (cols - 1 - u) * nu
-    tc = -v * nv
-    td = (rows - 1 - v) * nv
+    return _Ray(ox, oy, oz, dx, dy, dz, (ox - x0) * q, (oy - y0) * q, du, dv, nu, nv, nz)
+
+
+@kernel(inline=True)
+def _first_hit(ray, max_range, z, pyramid, rocks):
+    """Return the distance of the first hit of one ray and the rock it met (-1 relief, -2 none).
+
+    A ray that comes in underground meets nothing.
+    """
+    rows, cols = z.shape
+    ta = -ray.u * ray.nu
+    tb = (cols - 1 - ray.u) * ray.nu
+    tc = -ray.v * ray.nv
+    td = (rows - 1 - ray.v) * ray.nv
     t = max(max(0.0, min(ta, tb)), min(tc, td))
     t1 = min(min(max_range, max(ta, tb)), max(tc, td))
-    last = offset.size - 1
-    summit = np.float64(peak[offset[last]])
-    if oz + t * dz > summit:
-        if dz >= 0.0:
-            return none
-        t = max(t, (summit - oz) * nz)
+    summit = np.float64(pyramid.peak[pyramid.offset[pyramid.offset.size - 1]])
+    if ray.oz + t * ray.dz > summit:
+        if ray.dz >= 0.0:
+            return np.inf, -2
+        t = max(t, (summit - ray.oz) * ray.nz)
     if not t <= t1:
-        return none
-    if dz < -0.3:
-        return _steep_hit(
-            ox, oy, oz, dx, dy, dz, u, v, du, dv, nu, nv, nz, t, t1, z,
-            base, peak, ground, offset, high, wide, rocks, planes, count, start, index,
-        )  # fmt: skip
-    su = 1 if dx > 0.0 else -1
-    sv = 1 if dy > 0.0 else -1
-    # Offsets of the wall through which a node is left.
-    wu = 1 if dx > 0.0 else 0
-    wv = 1 if dy > 0.0 else 0
-    level = base
-    j = min(max(int(u + t * du), 0), cols - 2) >> level
-    i = min(max(int(v + t * dv), 0), rows - 2) >> level
-    best = np.inf
-    which = -2
-    while True:
-        tu = (((j + wu) << level) - u) * nu if du != 0.0 else np.inf
-        tv = (((i + wv) << level) - v) * nv if dv != 0.0 else np.inf
-        leave = max(min(min(tu, tv), t1), t)
-        low = oz + (leave if dz < 0.0 else t) * dz
-        width = wide[level]
-        bucket = i * width + j
-        top = np.float64(peak[offset[level] + bucket])
-        if low <= top:
-            if dz < 0.0:
-                t = min(max(t, (top - oz) * nz), leave)
-            inside = True
-            if level == base and start[bucket] < start[bucket + 1]:
-                best, which = _try_rocks(
-                    ox, oy, oz, dx, dy, dz, t, bucket, best, which,
-                    rocks, planes, count, start, index,
-                )  # fmt: skip
-                t1 = min(t1, best)
-                bare = np.float64(ground[bucket])
-                leave = max(min(leave, t1), t)
-                inside = oz + (leave if dz < 0.0 else t) * dz <= bare
-                if inside and dz < 0.0:
-                    t = min(max(t, (bare - oz) * nz), leave)
-            if inside and level > 0:
-                level -= 1
-                j = min(max(int(u + t * du) >> level, 2 * j), min(2 * j + 1, wide[level] - 1))
-                i = min(max(int(v + t * dv) >> level, 2 * i), min(2 * i + 1, high[level] - 1))
-                continue
-            if inside:
-                hit = _cell_hit(z, i, j, u, v, oz, du, dv, dz, t, leave)
-                if hit < 0.0:
-                    return (best, which) if best <= t else none
-                if hit < np.inf:
-                    return (hit, -1) if hit < best else (best, which)
-        t = leave
-        if t >= t1:
-            return best, which
-        # A step out of a bucket must enter the next one through its list of rocks.
-        shift = max(base - level, 1)
-        if tu <= tv:
-            here = j
-            j += su
-            there = j
-            if j < 0 or j >= width:
-                return best, which
-        else:
-            here = i
-            i += sv
-            there = i
-            if i < 0 or i >= high[level]:
-                return best, which
-        rise = 0
-        if (here >> shift) != (there >> shift):
-            rise = min(shift, last - level)
-        elif (here >> 1) != (there >> 1):
-            rise = 1
-        level += rise
-        j >>= rise
-        i >>= rise
+        return np.inf, -2
+    if ray.dz < -0.3:
+        return _steep_hit(ray, t, t1, z, pyramid, rocks)
+    return _grazing_hit(ray, t, t1, z, pyramid, rocks)
 
 
 @kernel(parallel=True)
 def cast(
     origin, direction, max_range, normals, z, x0, y0, p,
-    base, peak, ground, offset, high, wide, rocks, planes, count, start, index,
+    base, peak, ground, offset, high, wide, rows, planes, count, start, index,
 ):  # fmt: skip
     """Cast rays; return distance (n,), normal (n, 3) and rock number (n,) of the first hits.
 
-    Without `normals` the second is empty.
+    Without `normals` the second is empty. The fields of `Pyramid` and `Rocks` come one by one:
+    taking a tuple apart at every call would cost a single ray a quarter more.
     """
     rays = direction.shape[0]
     distance = np.empty(rays)
     normal = np.empty((rays if normals else 0, 3))
     rock = np.empty(rays, np.int32)
     each = 1 if origin.shape[0] > 1 else 0
-    for ray in prange(rays):
-        ox = origin[ray * each, 0]
-        oy = origin[ray * each, 1]
-        oz = origin[ray * each, 2]
-        dx = direction[ray, 0]
-        dy = direction[ray, 1]
-        dz = direction[ray, 2]
-        best, which = _first_hit(
-            ox, oy, oz, dx, dy, dz, max_range, z, x0, y0, p,
-            base, peak, ground, offset, high, wide, rocks, planes, count, start, index,
-        )  # fmt: skip
-        rock[ray] = which
-        distance[ray] = np.nan if which == -2 else best
+    pyramid = Pyramid(base, peak, ground, offset, high, wide)
+    rocks = Rocks(rows, planes, count, start, index)
+    for n in prange(rays):
+        ox = origin[n * each, 0]
+        oy = origin[n * each, 1]
+        oz = origin[n * each, 2]
+        dx = direction[n, 0]
+        dy = direction[n, 1]
+        dz = direction[n, 2]
+        ray = _over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p)
+        best, which = _first_hit(ray, max_range, z, pyramid, rocks)
+        rock[n] = which
+        distance[n] = np.nan if which == -2 else best
         if normals:
             hx = ox + best * dx
             hy = oy + best * dy
             if which >= 0:
-                rock_normal(hx, hy, oz + best * dz, rocks, which, planes, count, normal[ray])
+                hz = oz + best * dz
+                rock_normal(hx, hy, hz, rocks.rows, which, rocks.planes, rocks.count, normal[n])
             elif which == -1:
-                relief_normal(hx, hy, z, x0, y0, p, normal[ray])
+                relief_normal(hx, hy, z, x0, y0, p, normal[n])
             else:
-                normal[ray, :] = np.nan
+                normal[n, :] = np.nan
     return distance, normal, rock

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,8 +57,8 @@ class Terrain:
     # What the kernels take: where the posts are; posts, rocks and their lists; the pyramid.
     _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)
     _leaf: int = field(init=False, repr=False, compare=False)
-    _rock_arrays: tuple[Any, ...] = field(init=False, repr=False, compare=False)
-    _pyramid: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    _rock_arrays: _ray_kernels.Rocks = field(init=False, repr=False, compare=False)
+    _pyramid: _ray_kernels.Pyramid = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         g = self.relief.grid
@@ -75,8 +74,10 @@ class Terrain:
         peak, ground = _ray_kernels.build_pyramid(z, rows, start, index, base, offset, high, wide)
         object.__setattr__(self, "_frame", (g.x0, g.y0, g.posting))
         object.__setattr__(self, "_leaf", 2**base)
-        object.__setattr__(self, "_rock_arrays", (rows, table.planes, table.count, start, index))
-        object.__setattr__(self, "_pyramid", (base, peak, ground, offset, high, wide))
+        listed = _ray_kernels.Rocks(rows, table.planes, table.count, start, index)
+        pyramid = _ray_kernels.Pyramid(base, peak, ground, offset, high, wide)
+        object.__setattr__(self, "_rock_arrays", listed)
+        object.__setattr__(self, "_pyramid", pyramid)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 _BINS = 24
 
@@ -77,6 +78,20 @@ def fit_hyperparameters(
     cloud = check_points(points)
     if len(cloud) < 100:
         raise ValueError(f"points: {len(cloud)} are too few for a variogram, at least 100")
+    distance, square = _drawn_pairs(cloud, rng, pairs, largest_lag)
+    if not distance.size:
+        raise ValueError(f"largest_lag = {largest_lag}: no two points are that close")
+    lag, variogram, count = _binned(distance, square, largest_lag)
+    sigma_f, length = _fitted(lag, variogram, count, sigma_eps, largest_lag)
+    return FieldFit(
+        sigma_f, length, sigma_f**2 / length, lag, variogram, time.perf_counter() - began
+    )
+
+
+def _drawn_pairs(
+    cloud: Array, rng: np.random.Generator, pairs: int, largest_lag: float
+) -> tuple[Array, Array]:
+    """Return distance and half the squared difference in height of pairs of points."""
     # Partners at a random direction and a lag even in its logarithm: every bin gets its share.
     first = rng.integers(0, len(cloud), pairs)
     low = 0.02 * largest_lag
@@ -86,33 +101,37 @@ def fit_hyperparameters(
     _, second = cKDTree(cloud[:, :2]).query(aim)
     distance = np.linalg.norm(cloud[first, :2] - cloud[second, :2], axis=1)
     use = (distance > 0.0) & (distance <= largest_lag)
-    if not use.any():
-        raise ValueError(f"largest_lag = {largest_lag}: no two points are that close")
-    square = 0.5 * (cloud[first, 2] - cloud[second, 2])[use] ** 2
-    edges = np.geomspace(distance[use].min(), largest_lag, _BINS + 1)
-    index = np.clip(np.searchsorted(edges, distance[use]) - 1, 0, _BINS - 1)
+    return distance[use], 0.5 * (cloud[first, 2] - cloud[second, 2])[use] ** 2
+
+
+def _binned(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
+    """Return lag, variogram and number of pairs of the bins that hold enough of them."""
+    edges = np.geomspace(distance.min(), largest_lag, _BINS + 1)
+    index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BINS - 1)
     count = np.bincount(index, minlength=_BINS)
     filled = count >= 30
-    centre = np.bincount(index, weights=distance[use], minlength=_BINS)[filled] / count[filled]
+    centre = np.bincount(index, weights=distance, minlength=_BINS)[filled] / count[filled]
     height = np.bincount(index, weights=square, minlength=_BINS)[filled] / count[filled]
+    return centre, height, count[filled]
+
+
+def _fitted(
+    lag: Array, variogram: Array, count: Index, sigma_eps: float, largest_lag: float
+) -> tuple[float, float]:
+    """Return sigma_f and length scale of the model nearest to the bins."""
 
     def model(d: Array, log_sigma: float, log_length: float) -> Array:
         rise = np.exp(2.0 * log_sigma) * -np.expm1(-d / np.exp(log_length))
         return np.asarray(rise + sigma_eps**2)
 
-    top = max(float(height.max() - sigma_eps**2), 1e-8)
-    start = (0.5 * np.log(top), np.log(0.3 * largest_lag))
-    spread = height / np.sqrt(count[filled]) + 1e-12
+    top = max(float(variogram.max() - sigma_eps**2), 1e-8)
     (log_sigma, log_length), _ = curve_fit(
         model,
-        centre,
-        height,
-        p0=start,
-        sigma=spread,
+        lag,
+        variogram,
+        p0=(0.5 * np.log(top), np.log(0.3 * largest_lag)),
+        sigma=variogram / np.sqrt(count) + 1e-12,
         bounds=([np.log(1e-5), np.log(1e-3)], [np.log(1e3), np.log(1e4)]),
         max_nfev=2000,
     )
-    sigma_f, length = float(np.exp(log_sigma)), float(np.exp(log_length))
-    return FieldFit(
-        sigma_f, length, sigma_f**2 / length, centre, height, time.perf_counter() - began
-    )
+    return float(np.exp(log_sigma)), float(np.exp(log_length))

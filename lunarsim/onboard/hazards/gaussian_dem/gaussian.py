@@ -82,25 +82,69 @@ def gaussian_dem(
     ValueError
         If the array is not (n, 3), holds infinities, or a parameter is not positive.
     """
-    for name, value in (("sigma_f", sigma_f), ("length_scale", length_scale)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value}: must be a positive length in metres")
-    if not (np.isfinite(sigma_eps) and sigma_eps >= 0.0):
-        raise ValueError(f"sigma_eps = {sigma_eps}: must be 0 or a positive length in metres")
+    _check_parameters(sigma_f, length_scale, sigma_eps)
     raw = np.asarray(points, dtype=np.float64)
     cloud = check_points(raw)
-    prior = sigma_f * sigma_f
     base = base_height(cloud)
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     mean = np.empty(grid.shape, np.float32)
     variance = np.empty(grid.shape, np.float32)
     observed = np.empty(grid.shape, np.bool_)
     k.measured_cells(
-        height, weight, base, _DENSE, sigma_eps * sigma_eps, prior, mean, variance, observed
-    )
+        height, weight, base, _DENSE, sigma_eps * sigma_eps, sigma_f * sigma_f,
+        mean, variance, observed,
+    )  # fmt: skip
     if not observed.all():
-        pixels = np.zeros(0, np.int64)
-        cols = 1
+        mesh = _Mesh.of(raw, cloud, image_shape)
+        if len(mesh.triangles):
+            k.regress(
+                mesh.vertices, mesh.triangles, mesh.longest, mesh.gap,
+                grid.x0, grid.y0, grid.posting, sigma_f, length_scale, sigma_eps,
+                weight, np.float32(_DENSE), mean, variance, observed,
+            )  # fmt: skip
+    return GaussianDem(grid, mean, variance, observed)
+
+
+def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> None:
+    for name, value in (("sigma_f", sigma_f), ("length_scale", length_scale)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} = {value}: must be a positive length in metres")
+    if not (np.isfinite(sigma_eps) and sigma_eps >= 0.0):
+        raise ValueError(f"sigma_eps = {sigma_eps}: must be 0 or a positive length in metres")
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    """Delaunay triangulation of a cloud.
+
+    Attributes
+    ----------
+    vertices
+        (n, 3).
+    triangles
+        Indices into `vertices` (m, 3).
+    longest
+        Longest edge of each triangle (m,), m; inf for one over missing returns.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    longest: NDArray[np.float64]
+
+    @property
+    def gap(self) -> float:
+        """Longest edge that spans no occlusion, m."""
+        return _GAP * float(np.median(self.longest))
+
+    @classmethod
+    def of(
+        cls,
+        raw: NDArray[np.float64],
+        cloud: NDArray[np.float64],
+        image_shape: tuple[int, int] | None,
+    ) -> _Mesh:
+        """Triangulate all points given, or the cloud of finite ones if they are no image."""
+        pixels, cols = np.zeros(0, np.int64), 1
         if image_shape is None:
             vertices = _merge_coincident(cloud)
             triangles = delaunay(vertices[:, :2])
@@ -110,26 +154,7 @@ def gaussian_dem(
             vertices, cols = raw, image_shape[1]
             pixels = np.arange(len(raw))
             triangles = delaunay_of_image(_blank(raw), image_shape)
-        if len(triangles):
-            longest = k.longest_edges(vertices, triangles, pixels, cols)
-            k.regress(
-                vertices,
-                triangles,
-                longest,
-                _GAP * float(np.median(longest)),
-                grid.x0,
-                grid.y0,
-                grid.posting,
-                sigma_f,
-                length_scale,
-                sigma_eps,
-                weight,
-                np.float32(_DENSE),
-                mean,
-                variance,
-                observed,
-            )
-    return GaussianDem(grid, mean, variance, observed)
+        return cls(vertices, triangles, k.longest_edges(vertices, triangles, pixels, cols))
 
 
 def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:

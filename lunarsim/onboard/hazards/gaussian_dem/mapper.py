@@ -39,7 +39,7 @@ class GaussianDemMapping:
     """
 
     sensor: str = quantity("flash", help="whose scans it maps")
-    posting: float = quantity(0.2, "m", gt=0)
+    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     safety: Literal["level", "planes"] = quantity(
         "level", help="Eqs. 15 to 17 of the paper, or through the real support planes"
@@ -48,7 +48,6 @@ class GaussianDemMapping:
     length_scale: float = quantity(30.0, "m", gt=0, help="of the random field")
 
     takes: ClassVar[type] = LidarScan
-    navigation: ClassVar[type | None] = None
 
     def build(self, briefing: Briefing, navigation: Navigation) -> GaussianDemMapper:
         """Return the mapper of one flight."""

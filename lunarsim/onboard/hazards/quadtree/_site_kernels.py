@@ -382,6 +382,31 @@ def _worst_ratio(raster, x, y, reach):
     return worst
 
 
+@kernel()
+def _verdict(interest, cosine, worst, least_cosine, exception):
+    """Return why a site is not to be landed on."""
+    if interest <= 0.0:
+        return NO_INTEREST
+    if cosine < least_cosine:
+        return STEEP
+    if np.isnan(worst):
+        return SPARSE
+    return HAZARD if worst > exception else ELIGIBLE
+
+
+@kernel()
+def _roughness(tree, node, zone, normal, printed, stack, s):
+    """Return the roughness of the zone about a cell over its plane."""
+    x, y = cell_centre(tree, node)
+    west, east, south, north = x - zone, x + zone, y - zone, y + zone
+    z = tree.sums[node, 2] / tree.count[node]
+    if printed:
+        total, n = _root_sum(tree, west, east, south, north, x, y, z, normal)
+        return total / np.sqrt(n)
+    n = _zone_sums(tree, west, east, south, north, x, y, stack, s)
+    return np.sqrt(_mean_square(s, n, z, normal))
+
+
 @kernel(parallel=True)
 def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, out):
     """Judge sites at the centres of cells.
@@ -425,31 +450,13 @@ def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, 
             continue
         cosine[node] = normal[2]
         x, y = cell_centre(tree, node)
-        west, east, south, north = x - zone, x + zone, y - zone, y + zone
-        if west < -tree.half or east > tree.half or south < -tree.half or north > tree.half:
+        if max(abs(x), abs(y)) + zone > tree.half:
             status[node] = OFF_MAP
             continue
         column, row = (x + tree.half) / per_square, (y + tree.half) / per_square
         worst = _worst_ratio(raster, column, row, zone / per_square)
         ratio[node] = worst
         near[node] = _worst_ratio(raster, column, row, middle / per_square)
-        if interest[i] <= 0.0:
-            verdict = NO_INTEREST
-        elif normal[2] < least_cosine:
-            verdict = STEEP
-        elif np.isnan(worst):
-            verdict = SPARSE
-        elif worst > exception:
-            verdict = HAZARD
-        else:
-            verdict = ELIGIBLE
-        status[node] = verdict
-        if verdict != ELIGIBLE and (not thorough or np.isnan(worst)):
-            continue
-        z = tree.sums[node, 2] / tree.count[node]
-        if printed:
-            total, n = _root_sum(tree, west, east, south, north, x, y, z, normal)
-            roughness[node] = total / np.sqrt(n)
-        else:
-            n = _zone_sums(tree, west, east, south, north, x, y, stack, s)
-            roughness[node] = np.sqrt(_mean_square(s, n, z, normal))
+        status[node] = _verdict(interest[i], normal[2], worst, least_cosine, exception)
+        if status[node] == ELIGIBLE or (thorough and not np.isnan(worst)):
+            roughness[node] = _roughness(tree, node, zone, normal, printed, stack, s)

@@ -68,6 +68,29 @@ def with_room(array, n):
 
 
 @kernel()
+def _order_of(key, bits):
+    """Return the order (n,) that sorts keys of so many bits (radix sort, stable)."""
+    n = key.size
+    order = np.arange(n)
+    spare = np.empty(n, np.int64)
+    mask = (1 << DIGIT) - 1
+    shift = 0
+    while shift < bits:
+        begin = np.zeros((1 << DIGIT) + 1, np.int64)
+        for i in range(n):
+            begin[((key[i] >> shift) & mask) + 1] += 1
+        for d in range(1 << DIGIT):
+            begin[d + 1] += begin[d]
+        for i in range(n):
+            d = (key[order[i]] >> shift) & mask
+            spare[begin[d]] = order[i]
+            begin[d] += 1
+        order, spare = spare, order
+        shift += DIGIT
+    return order
+
+
+@kernel()
 def place(points, centre, half, depths):
     """Sort points (n, 3) along the Z-order curve of the least cells.
 
@@ -106,22 +129,7 @@ def place(points, centre, half, depths):
         kept[m, 2] = z
         key[m] = _spread(column) | (_spread(row) << 1)
         m += 1
-    order = np.arange(m)
-    spare = np.empty(m, np.int64)
-    mask = (1 << DIGIT) - 1
-    shift = 0
-    while shift < 2 * depths:
-        begin = np.zeros((1 << DIGIT) + 1, np.int64)
-        for i in range(m):
-            begin[((key[i] >> shift) & mask) + 1] += 1
-        for d in range(1 << DIGIT):
-            begin[d + 1] += begin[d]
-        for i in range(m):
-            d = (key[order[i]] >> shift) & mask
-            spare[begin[d]] = order[i]
-            begin[d] += 1
-        order, spare = spare, order
-        shift += DIGIT
+    order = _order_of(key[:m], 2 * depths)
     xyz = np.empty((m, 3), np.float32)
     sorted_key = np.empty(m, np.int64)
     for i in range(m):
@@ -248,6 +256,50 @@ def _split(tree, node, used, version):
     return nodes + 4, runs
 
 
+@kernel(inline=True)
+def _towards(tree, node, depth, key):
+    """Return the child of a node at `depth` whose cell holds a key."""
+    return tree.child[node] + ((key >> (2 * (tree.depths - depth - 1))) & 3)
+
+
+@kernel(inline=True)
+def _leaf_of(tree, key):
+    """Return the leaf whose cell holds a key, and its depth."""
+    node = 0
+    depth = 0
+    while tree.child[node] >= 0:
+        node = _towards(tree, node, depth, key)
+        depth += 1
+    return node, depth
+
+
+@kernel(inline=True)
+def _end_of_cell(key, i, shift):
+    """Return the first key after `i` outside its cell; keys are sorted, a cell is a prefix."""
+    prefix = key[i] >> shift
+    j = i + 1
+    while j < key.size and key[j] >> shift == prefix:
+        j += 1
+    return j
+
+
+@kernel(inline=True)
+def _count_down_to(tree, leaf, key, more, version, touched, count):
+    """Count `more` points in a leaf and all above it; list those first touched by this batch."""
+    node = 0
+    depth = 0
+    while True:
+        if tree.stamp[node] != version:
+            tree.stamp[node] = version
+            touched[count] = node
+            count += 1
+        tree.count[node] += more
+        if node == leaf:
+            return count
+        node = _towards(tree, node, depth, key)
+        depth += 1
+
+
 @kernel()
 def insert(tree, key, base, begin, used, split_count, version):
     """Insert a sorted batch that lies in the pool from `base` on.
@@ -259,51 +311,31 @@ def insert(tree, key, base, begin, used, split_count, version):
     at, nodes, runs
         First point not inserted, nodes and runs in use.
     """
-    n = key.size
     nodes, runs = used
     touched = np.empty(tree.child.size, np.int32)
     count = 0
     stack = np.empty(STACK, np.int32)
     depths = tree.depths
     i = begin
-    while i < n:
-        node = 0
-        depth = 0
-        while tree.child[node] >= 0:
-            node = tree.child[node] + ((key[i] >> (2 * (depths - depth - 1))) & 3)
-            depth += 1
-        shift = 2 * (depths - depth)
-        prefix = key[i] >> shift
-        j = i + 1
-        while j < n and key[j] >> shift == prefix:
-            j += 1
+    while i < key.size:
+        leaf, depth = _leaf_of(tree, key[i])
+        j = _end_of_cell(key, i, 2 * (depths - depth))
         # At each depth below at most total / split_count cells split; each cut run has a point.
-        total = tree.count[node] + (j - i)
+        total = tree.count[leaf] + (j - i)
         if nodes + 4 * (depths - depth) * (total // split_count) >= tree.child.size:
             break
         if runs + total + 1 >= tree.start.size:
             break
-        walk = 0
-        depth_walked = 0
-        while True:
-            if tree.stamp[walk] != version:
-                tree.stamp[walk] = version
-                touched[count] = walk
-                count += 1
-            tree.count[walk] += j - i
-            if walk == node:
-                break
-            walk = tree.child[walk] + ((key[i] >> (2 * (depths - depth_walked - 1))) & 3)
-            depth_walked += 1
+        count = _count_down_to(tree, leaf, key[i], j - i, version, touched, count)
         tree.start[runs] = base + i
         tree.length[runs] = j - i
-        tree.following[runs] = tree.head[node]
-        tree.head[node] = runs
+        tree.following[runs] = tree.head[leaf]
+        tree.head[leaf] = runs
         runs += 1
         if total < split_count or depth == depths:
-            _add_to_sums(tree, node, base + i, base + j)
+            _add_to_sums(tree, leaf, base + i, base + j)
         else:
-            stack[0] = node
+            stack[0] = leaf
             top = 1
             while top > 0:
                 top -= 1
@@ -311,12 +343,12 @@ def insert(tree, key, base, begin, used, split_count, version):
                 if tree.count[m] < split_count or tree.depth[m] == depths:
                     run = tree.head[m]
                     while run >= 0:
-                        begins = tree.start[run]
-                        _add_to_sums(tree, m, begins, begins + tree.length[run])
+                        first = tree.start[run]
+                        _add_to_sums(tree, m, first, first + tree.length[run])
                         run = tree.following[run]
                     continue
                 nodes, runs = _split(tree, m, (nodes, runs), version)
-                if m != node:
+                if m != leaf:
                     touched[count] = m
                     count += 1
                 for q in range(4):

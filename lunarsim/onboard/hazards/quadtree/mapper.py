@@ -59,7 +59,7 @@ class QuadtreeMapping:
     """
 
     sensor: str = quantity("flash", help="whose scans it maps")
-    posting: float = quantity(0.2, "m", gt=0)
+    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     least: float = quantity(0.1, "m", gt=0, help="least cells of the quadtree")
     split_count: int = quantity(8, ge=2, help="points at which a cell divides")
@@ -73,7 +73,6 @@ class QuadtreeMapping:
     sites: SiteSettings = quantity(SiteSettings(), help="what a site must be like")
 
     takes: ClassVar[type] = LidarScan
-    navigation: ClassVar[type | None] = None
 
     def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
         """Return the mapper of one flight."""

@@ -49,14 +49,14 @@ class SiteSettings:
         seen more often scores worse.
     """
 
-    slope_limit: float = quantity(5.0, "deg", gt=0, lt=45)
-    roughness_limit: float = quantity(0.3, "m", gt=0)
+    slope_limit: float = quantity(5.0, "deg", gt=0, lt=45, help="lambda_theta")
+    roughness_limit: float = quantity(0.3, "m", gt=0, help="lambda_d: farther is an exception")
     density: float = quantity(5.0, "1/m^2", ge=0, help="least number of points")
-    exception_limit: float = quantity(0.015, ge=0, lt=1)
+    exception_limit: float = quantity(0.015, ge=0, lt=1, help="lambda_e: share of exceptions")
     zone: float = quantity(2.5, "m", gt=0, help="half side of the landing zone")
-    weight_interest: float = quantity(1.0, ge=0)
-    weight_slope: float = quantity(1000.0, ge=0)
-    weight_roughness: float = quantity(100.0, ge=0)
+    weight_interest: float = quantity(1.0, ge=0, help="alpha of Eq. 9 for 1 - interest")
+    weight_slope: float = quantity(1000.0, ge=0, help="alpha of Eq. 9 for 1 - cos slope")
+    weight_roughness: float = quantity(100.0, ge=0, help="alpha of Eq. 9 for the roughness in m")
     mesh_band: tuple[float, float] = quantity((6.4, 12.8), "m", gt=0, help="cells of the mesh")
     hazard_band: tuple[float, float] = quantity(
         (1.6, 1.6), "m", gt=0, help="cells searched for exceptions"

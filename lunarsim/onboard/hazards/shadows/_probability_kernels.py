@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from lunarsim._jit import kernel, prange
+from lunarsim.models._pinhole_kernels import to_pixel
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
 
@@ -119,8 +120,7 @@ def mark_seen(
                 continue
             x = axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * drop
             y = axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * drop
-            u = fx * x / z + cx
-            v = fy * y / z + cy
+            u, v = to_pixel(x, y, z, fx, fy, cx, cy)
             if not (u >= 0.0 and v >= 0.0 and u <= wide - 1 and v <= high - 1):
                 continue
             if labels[int(v + 0.5), int(u + 0.5)] != 0:

@@ -60,9 +60,7 @@ def associate(
     spread = np.sqrt(
         largest_eigenvalue(predicted_covariance).max() + largest_eigenvalue(pixel_covariance)
     )
-    near = cKDTree(predicted).query_ball_point(pixel, np.sqrt(gate) * spread)
-    i = np.repeat(np.arange(d), [len(n) for n in near])
-    j = np.fromiter(chain.from_iterable(near), np.int64, i.size)
+    i, j = _neighbours(pixel, predicted, np.sqrt(gate) * spread)
     offset = pixel[i] - predicted[j]
     s = pixel_covariance[i] + predicted_covariance[j]
     distance = squared_distance(offset, s)
@@ -71,30 +69,54 @@ def associate(
     i, j, distance = i[inside], j[inside], distance[inside]
     close = np.zeros(d, bool)
     close[i] = True
+    detection, rock = _cheapest_pairs(i, j, distance, d, t, gate)
+    own = np.full(d, -1)
+    own[detection] = rock
+    mate = np.full(t, -1)
+    mate[rock] = detection
+    sure = _has_no_rival(i, j, distance, own, mate)
+    return detection, rock, sure[detection], close
+
+
+def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Index]:
+    """Return all pairs of a point (d, 2) and another (t, 2) within its reach (d,)."""
+    near = cKDTree(others).query_ball_point(points, reach)
+    i = np.repeat(np.arange(len(points)), [len(n) for n in near])
+    return i, np.fromiter(chain.from_iterable(near), np.int64, i.size)
+
+
+def _cheapest_pairs(
+    i: Index, j: Index, distance: Array, d: int, t: int, alone: float
+) -> tuple[Index, Index]:
+    """Return which of the pairs (i, j) of d and t make the least sum; one alone costs `alone`."""
     # One column a detection for "none of the rocks"; weights must not be 0, an absent entry.
-    alone = np.arange(d)
+    each = np.arange(d)
     cost = csr_array(
         (
-            np.concatenate((distance, np.full(d, gate))) + 1.0,
-            (np.concatenate((i, alone)), np.concatenate((j, t + alone))),
+            np.concatenate((distance, np.full(d, alone))) + 1.0,
+            (np.concatenate((i, each)), np.concatenate((j, t + each))),
         ),
         shape=(d, t + d),
     )
     rows, column = min_weight_full_bipartite_matching(cost)
     paired = column < t
-    detection: Index = np.asarray(rows[paired], np.int64)
-    rock: Index = np.asarray(column[paired], np.int64)
-    own = np.full(d, -1)
-    own[detection] = rock
-    mate = np.full(t, -1)
-    mate[rock] = detection
-    cost_of = np.full(d, np.inf)
+    return np.asarray(rows[paired], np.int64), np.asarray(column[paired], np.int64)
+
+
+def _has_no_rival(
+    i: Index, j: Index, distance: Array, own: Index, mate: Index
+) -> NDArray[np.bool_]:
+    """Tell which detections (d,) are by far nearer to their rock than any rival of the pair.
+
+    `own` is the rock of each detection (d,) and `mate` the detection of each rock (t,), -1 for
+    none.
+    """
+    cost = np.full(len(own), np.inf)
     is_pair = own[i] == j
-    cost_of[i[is_pair]] = distance[is_pair]
+    cost[i[is_pair]] = distance[is_pair]
     # A rival: the same detection with another rock, or the same rock with another detection.
-    rival = np.full(d, np.inf)
+    rival = np.full(len(own), np.inf)
     np.minimum.at(rival, i[~is_pair], distance[~is_pair])
     matched = ~is_pair & (mate[j] >= 0)
     np.minimum.at(rival, mate[j[matched]], distance[matched])
-    sure = rival[detection] > cost_of[detection] + _RIVAL
-    return detection, rock, np.asarray(sure), close
+    return np.asarray(rival > cost + _RIVAL)

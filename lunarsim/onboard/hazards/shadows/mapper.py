@@ -44,7 +44,7 @@ class ShadowMapping:
     """
 
     sensor: str = quantity("camera", help="whose pictures it maps")
-    posting: float = quantity(0.2, "m", gt=0)
+    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     hazard_diameter: float = quantity(0.5, "m", gt=0, help="least diameter of a hazard")
     interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")

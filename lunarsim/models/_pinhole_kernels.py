@@ -1,0 +1,17 @@
+"""The projection of `Pinhole` for compiled kernels, one point or pixel at a time."""
+
+from __future__ import annotations
+
+from lunarsim._jit import kernel
+
+
+@kernel(inline=True)
+def to_pixel(x, y, z, fx, fy, cx, cy):
+    """Return the pixel of a point in sensor coordinates; z must not be 0."""
+    return fx * x / z + cx, fy * y / z + cy
+
+
+@kernel(inline=True)
+def to_tangents(u, v, fx, fy, cx, cy):
+    """Return the tangents of a pixel's line of sight, right and down."""
+    return (u - cx) / fx, (v - cy) / fy

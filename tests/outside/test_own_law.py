@@ -1,0 +1,27 @@
+"""A guidance law from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.simulation import Simulation
+
+OWN = "own_law:LinearLaw"
+
+
+def test_it_flies_to_the_site(small):
+    scenario = small.changed(guidance={"kind": OWN}, approach={"time_to_go_s": 38.0})
+    simulation = Simulation(scenario, 3, "no-divert")
+    flight = simulation.run()
+    touchdown = flight.verdict.touchdown
+    aimed = simulation.site - simulation.navigation_error
+    assert np.hypot(*(touchdown.position - aimed)[:2]) < 0.8
+    assert touchdown.horizontal_speed < 0.5
+    apollo = Simulation(small.changed(approach={"time_to_go_s": 38.0}), 3, "no-divert").run()
+    assert flight.propellant_used != pytest.approx(apollo.propellant_used, rel=1e-3)
+
+
+def test_its_settings_are_checked(small):
+    with pytest.raises(ValueError, match=r"guidance\.least_time_to_go_s = -1"):
+        small.changed(guidance={"kind": OWN, "least_time_to_go_s": -1.0})

@@ -1,0 +1,162 @@
+"""What is known never meets what is true: recorded measurements alone give the same commands."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+from lunarsim.onboard.policies.library import Safest
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.simulation.recorder import Tap
+from tests.conftest import ROOT, SCENARIOS
+
+FLASH = {
+    "name": "flash",
+    "terrain": {"size_m": 80.0},
+    "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
+    "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 50.0}},
+}
+
+
+def flash() -> Scenario:
+    return Scenario.from_dict(FLASH)
+
+
+def camera() -> Scenario:
+    return Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
+        terrain={"size_m": 160.0},
+        rocks={"min_diameter_m": 0.5},
+        start={"position_m": [-90.0, -90.0, 130.0], "velocity_m_s": [8.0, 8.0, -9.0]},
+        approach={"time_to_go_s": None},
+        sensors={"camera": {"width": 240, "height": 180}},
+        tasking={"camera": {"rate_hz": 2.0}},
+        mappers={"rocks": {"posting_m": 0.5, "size_m": 50.0}},
+        simulation={"max_time_s": 12.0},
+    )
+
+
+def sweep() -> Scenario:
+    return Scenario.load(SCENARIOS / "morpheus.toml").changed(
+        terrain={"size_m": 200.0, "field_m": 60.0, "boulders": 100, "craters": 8},
+        start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
+        approach={"time_to_go_s": 30.0},
+        simulation={"cycle_s": 0.1, "max_time_s": 12.0},
+        tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
+        prior_map={"size_m": 180.0},
+        sensors={"flash": {"rows": 96, "cols": 96, "half_width": 0.025}},
+        mappers={"sites": {"size_m": 64.0}},
+        start_knowledge={"position_m": 6.0},
+    )
+
+
+def both() -> Scenario:
+    return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
+        terrain={"size_m": 120.0},
+        rocks={"min_diameter_m": 0.5},
+        target={"scatter_m": [5.0, 5.0]},
+        start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
+        sensors={"camera": {"width": 240, "height": 180}, "flash": {"rows": 64, "cols": 64}},
+        tasking={
+            "camera": {"rate_hz": 2.0, "first_altitude_m": 160.0},
+            "flash": {"altitudes_m": [150.0, 110.0]},
+        },
+        mappers={
+            "dem": {"posting_m": 0.5, "size_m": 50.0},
+            "rocks": {"posting_m": 0.5, "size_m": 50.0},
+        },
+        decisions={"first_altitude_m": 120.0, "last_altitude_m": 40.0},
+        simulation={"max_time_s": 12.0},
+    )
+
+
+@pytest.mark.parametrize("make", [flash, camera, sweep, both], ids=lambda f: f.__name__)
+def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_path):
+    tap = Tap()
+    simulation = Simulation(make(), 6, "safest", tap=tap)
+    flight = simulation.run()
+    kinds = {type(m).__name__ for inputs, _, _ in tap.exchanges for _, m in inputs.items}
+    assert len(kinds) == {"flash": 3, "camera": 3, "sweep": 2, "both": 4}[make.__name__], kinds
+    assert make is sweep or flight.maps
+    measurements = [inputs for inputs, _, _ in tap.exchanges]
+    source, target = tmp_path / "in", tmp_path / "out"
+    source.write_bytes(pickle.dumps((tap.briefing, Safest(), measurements)))
+    subprocess.run(
+        [sys.executable, str(ROOT / "tests" / "simulation" / "replay.py"), source, target],
+        check=True, cwd=ROOT,
+    )  # fmt: skip
+    replayed = pickle.loads(target.read_bytes())
+    assert len(replayed) == len(tap.exchanges) - 1 > 100
+    for (_, command, torques), (again, torques_again) in zip(tap.exchanges, replayed, strict=False):
+        assert again.thrust == command.thrust
+        assert again.attitude.tobytes() == command.attitude.tobytes()
+        assert [t.sensor for t in again.tasks] == [t.sensor for t in command.tasks]
+        for a, b in zip(again.tasks, command.tasks, strict=True):
+            assert a.mount.tobytes() == b.mount.tobytes()
+        assert torques_again.tobytes() == torques.tobytes()
+
+
+def test_the_wall_of_the_replay_stands():
+    code = (
+        "import sys; sys.path.insert(0, 'tests/simulation'); import replay; "
+        "sys.meta_path.insert(0, replay.Wall()); import lunarsim.world"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=False, capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode != 0
+    assert "cannot be imported onboard" in done.stderr
+
+
+def modules_within(value, seen: set[int]) -> set[str]:
+    """Return the modules of all objects that can be reached from a value."""
+    if id(value) in seen or isinstance(value, type):
+        return set()
+    seen.add(id(value))
+    found = {type(value).__module__}
+    if is_dataclass(value):
+        inner = [getattr(value, f.name) for f in fields(value)]
+    elif isinstance(value, dict):
+        inner = [*value.keys(), *value.values()]
+    elif isinstance(value, list | tuple | set):
+        inner = list(value)
+    elif hasattr(value, "__dict__") and found.isdisjoint({"numpy", "builtins"}):
+        inner = list(vars(value).values())
+    else:
+        inner = []
+    return found.union(*(modules_within(v, seen) for v in inner)) if inner else found
+
+
+@pytest.mark.parametrize("make", [flash, camera, sweep, both], ids=lambda f: f.__name__)
+def test_no_object_of_the_world_is_within_the_computer(make):
+    simulation = Simulation(make(), 6, "truth-oracle")
+    for _ in range(3):
+        simulation.step()
+    within = modules_within(simulation.computer, set())
+    assert "lunarsim.onboard.computer" in within
+    true = ("lunarsim.world", "lunarsim.vehicle", "lunarsim.sensors", "lunarsim.simulation")
+    assert not {m for m in within if m.startswith(true)}
+
+
+def test_the_computer_is_not_told_the_true_start():
+    simulation = Simulation(camera(), 6)
+    start = simulation.computer.briefing.start
+    error = start.position - simulation.state.position
+    assert 0.1 < np.linalg.norm(error) < 5.0 * np.sqrt(3.0) * start.position_sigma
+    assert np.array_equal(simulation.computer.estimate.position, start.position)
+
+
+def test_mass_onboard_is_what_the_commands_have_burnt():
+    simulation = Simulation(flash(), 6, "no-divert")
+    flight = simulation.run()
+    true, known = flight.trajectory["mass"], flight.trajectory["estimated_mass"]
+    assert known[0] == true[0]
+    assert not np.array_equal(known, true)
+    # The engine's lag is all that tells them apart.
+    lag = simulation.lander.thrust_lag * simulation.lander.thrust_max
+    assert np.abs(known - true).max() < 1.5 * lag / simulation.lander.exhaust_velocity

@@ -1,0 +1,114 @@
+"""The record: what was saved comes back, and judgements and figures need nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.evaluation.outcome import evaluate, first_aim
+from lunarsim.evaluation.worlds import world_of
+from lunarsim.onboard.policies import Decision
+from lunarsim.rng import flight_seed
+from lunarsim.simulation import Flight, Simulation
+from lunarsim.viz import draw_flight
+from lunarsim.world.truth import Truth
+
+
+def assert_same(a, b, path="flight"):
+    """Compare nested records to the last bit."""
+    if isinstance(a, dict):
+        assert list(a) == list(b), path
+        for key in a:
+            assert_same(a[key], b[key], f"{path}.{key}")
+    elif isinstance(a, list | tuple):
+        assert len(a) == len(b), path
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            assert_same(x, y, f"{path}[{i}]")
+    elif isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype, path
+        assert a.tobytes() == b.tobytes(), path
+    else:
+        assert a == b or (a != a and b != b), path
+
+
+@pytest.fixture(scope="module")
+def flown():
+    from lunarsim.scenario import Scenario
+
+    scenario = Scenario.from_dict(
+        {
+            "name": "record",
+            "terrain": {"size_m": 80.0},
+            "rocks": {"cover": 0.05, "min_diameter_m": 0.3},
+            "target": {"scatter_m": [15.0, 15.0]},
+            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 50.0}},
+        }
+    )
+    simulation = Simulation(scenario, flight_seed(3, 1), "safest")
+    return simulation, simulation.run()
+
+
+def test_a_flight_comes_back_to_the_last_bit(flown, tmp_path):
+    _, flight = flown
+    again = Flight.load(flight.save(tmp_path / "flight"))
+    before, after = asdict(flight), asdict(again)
+    for record in (before, after):
+        # The covariance of the first map's estimate is not kept.
+        record["first_map"].pop("covariance")
+    assert_same(before, after)
+    assert_same(
+        asdict(Flight.load(again.save(tmp_path / "twice")))["trajectory"], after["trajectory"]
+    )
+
+
+def test_judgement_and_figures_need_the_record_alone(flown, tmp_path):
+    simulation, flight = flown
+    loaded = Flight.load(flight.save(tmp_path / "flight"))
+    world = world_of(loaded)
+    assert np.array_equal(world.terrain.rocks.x, simulation.world.terrain.rocks.x)
+    truth = Truth.of(world, simulation.lander)
+    row = evaluate(loaded, truth)
+    assert_same(row, evaluate(flight, simulation.truth))
+    assert row["map_hits"] > 1000
+    draw_flight(loaded, world, truth, tmp_path / "figures")
+    assert {f.name for f in (tmp_path / "figures").iterdir()} == {"descent.png", "maps.png"}
+
+
+def test_a_divert_in_the_first_cycle_counts(small_scenario):
+    scenario = small_scenario.changed(decisions={"first_altitude_m": 2000.0})
+    simulation = Simulation(scenario, 2, None)
+    first = simulation.site.copy()
+    assert simulation.decision_due
+    assert simulation.apply(Decision(first + [20.0, -15.0, 0.0], "at once"))
+    simulation.move()
+    flight = simulation.run()
+    assert flight.decisions[0]["time"] == 0.0
+    assert flight.divert_distance == pytest.approx(25.0)
+    assert flight.sites[0] == pytest.approx(first)
+    assert flight.sites[1] == pytest.approx(first + [20.0, -15.0, 0.0])
+    # The first aim is where the lander would have come down without a divert.
+    error = flight.trajectory["estimated_x"][0] - flight.trajectory["position_x"][0]
+    assert first_aim(flight)[0] == pytest.approx(first[0] - error)
+    assert flight.target == pytest.approx(first)
+
+
+def test_no_setting_of_a_mapper_changes_the_yardstick(small_scenario):
+    coarse = small_scenario.changed(mappers={"dem": {"posting_m": 0.8}})
+    a, b = (Simulation(s, flight_seed(3, 0)) for s in (small_scenario, coarse))
+    assert a.truth.safety.grid == b.truth.safety.grid
+    assert np.array_equal(a.truth.safety.safe, b.truth.safety.safe)
+
+
+def test_what_is_no_flight_is_refused(flown, tmp_path):
+    with pytest.raises(InputError, match=r"flight\.json"):
+        Flight.load(tmp_path)
+    folder = flown[1].save(tmp_path / "broken")
+    (folder / "scans.parquet").unlink()
+    with pytest.raises(InputError, match="whole record"):
+        Flight.load(folder)
+    (folder / "flight.json").write_text("{")
+    with pytest.raises(InputError, match="whole record"):
+        Flight.load(folder)

@@ -1,0 +1,93 @@
+"""One lander that carries every sensor: two maps of the same ground from the same stream."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.evaluation.map_quality import map_quality
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Flight, Simulation
+from tests.conftest import SCENARIOS
+
+
+def scenario(decides: str) -> Scenario:
+    """The shipped scenario, made small."""
+    return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
+        terrain={"size_m": 120.0, "rms_slope_deg": 0.0},
+        rocks={"min_diameter_m": 0.4},
+        target={"scatter_m": [8.0, 8.0]},
+        sensors={
+            "camera": {"width": 320, "height": 240},
+            "flash": {"rows": 128, "cols": 128},
+        },
+        start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
+        tasking={
+            "camera": {"rate_hz": 2.5, "first_altitude_m": 160.0},
+            "flash": {"altitudes_m": [150.0, 110.0]},
+        },
+        mappers={
+            "dem": {"posting_m": 0.4, "size_m": 50.0},
+            "rocks": {"posting_m": 0.5, "size_m": 50.0},
+        },
+        decisions={"map": decides, "first_altitude_m": 120.0, "last_altitude_m": 40.0},
+    )
+
+
+@pytest.fixture(scope="module")
+def flown():
+    simulation = Simulation(scenario("dem"), 4, "safest")
+    return simulation, simulation.run()
+
+
+def test_each_mapper_gives_its_own_map(flown):
+    simulation, flight = flown
+    assert set(flight.maps) == {"dem", "rocks"}
+    for name, record in flight.maps.items():
+        assert record.hazard_map.observed.mean() > 0.3, name
+        quality = map_quality(record.hazard_map, simulation.truth, record.error)
+        share = (quality.hits + quality.missed) / (
+            quality.hits + quality.missed + quality.false_safe + quality.rejected
+        )
+        # Each tells safe from unsafe ground better than calling all of it safe would.
+        assert quality.precision > share + 0.2 * (1.0 - share), name
+    dem, rocks = (flight.maps[name].hazard_map for name in ("dem", "rocks"))
+    # A LiDAR tells heights; shadows tell of rocks on a plane.
+    assert np.nanstd(dem.elevation) > 0.02
+    assert np.nanstd(rocks.elevation) == 0.0
+    assert len(flight.maps["rocks"].tables["rocks"]["radius"]) > 10
+
+
+def test_both_sensors_served_and_the_policy_flew_on_the_one_named(flown):
+    _, flight = flown
+    assert {e["sensor"] for e in flight.events if "sensor" in e} == {"camera", "flash"}
+    assert flight.decided_on == "dem"
+    assert flight.hazard_map is flight.maps["dem"].hazard_map
+    assert flight.decisions
+    assert flight.verdict.touchdown is not None
+
+
+def test_the_other_map_can_decide(flown):
+    _, by_dem = flown
+    simulation = Simulation(scenario("rocks"), 4, "safest")
+    flight = simulation.run()
+    assert flight.decided_on == "rocks"
+    assert flight.verdict.touchdown is not None
+    # Until the first decision both flew the same: what decides changes no measurement.
+    first = min(by_dem.decisions[0]["time"], flight.decisions[0]["time"])
+    rows = by_dem.trajectory["time"] < first
+    for column in ("position_x", "estimated_x", "thrust"):
+        a, b = (f.trajectory[column][: rows.sum()] for f in (by_dem, flight))
+        assert np.array_equal(a, b), column
+    assert flight.decisions[0]["to"] != by_dem.decisions[0]["to"]
+
+
+def test_the_record_gives_both_back(flown, tmp_path):
+    _, flight = flown
+    again = Flight.load(flight.save(tmp_path / "flight"))
+    assert set(again.maps) == {"dem", "rocks"}
+    for name, record in flight.maps.items():
+        assert np.array_equal(again.maps[name].hazard_map.p_safe, record.hazard_map.p_safe)
+        for table, columns in record.tables.items():
+            for column, values in columns.items():
+                assert np.array_equal(again.maps[name].tables[table][column], values)

@@ -1,0 +1,44 @@
+"""What scenario files may hold, in words."""
+
+from __future__ import annotations
+
+from click.testing import CliRunner
+
+from lunarsim.cli import main
+from lunarsim.parts import CONTRACTS
+from lunarsim.scenario.reference import parts_list, reference_text
+from tests.conftest import ROOT
+
+
+def test_every_part_is_listed_with_what_it_is():
+    lines = parts_list()
+    assert len(lines) == sum(len(c.kinds) for c in CONTRACTS.values())
+    assert all(len(line) > 40 and "cannot be loaded" not in line for line in lines)
+    done = CliRunner().invoke(main, ["parts", "policy"])
+    assert done.output.splitlines() == parts_list("policy")
+    wrong = CliRunner().invoke(main, ["parts", "polcy"])
+    assert wrong.exit_code == 2
+    assert "did you mean 'policy'?" in wrong.output
+
+
+def test_every_key_has_a_meaning():
+    rows = [line for line in reference_text(markdown=True).splitlines() if line.startswith("| `")]
+    assert len(rows) > 150
+    assert not [row for row in rows if not row.rstrip(" |").split(" | ")[-1].strip()]
+    without = [row for row in rows if row.endswith("|  |")]
+    assert not without
+
+
+def test_the_page_is_what_the_command_prints():
+    printed = CliRunner().invoke(main, ["scenario", "reference", "--markdown"]).output
+    page = (ROOT / "docs" / "scenario-reference.md").read_text(encoding="utf-8")
+    assert page.endswith(printed)
+
+
+def test_a_scenario_is_printed_whole():
+    done = CliRunner().invoke(main, ["scenario", "check", str(ROOT / "scenarios" / "hirise.toml")])
+    assert done.exit_code == 0
+    assert "[control]" in done.output
+    assert "frequency_rad_s = 4.0" in done.output
+    wrong = CliRunner().invoke(main, ["scenario", "check", "nowhere.toml"])
+    assert wrong.exit_code == 2
