@@ -92,10 +92,12 @@ def sweep(field: int, seed: int, boulders: int) -> tuple[Simulation, Scans]:
     duration = scenario.tasking["flash"].duration_s
     scans: Scans = []
     while simulation.time < duration and not simulation.done:
+        estimate, locked = simulation.estimate, simulation.computer.navigation.locked
         simulation.step()
+        # What that estimate had just been made of.
         taken, *_ = tap.exchanges[-1]
-        if simulation.computer.navigation.locked:
-            scans += [(m, simulation.estimate) for _, m in taken.items if isinstance(m, LidarScan)]
+        if locked:
+            scans += [(m, estimate) for _, m in taken.items if isinstance(m, LidarScan)]
     return simulation, scans
 
 
