@@ -1,0 +1,56 @@
+"""What tests may do: no private names, no other test's names."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from tests.conftest import ROOT
+
+TESTS = ROOT / "tests"
+
+
+def _private(path: Path) -> list[str]:
+    """Return private attributes that a file reads of anything but itself, and private imports."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
+            own = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
+            if not own and not node.attr.startswith("__"):
+                found.append(f"{node.lineno}: .{node.attr}")
+        elif isinstance(node, ast.ImportFrom):
+            names = [a.name for a in node.names if a.name.startswith("_")]
+            # Kernels have private modules and are what references are compared with.
+            found += [
+                f"{node.lineno}: {n}"
+                for n in names
+                if not n.endswith(("kernels", "_lanes", "_jit"))
+            ]
+    return found
+
+
+def _other_tests(path: Path) -> list[str]:
+    """Return the test modules that a file imports."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    modules = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+    modules += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+    return [m for m in modules if m.split(".")[-1].startswith("test_")]
+
+
+def test_tests_touch_no_private_names():
+    found = {p.relative_to(TESTS): _private(p) for p in TESTS.rglob("*.py")}
+    assert len(found) > 60
+    assert not {path: names for path, names in found.items() if names}
+
+
+def test_no_test_imports_another():
+    found = {p.relative_to(TESTS): _other_tests(p) for p in TESTS.rglob("*.py")}
+    assert not {path: names for path, names in found.items() if names}
+
+
+def test_tests_stand_where_their_rooms_do():
+    """Every folder of tests is a room of the package, the environments', or says what it is for."""
+    others = {"reference", "outside", "envs", "scenarios", "scripts"}
+    rooms = {p.name for p in (ROOT / "lunarsim").iterdir() if p.is_dir()}
+    folders = {p.name for p in TESTS.iterdir() if p.is_dir() and p.name != "__pycache__"}
+    assert folders <= rooms | others
