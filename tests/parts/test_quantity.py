@@ -38,8 +38,9 @@ def test_there_and_back_is_the_value_itself(unit, value):
 
 def test_a_default_comes_back_to_the_bit():
     """A scenario shows what was written, not what is left of it by way of radians."""
-    q = quantity_of(fields(_part(quantity(0.03, "deg")))[0].metadata)
-    assert q.from_si(q.to_si(0.03)) == 0.03
+    third = 1.0 / 3.0
+    q = quantity_of(fields(_part(quantity(third, "deg")))[0].metadata)
+    assert q.from_si(q.to_si(third)) == third
 
 
 def _part(declared) -> type:

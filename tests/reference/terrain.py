@@ -41,19 +41,8 @@ def rock_top(r: RockField, k: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def elevation(terrain: Terrain, x: float, y: float) -> float:
-    """The higher of the triangulated relief and every rock over (x, y)."""
-    g, z = terrain.relief.grid, terrain.relief.z.astype(float)
-    u, v = (x - g.x0) / g.posting, (y - g.y0) / g.posting
-    if not (0 <= u <= g.cols - 1 and 0 <= v <= g.rows - 1):
-        return math.nan
-    j, i = min(int(u), g.cols - 2), min(int(v), g.rows - 2)
-    a = np.array([j, i, z[i, j]])
-    c = np.array([j + 1, i + 1, z[i + 1, j + 1]])
-    b = np.array([j + 1, i, z[i, j + 1]]) if u - j >= v - i else np.array([j, i + 1, z[i + 1, j]])
-    n = np.cross(b - a, c - a)
-    height = a[2] - (n[0] * (u - a[0]) + n[1] * (v - a[1])) / n[2]
-    r = terrain.rocks
-    return max([height, *(rock_top(r, k, x, y) for k in range(len(r)))])
+    """The higher of the triangulated relief and every rock over (x, y), NaN off the map."""
+    return float(elevations(terrain, np.array([[x, y]]))[0])
 
 
 def unit_height(shape: int, e: np.ndarray, f: np.ndarray) -> np.ndarray:

@@ -132,3 +132,13 @@ def test_inertia_is_that_of_the_mass_it_is_told():
         torques.append(loop.torque())
     ratio = np.array(LANDER.inertia_full) / LANDER.inertia_dry
     assert torques[0] / torques[1] == pytest.approx(ratio)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_command_begins_from_the_attitude_that_navigation_tells(law):
+    """Wherever the gyroscopes had taken it: told to be where it shall be, it asks for nothing."""
+    target = attitude_from_thrust([0.4, -0.3, 1.0], 0.8)
+    loop = begun(law(), target)
+    assert np.abs(loop.torque()).max() > 1.0
+    loop.begin(Command(2500.0, target), target, LANDER.wet_mass)
+    assert loop.torque() == pytest.approx(np.zeros(3), abs=1e-9)
