@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import PartSettings, kinds, resolve, settings_of
 from lunarsim.parts.settings import unit_of
+from lunarsim.scenario import layout
 
 
 def input_error(
@@ -27,7 +28,8 @@ def input_error(
             return InputError(
                 field, first["input"], f"no key of kind {kind!r}; it belongs to kind {whose}"
             )
-        return InputError(field, first["input"], "unknown key; " + suggestion(key, keys))
+        hint = layout.MOVED_KEYS.get(path) or suggestion(key, keys)
+        return InputError(field, first["input"], "unknown key; " + hint)
     message = str(first["msg"]).removeprefix("Value error, ")
     expected = message[0].lower() + message[1:]
     unit = unit_of(model, location[0]) if location else ""

@@ -59,3 +59,9 @@ MOVED: dict[str, str] = {
     "prior": "[prior_map]",
     "sites": "[mappers.NAME.sites] with kind = 'quadtree'",
 }
+# Keys of earlier versions whose table still exists, by table.
+MOVED_KEYS: dict[str, str] = {
+    "guidance": "paths and where they end are in [approach], the attitude in [control]",
+    "navigation": "error budgets are in [sensors.NAME] with kind = 'navigation-fix', and in "
+    "[start_knowledge]",
+}

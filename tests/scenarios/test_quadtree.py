@@ -7,7 +7,7 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from lunarsim.onboard.hazards.quadtree.calibration import COUNT
+from lunarsim.onboard.hazards.quadtree.site_probability import COUNT
 from lunarsim.safety.logistic import Logistic
 from lunarsim.scenario import Scenario
 from tests.conftest import SCENARIOS

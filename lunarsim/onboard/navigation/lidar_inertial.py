@@ -17,7 +17,7 @@ from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.place_search import Features, Match, Patch, features_of, search
+from lunarsim.onboard.navigation.place_search import Features, Match, ScanPatch, features_of, search
 from lunarsim.onboard.navigation.registration import (
     Fit,
     Surface,
@@ -301,7 +301,7 @@ class LidarInertialFilter:
         if time - self._searched < s.search_s - 1e-9:
             return False
         self._searched = time
-        patch = Patch.merged([features for _, features in self._patch])
+        patch = ScanPatch.merged([features for _, features in self._patch])
         if patch is None:
             return False
         rows, cols = np.nonzero(patch.known)

@@ -91,7 +91,7 @@ def features_of(surface: Surface, reach: int) -> Features:
 
 
 @dataclass(frozen=True)
-class Patch:
+class ScanPatch:
     """Features of several scans on one raster.
 
     Attributes
@@ -110,7 +110,7 @@ class Patch:
     known: NDArray[np.bool_]
 
     @classmethod
-    def merged(cls, scans: list[Features]) -> Patch | None:
+    def merged(cls, scans: list[Features]) -> ScanPatch | None:
         """Return the features of scans together; None if there are none."""
         row = np.concatenate([f.row for f in scans])
         col = np.concatenate([f.col for f in scans])
@@ -139,7 +139,7 @@ _FEATURE = 0.3
 
 
 def search(
-    patch: Patch,
+    patch: ScanPatch,
     elevation: Array,
     posting: float,
     variance: float,
@@ -246,7 +246,7 @@ class _Shifts:
 
     @classmethod
     def of(
-        cls, patch: Patch, ground: _Ground, posting: float, prior: Array, first: Array
+        cls, patch: ScanPatch, ground: _Ground, posting: float, prior: Array, first: Array
     ) -> _Shifts:
         known = _slide(patch.known.astype(np.float64), ground.known.astype(np.float64))
         sy, sx = np.meshgrid(
@@ -264,7 +264,7 @@ def _slide(template: Array, image: Array) -> Array:
     return np.asarray(correlate(image, template, mode="valid", method="fft"))
 
 
-def _candidates(patch: Patch, ground: _Ground, shifts: _Shifts) -> tuple[IntArray, IntArray]:
+def _candidates(patch: ScanPatch, ground: _Ground, shifts: _Shifts) -> tuple[IntArray, IntArray]:
     """Return rows and columns (c,) of the places where a matched filter peaks, the best first."""
     # What is higher than features get is not worth more than they.
     limited = np.clip(ground.height, -_FEATURE, _FEATURE)
@@ -276,7 +276,9 @@ def _candidates(patch: Patch, ground: _Ground, shifts: _Shifts) -> tuple[IntArra
     return row, col
 
 
-def _compared(patch: Patch, ground: _Ground, row: int, col: int) -> tuple[Array, NDArray[np.bool_]]:
+def _compared(
+    patch: ScanPatch, ground: _Ground, row: int, col: int
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return how far the map lies above the patch at a place, and which posts agree (m,)."""
     rows, cols = np.nonzero(patch.known)
     misfit = ground.height[row + rows, col + cols] - patch.height[patch.known]
@@ -322,7 +324,7 @@ class _Place:
         return cls(best, (east, north), spread, certainty)
 
 
-def _evidence(patch: Patch, ground: _Ground, row: IntArray, col: IntArray) -> Array:
+def _evidence(patch: ScanPatch, ground: _Ground, row: IntArray, col: IntArray) -> Array:
     """Return the log-likelihood ratio of places (c,): the patch lies there, or it does not.
 
     Ground changes by parts, and a part that has tells nothing, however many posts it has.
@@ -350,7 +352,7 @@ def _evidence(patch: Patch, ground: _Ground, row: IntArray, col: IntArray) -> Ar
     return np.asarray(np.logaddexp(parts + np.log1p(-_CHANGED), np.log(_CHANGED)).sum(axis=1))
 
 
-def _level(patch: Patch, ground: _Ground, shifts: _Shifts) -> tuple[float, float]:
+def _level(patch: ScanPatch, ground: _Ground, shifts: _Shifts) -> tuple[float, float]:
     """Return mean and variance of the vertical shift over all places, by their probability."""
     known = patch.known.astype(np.float64)
     above = _slide(known, np.where(ground.known, ground.elevation, 0.0)) / float(patch.known.sum())

@@ -15,7 +15,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
-from lunarsim.onboard.perception.shadow_model import Patch, ShadowModel
+from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class Detections:
     height
         By the length of the patch alone (n,), m.
     length
-        Of the dark patch along the Sun, as `Patch` has it (n,), m.
+        Of the dark patch along the Sun, as `ShadowPatch` has it (n,), m.
     q
         Root of the number of dark pixels (n,).
     label
@@ -274,7 +274,7 @@ def _sun_frame(sun: Array) -> Array:
     return np.array([[s[0], -s[1]], [s[1], s[0]]])
 
 
-def _place(table: Array, rocks: _Radius, unit: Patch, pixel: float) -> tuple[Array, Array]:
+def _place(table: Array, rocks: _Radius, unit: ShadowPatch, pixel: float) -> tuple[Array, Array]:
     """Return centres (n, 2) along the Sun and across, m, and their standard deviations (n, 2)."""
     k, r = kernels, rocks.radius
     centre = np.column_stack(
@@ -297,7 +297,7 @@ class _Radius:
         cls,
         length: Array,
         width: Array,
-        unit: Patch,
+        unit: ShadowPatch,
         along_px: Array,
         across_px: Array,
         pixel: float,

@@ -40,7 +40,7 @@ _MOST_ELEVATION = np.deg2rad(80.0)
 
 
 @dataclass(frozen=True)
-class Patch:
+class ShadowPatch:
     """Dark patches of rocks of radius 1 on the ground, seen from (...) directions.
 
     Coordinates run from the rock's centre: `along` towards the Sun's azimuth, `across` to the left
@@ -113,7 +113,7 @@ class ShadowModel:
         self.height = float(np.mean(drawn.base + drawn.height))
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
-    def patch(self, azimuth: Any, depression: Any) -> Patch:
+    def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
         """Return the patches seen from given directions.
 
         Parameters
@@ -129,7 +129,7 @@ class ShadowModel:
         turn, down = np.broadcast_arrays(turn, down)
         rows = self._table(np.column_stack((abs(turn).ravel(), down.ravel())))
         along, side, *rest = (column.reshape(turn.shape) for column in rows.T)
-        return Patch(along, np.where(turn < 0.0, -side, side), *rest)
+        return ShadowPatch(along, np.where(turn < 0.0, -side, side), *rest)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q: side of the square of as many pixels as the patch covers (...).
@@ -149,7 +149,7 @@ class ShadowModel:
 
 @lru_cache(maxsize=8)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
-    """Return the table (azimuths, depressions, 9) of `Patch`'s attributes in their order."""
+    """Return the table (azimuths, depressions, 9) of `ShadowPatch`'s attributes in their order."""
     rng = np.random.default_rng(1953)
     one = shapes.shape == "hemisphere"
     field = shapes.draw(np.full(1 if one else _SHAPES, 2.0), rng)

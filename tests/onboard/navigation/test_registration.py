@@ -12,7 +12,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
-from lunarsim.onboard.navigation.place_search import Patch, features_of, high_pass, search
+from lunarsim.onboard.navigation.place_search import ScanPatch, features_of, high_pass, search
 from lunarsim.onboard.navigation.registration import (
     fit,
     point_jacobian,
@@ -140,7 +140,7 @@ def patch_of(world, seed, shift, grid):
     scans = [
         scanned(world, rng, (x, y, 0.0)) for x in (-20.0, 0.0, 20.0) for y in (-15.0, 0.0, 15.0)
     ]
-    return Patch.merged(
+    return ScanPatch.merged(
         [features_of(surface_of(s.points(POSITION, ATTITUDE) - shift, grid), 4) for s in scans]
     )
 
@@ -194,7 +194,7 @@ def test_a_patch_off_the_map_is_not_found(world):
     padded = np.full((patch.known.shape[0] + 20, patch.known.shape[1] + 20), np.nan)
     padded[:10, :10] = small
     assert search(patch, padded, 0.5, 0.02, np.eye(2) * 100.0, np.zeros(2), reach=4) is None
-    assert Patch.merged([features_of(surface_of(np.zeros((0, 3)), prior.grid), 4)]) is None
+    assert ScanPatch.merged([features_of(surface_of(np.zeros((0, 3)), prior.grid), 4)]) is None
 
 
 def test_features_are_what_stands_out():

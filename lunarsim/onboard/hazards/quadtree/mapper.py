@@ -15,8 +15,8 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
-from lunarsim.onboard.hazards.quadtree.calibration import features, measured
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
+from lunarsim.onboard.hazards.quadtree.site_probability import features, measured
 from lunarsim.onboard.hazards.quadtree.sites import Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
