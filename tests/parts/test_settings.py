@@ -128,7 +128,7 @@ def test_what_a_part_refuses_is_told_by_the_tables_key_and_value():
     # The part in a part: in degrees, as the file has it.
     with pytest.raises(InputError) as caught:
         TABLE(required=1.0, inner={"tilt_deg": 85.0}).make()
-    assert (caught.value.field, caught.value.value) == ("tilt_deg", 85.0)
+    assert (caught.value.field, caught.value.value) == ("inner.tilt_deg", 85.0)
 
 
 def test_a_table_of_a_part_makes_that_part():
