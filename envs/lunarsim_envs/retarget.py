@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.policies import Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -93,6 +94,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             self.scenario = scenario
         else:
             self.scenario = Scenario.load(scenario)
+        if not self.scenario.mappers:
+            raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
         self.weights = weights or RewardWeights()
         self.render_mode = render_mode
         self.action_space = spaces.Discrete(SITES + 1)

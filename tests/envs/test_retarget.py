@@ -99,6 +99,10 @@ def test_misuse_is_explained(small_scenario):
         fresh.step(99)
     with pytest.raises(ValueError, match="render_mode"):
         RetargetEnv(small_scenario, render_mode="human")
+    blind = small_scenario.to_dict() | {"mappers": {}, "tasking": {}}
+    blind["sensors"] = {k: v for k, v in blind["sensors"].items() if k != "flash"}
+    with pytest.raises(InputError, match="mappers"):
+        RetargetEnv(small_scenario.from_dict(blind))
     with pytest.raises(InputError, match="existing TOML"):
         gymnasium.make(ID, scenario="missing.toml")
 
