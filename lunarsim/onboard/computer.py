@@ -25,7 +25,7 @@ from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost, divert_cost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
-from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
+from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import candidate_sites
@@ -113,7 +113,7 @@ class OnboardComputer:
         self._shift = Shift()
         self._next_decision = 0.0
         self._decided = False
-        self._aim: tuple[HazardMap, FloatMap] | None = None
+        self._aim: tuple[FloatMap, FloatMap] | None = None
         self._events = 0
 
     # --- what is known --------------------------------------------------------------------
@@ -165,8 +165,10 @@ class OnboardComputer:
         if mapper is None:
             raise RuntimeError("this lander has no mapper: there is nothing to decide on")
         hazard_map = mapper.hazard_map()
-        if self._aim is None or self._aim[0] is not hazard_map:
-            self._aim = (hazard_map, hazard_map.dispersed(self.decisions.touchdown_sigma))
+        # A map may come again with its ground moved alone.
+        if self._aim is None or self._aim[0] is not hazard_map.p_safe:
+            aim = hazard_map.dispersed(self.decisions.touchdown_sigma)
+            self._aim = (hazard_map.p_safe, aim)
         aim = self._aim[1]
         self.candidates = candidate_sites(
             hazard_map,
@@ -237,6 +239,10 @@ class OnboardComputer:
             self._shift = shift
             if not self.diverts:
                 self.site = shift.to_local(self.briefing.target)
+            elif self.mapper is not None:
+                height = self.mapper.ground_height(self.site[:2])
+                if height is not None:
+                    self.site = np.array([*self.site[:2], height])
             for mapper in self.mappers.values():
                 if mapper.blank:
                     mapper.recentre(shift.to_local(self.briefing.target))

@@ -20,8 +20,7 @@ def height_error(simulation):
     """Fly until the lander is over the terrain; return by how much its height is wrong, m."""
     while simulation.altitude > 60.0:
         simulation.step()
-    true = simulation.state.position[2]
-    return abs(simulation.estimate.position[2] - true)
+    return abs(simulation.site_error[2])
 
 
 def test_the_filter_takes_its_readings(small):

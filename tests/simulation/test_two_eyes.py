@@ -67,6 +67,22 @@ def test_both_sensors_served_and_the_policy_flew_on_the_one_named(flown):
     assert flight.verdict.touchdown is not None
 
 
+def test_scans_lie_one_on_the_other_though_the_altimeter_moves_the_height(flown):
+    simulation, flight = flown
+    moved = simulation.computer.navigation.site_to_local.offset[2]
+    assert abs(moved) > 0.5
+    heights = [
+        np.median(flight.scans[flight.scans[:, 3] == time, 2])
+        for time in np.unique(flight.scans[:, 3])
+    ]
+    assert len(heights) == 2
+    assert abs(heights[1] - heights[0]) < 0.25 * abs(moved)
+    # Measured ground, plane of the rocks and site are at one height now.
+    ground = simulation.computer.mappers["rocks"].ground_height(np.zeros(2))
+    assert heights[1] == pytest.approx(ground, abs=0.4)
+    assert flight.maps["rocks"].hazard_map.elevation[0, 0] == pytest.approx(ground, abs=1e-3)
+
+
 def test_the_other_map_can_decide(flown):
     _, by_dem = flown
     simulation = Simulation(scenario("rocks"), 4, "safest")

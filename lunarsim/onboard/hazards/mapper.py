@@ -40,6 +40,13 @@ class HazardMapper(ABC):
     def recentre(self, centre: Array) -> None:  # noqa: B027
         """Lay the map about another point (3,), local frame, m; only called while it is blank."""
 
+    def ground_height(self, xy: Array) -> float | None:
+        """Return the local height of the ground at a point (2,), m, where the map does not say.
+
+        None where it does: what is mapped in the local frame stays there.
+        """
+        return None
+
     def refresh(self, time: float) -> None:  # noqa: B027
         """Do what is due at `time` (s); called once a cycle, after measurements."""
 

@@ -11,7 +11,7 @@ one update, which equals the sequential one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -112,6 +112,7 @@ class RockFilter:
         self.inertial = inertial
         self.events: list[NavigationEvent] = []
         self._beams = dict(beams or {})
+        self._raised = 0.0
         self.ground = float(ground)
         self.count = 0
         self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
@@ -181,13 +182,18 @@ class RockFilter:
         return np.asarray(own + self._p[:2, :2] - cross - np.swapaxes(cross, 1, 2))
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state as the rest of the loop takes it."""
-        return self.inertial.estimate(self._p, time, mass)
+        """Return the lander's state as the rest of the loop takes it, local frame."""
+        found = self.inertial.estimate(self._p, time, mass)
+        return replace(found, position=self.site_to_local.to_local(found.position))
 
     @property
     def site_to_local(self) -> Shift:
-        """The local frame is the site frame as the start knew it."""
-        return Shift()
+        """The local frame: the filter's own, less all corrections of the height so far.
+
+        The altimeter corrects the height by metres while the lander is high. In the local frame
+        the ground moves instead, so that scans made before and after lie one on the other.
+        """
+        return Shift(np.array([0.0, 0.0, -self._raised]))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Take in inertial samples or an altimeter's range; pictures come through the tracker."""
@@ -372,6 +378,7 @@ class RockFilter:
         subtract_square(self.covariance, w)
         correction = white @ w
         self.inertial.correct(correction[:INERTIAL])
+        self._raised += float(correction[2])
         self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
 
     def _correct_some(self, states: Index, gain: Array, hp: Array, innovation: Array) -> None:
@@ -380,6 +387,7 @@ class RockFilter:
         correction = np.zeros(hp.shape[1])
         correction[states] = gain @ innovation
         self.inertial.correct(correction[:INERTIAL])
+        self._raised += float(correction[2])
         self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
 
     # --- coming and going -----------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -116,18 +116,20 @@ class ShadowMapper(HazardMapper):
         self.detector = detector or DetectorSettings()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
+        self._shown: tuple[HazardMap, np.float32, HazardMap] | None = None
         self._mapped = -np.inf
         self._time = -np.inf
 
     def update(self, measurement: Picture, estimate: Estimate) -> None:
         """Take in one picture, seen from the estimated pose."""
-        picture = measurement
-        ground = self.tracker.filter.ground
+        picture, rocks = measurement, self.tracker.filter
+        # Rocks and their plane are the filter's: so is the pose that they are seen from.
+        pose = replace(estimate, position=rocks.site_to_local.to_site(estimate.position))
         self.seen = detect_rocks(
-            picture.counts, picture.camera, estimate, self.sun,
-            ground=ground, model=self.tracker.model, settings=self.detector,
+            picture.counts, picture.camera, pose, self.sun,
+            ground=rocks.ground, model=self.tracker.model, settings=self.detector,
         )  # fmt: skip
-        view = picture.camera.view(estimate)
+        view = picture.camera.view(pose)
         self.tracker.update(self.seen, picture.camera, self.sun, picture.time)
         self.probability.see(picture.camera, view, self.sun, self.seen)
         self._time = picture.time
@@ -139,7 +141,20 @@ class ShadowMapper(HazardMapper):
         ):
             self._map = self.probability.hazard_map(self.tracker, self.footprint)
             self._mapped = self._time
-        return self._map
+        return self._level(self._map)
+
+    def ground_height(self, xy: Array) -> float:
+        """Return the local height of the plane that rocks stand on, m."""
+        rocks = self.tracker.filter
+        return float(rocks.ground + rocks.site_to_local.offset[2])
+
+    def _level(self, drawn: HazardMap) -> HazardMap:
+        """Return a map with the plane where it now lies in the local frame."""
+        height = np.float32(self.ground_height(np.zeros(2)))
+        if self._shown is None or self._shown[0] is not drawn or self._shown[1] != height:
+            level = np.full(self.grid.shape, height, np.float32)
+            self._shown = drawn, height, replace(drawn, elevation=level)
+        return self._shown[2]
 
     @property
     def blank(self) -> bool:
