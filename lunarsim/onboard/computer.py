@@ -132,11 +132,14 @@ class OnboardComputer:
         return self._arrival - self.time
 
     @property
+    def decisions_map(self) -> str:
+        """Name of the mapper whose map decides; empty for a lander without one."""
+        return str(self.decisions.map or next(iter(self.mappers), ""))
+
+    @property
     def mapper(self) -> HazardMapper | None:
         """The mapper whose map decides; None for a lander without one."""
-        if not self.mappers:
-            return None
-        return self.mappers[self.decisions.map or next(iter(self.mappers))]
+        return self.mappers.get(self.decisions_map)
 
     @property
     def decision_due(self) -> bool:
@@ -215,6 +218,7 @@ class OnboardComputer:
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
+        self._level_site()
         if not self._decided and self.approach.time_to_go is None and elapsed == 0.0:
             # The plan was made for the planned start: begin from where the lander is.
             self._retime()
@@ -239,10 +243,6 @@ class OnboardComputer:
             self._shift = shift
             if not self.diverts:
                 self.site = shift.to_local(self.briefing.target)
-            elif self.mapper is not None:
-                height = self.mapper.ground_height(self.site[:2])
-                if height is not None:
-                    self.site = np.array([*self.site[:2], height])
             for mapper in self.mappers.values():
                 if mapper.blank:
                     mapper.recentre(shift.to_local(self.briefing.target))
@@ -253,6 +253,23 @@ class OnboardComputer:
                 self.estimate = self.navigation.estimate(self.time, self.mass)
                 self._retime()
         self._events = len(self.navigation.events)
+
+    def _level_site(self) -> None:
+        """Take the height of the site from the ground as it has been mapped there.
+
+        What the mission says of it, and what navigation errs by in height, counts until then.
+        """
+        mapper = self.mapper
+        if mapper is None or mapper.blank:
+            return
+        height = mapper.ground_height(self.site[:2])
+        if height is None and self.decisions_map in self.mapped:
+            m = mapper.hazard_map()
+            if m.elevation is not None and m.grid.contains(self.site[:2]):
+                row, col = (int(v) for v in m.grid.cell(self.site[:2]))
+                height = float(m.elevation[row, col])
+        if height is not None and np.isfinite(height):
+            self.site = np.array([self.site[0], self.site[1], height])
 
     def apply(self, decision: Decision) -> bool:
         """Carry out a decision; return False if its site is out of reach (the old one stays)."""

@@ -145,7 +145,7 @@ class Recorder:
             for name, mapper in computer.mappers.items()
             if name in self._errors and not mapper.blank
         }
-        decided = computer.decisions.map or next(iter(computer.mappers), "")
+        decided = computer.decisions_map
         ending = "touchdown" if verdict.touchdown else "end"
         last = [{"time": computer.time, "name": ending, "failed": list(verdict.failed)}]
         if verdict.failed == ("unfinished",):
