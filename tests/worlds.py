@@ -44,3 +44,26 @@ def random_terrain(rng: np.random.Generator, rocks: int = 60, relief: float = 1.
         rng.integers(0, len(shape_table().count), rocks),
     )
     return Terrain(field, stones)
+
+
+# A short descent over level ground with a small camera.
+SMALL_SHADOW_FLIGHT = {
+    "name": "small-shadow",
+    "terrain": {"size_m": 160.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
+    "rocks": {"min_diameter_m": 0.4},
+    "sun": {"azimuth_deg": 45.0, "elevation_deg": 25.0},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "altimeter": {"kind": "radar-altimeter"},
+        "camera": {"kind": "camera", "width": 320, "height": 240},
+    },
+    "tasking": {"camera": {"kind": "periodic", "rate_hz": 2.0}},
+    "navigation": {"kind": "rocks"},
+    "start": {
+        "position_m": [-90.0, -40.0, 130.0],
+        "velocity_m_s": [9.0, 4.0, -9.0],
+        "position_sigma_m": 2.0,
+        "velocity_sigma_m_s": 0.1,
+    },
+    "mappers": {"rocks": {"kind": "shadow", "size_m": 60.0, "posting_m": 0.5}},
+}

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.shapes import CUBE, ELLIPSOID, IRREGULAR, IRREGULAR_COUNT, shape_table
+
+Shape = Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 
 @dataclass(frozen=True)
@@ -101,10 +104,16 @@ class RockModel:
         cubes.
     """
 
-    shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"] = "hemisphere"
-    height_ratio: tuple[float, float] = (0.5, 0.1)
-    burial: tuple[float, float] = (0.0, 0.5)
-    axis_ratio: tuple[float, float] = (0.6, 1.0)
+    shape: Shape = quantity("hemisphere", help="of the rocks")
+    height_ratio: tuple[float, float] = quantity(
+        (0.5, 0.1), help="height over diameter, mean and sigma"
+    )
+    burial: tuple[float, float] = quantity(
+        (0.0, 0.5), help="buried fraction of the height, least and most; not of hemispheres"
+    )
+    axis_ratio: tuple[float, float] = quantity(
+        (0.6, 1.0), help="of the horizontal axes, least and most"
+    )
 
     def __post_init__(self) -> None:
         if self.shape not in {"hemisphere", "ellipsoid", "cube", "irregular", "mixed"}:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.field import RockModel
 
-Shape = Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
-
 
 @dataclass(frozen=True)
-class RockPopulation:
+class RockPopulation(RockModel):
     """Rocks by the Golombek law, drawn anew for every flight.
 
     Attributes
@@ -22,30 +19,20 @@ class RockPopulation:
         Fraction k of the ground under rocks of all sizes.
     min_diameter, max_diameter
         Of the rocks drawn, m.
-    shape, height_ratio, burial, axis_ratio
-        See `RockModel`.
+
+    The rest as in `RockModel`.
     """
 
     cover: float = quantity(0.05, ge=0, le=0.2, help="fraction k of ground under rocks")
     min_diameter: float = quantity(0.15, "m", gt=0, help="of the rocks drawn")
     max_diameter: float = quantity(3.0, "m", gt=0, help="of the rocks drawn")
-    shape: Shape = quantity("hemisphere", help="of the rocks")
-    height_ratio: tuple[float, float] = quantity(
-        (0.5, 0.1), help="height over diameter, mean and sigma"
-    )
-    burial: tuple[float, float] = quantity(
-        (0.0, 0.5), help="buried fraction of the height, least and most"
-    )
-    axis_ratio: tuple[float, float] = quantity(
-        (0.6, 1.0), help="of the horizontal axes, least and most"
-    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.min_diameter >= self.max_diameter:
             raise InputError(
                 "min_diameter", self.min_diameter, f"less than max_diameter_m, {self.max_diameter}"
             )
-        self.model()
 
     def model(self) -> RockModel:
         """Return how the rocks are shaped and how deep they sit."""
@@ -53,31 +40,18 @@ class RockPopulation:
 
 
 @dataclass(frozen=True)
-class RockExpectation:
+class RockExpectation(RockModel):
     """Rocks that the mission expects, by the Golombek law.
 
     Attributes
     ----------
     cover
         Fraction k of the ground under rocks of all sizes.
-    shape, height_ratio, burial, axis_ratio
-        See `RockModel`.
+
+    The rest as in `RockModel`.
     """
 
     cover: float = quantity(0.05, gt=0, le=0.2, help="fraction k of ground under rocks")
-    shape: Shape = quantity("hemisphere", help="of the rocks")
-    height_ratio: tuple[float, float] = quantity(
-        (0.5, 0.1), help="height over diameter, mean and sigma"
-    )
-    burial: tuple[float, float] = quantity(
-        (0.0, 0.5), help="buried fraction of the height, least and most; not of hemispheres"
-    )
-    axis_ratio: tuple[float, float] = quantity(
-        (0.6, 1.0), help="of the horizontal axes, least and most"
-    )
-
-    def __post_init__(self) -> None:
-        self.model()
 
     def model(self) -> RockModel:
         """Return how the rocks are thought to be shaped and how deep they sit."""

@@ -11,28 +11,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from lunarsim.scenario import Scenario
-
-# A short descent with a small camera.
-SHORT = {
-    "name": "short",
-    "terrain": {"size_m": 160.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
-    "rocks": {"min_diameter_m": 0.4},
-    "sun": {"azimuth_deg": 45.0, "elevation_deg": 25.0},
-    "sensors": {
-        "imu": {"kind": "imu"},
-        "altimeter": {"kind": "radar-altimeter"},
-        "camera": {"kind": "camera", "width": 320, "height": 240},
-    },
-    "tasking": {"camera": {"kind": "periodic", "rate_hz": 2.0}},
-    "navigation": {"kind": "rocks"},
-    "start": {
-        "position_m": [-90.0, -40.0, 130.0],
-        "velocity_m_s": [9.0, 4.0, -9.0],
-        "position_sigma_m": 2.0,
-        "velocity_sigma_m_s": 0.1,
-    },
-    "mappers": {"rocks": {"kind": "shadow", "size_m": 60.0, "posting_m": 0.5}},
-}
+from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
 def test_rates_fall_with_size(script, tmp_path):
@@ -62,7 +41,9 @@ def small(script, tmp_path, monkeypatch):
     """Two short descents in the place of the paper's."""
     experiment = script("shadows", "nominal_vs_modified")
     for path, speed in (("nominal", 9.0), ("modified", 11.0)):
-        short = Scenario.from_dict(SHORT).changed(start={"velocity_m_s": [speed, 4.0, -9.0]})
+        short = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
+            start={"velocity_m_s": [speed, 4.0, -9.0]}
+        )
         short.save(tmp_path / f"shadow_{path}.toml")
     monkeypatch.setattr(experiment, "SCENARIOS", tmp_path)
     monkeypatch.setattr(experiment, "ALTITUDES", (80.0, 50.0))

@@ -8,32 +8,13 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from tests.worlds import SMALL_SHADOW_FLIGHT
 
-SMALL = {
-    "name": "small-shadow",
-    "terrain": {"size_m": 160.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
-    "rocks": {"min_diameter_m": 0.4},
-    "sun": {"azimuth_deg": 45.0, "elevation_deg": 25.0},
-    "sensors": {
-        "imu": {"kind": "imu"},
-        "altimeter": {"kind": "radar-altimeter"},
-        "camera": {"kind": "camera", "width": 320, "height": 240},
-    },
-    "tasking": {"camera": {"kind": "periodic", "rate_hz": 2.0}},
-    "navigation": {"kind": "rocks"},
-    "start": {
-        "position_m": [-90.0, -40.0, 130.0],
-        "velocity_m_s": [9.0, 4.0, -9.0],
-        "position_sigma_m": 2.0,
-        "velocity_sigma_m_s": 0.1,
-    },
-    "mappers": {"rocks": {"kind": "shadow", "size_m": 60.0, "posting_m": 0.5}},
-    "decisions": {"first_altitude_m": 90.0, "last_altitude_m": 30.0, "interval_s": 2.0},
-}
+DECISIONS = {"first_altitude_m": 90.0, "last_altitude_m": 30.0, "interval_s": 2.0}
 
 
 def scenario(**changes):
-    return Scenario.from_dict(SMALL).changed(**changes)
+    return Scenario.from_dict(SMALL_SHADOW_FLIGHT | {"decisions": DECISIONS}).changed(**changes)
 
 
 @pytest.fixture(scope="module")
