@@ -132,9 +132,16 @@ def test_a_key_of_another_kind_in_a_named_table():
 
 def test_a_kind_without_keys_says_so():
     with pytest.raises(InputError) as caught:
-        Scenario.from_dict({"navigation": {"kind": "fixes", "position_bias_m": 1.0}})
-    assert caught.value.field == "navigation.position_bias_m"
+        Scenario.from_dict({"policy": {"kind": "no-divert", "boldness": 1.0}})
+    assert caught.value.field == "policy.boldness"
     assert caught.value.expected == "unknown key; there are none"
+
+
+def test_moved_keys_say_where_they_went():
+    with pytest.raises(InputError, match=r"\[start_knowledge\]"):
+        Scenario.from_dict({"navigation": {"kind": "fixes", "position_bias_m": 1.0}})
+    with pytest.raises(InputError, match=r"\[approach\]"):
+        Scenario.from_dict({"guidance": {"max_tilt_deg": 30.0}})
 
 
 @pytest.mark.parametrize("table", list(MOVED))
