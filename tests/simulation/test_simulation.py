@@ -11,6 +11,8 @@ from rasterio.transform import from_origin
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
+from lunarsim.frames import sensor_axes
+from lunarsim.messages.commands import SensorTask
 from lunarsim.onboard.policies import Decision
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -213,3 +215,43 @@ def test_shipped_scenarios_fly_end_to_end(name):
     flight = Simulation(scenario, flight_seed(1, 0), "safest").run()
     assert flight.verdict.safe
     assert flight.hazard_map.observed.mean() > 0.2
+
+
+def test_the_first_arrival_is_the_cheapest_from_where_the_lander_believes_it_is(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(4, 0), None)
+    computer = simulation.computer
+    cheapest = computer.cost_of(computer.site[None, :]).time_to_go[0]
+    assert computer.time_to_go == pytest.approx(cheapest)
+    fixed = small_scenario.changed(approach={"time_to_go_s": 44.0})
+    assert Simulation(fixed, flight_seed(4, 0), None).computer.time_to_go == 44.0
+
+
+def test_the_first_decision_to_stay_chooses_the_time_afresh(small_scenario):
+    simulation = Simulation(small_scenario, flight_seed(4, 0), None)
+    computer = simulation.computer
+    while not simulation.decision_due:
+        simulation.move()
+    planned = computer.time_to_go
+    assert simulation.apply(Decision.keep("stay"))
+    cheapest = computer.cost_of(computer.site[None, :]).time_to_go[0]
+    assert computer.time_to_go == pytest.approx(cheapest)
+    assert abs(computer.time_to_go - planned) > 0.05
+    simulation.move()
+    while not simulation.decision_due:
+        simulation.move()
+    # Later ones let the path be.
+    before = computer.time_to_go
+    simulation.apply(Decision.keep("stay"))
+    assert computer.time_to_go == before
+
+
+def test_a_gimbal_stops_at_its_limit_whatever_it_is_told(small_scenario):
+    stiff = small_scenario.changed(sensors={"flash": {"gimbal_limit_deg": 20.0}})
+    simulation = Simulation(stiff, flight_seed(4, 0), None)
+    while simulation.altitude > 200.0:
+        simulation.move()
+    aside = sensor_axes([1.0, 0.0, -0.2])
+    items = simulation.plant.measure([SensorTask("flash", aside)]).items
+    (scan,) = [m for name, m in items if name == "flash"]
+    angle = np.arccos(-scan.mount[2, 2])
+    assert angle == pytest.approx(np.deg2rad(20.0), abs=1e-6)
