@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.messages.measurements import InertialSamples
+from lunarsim.messages.measurements import InertialSamples, NavigationFix
 from lunarsim.parts import kinds, resolve
 
 
@@ -79,7 +80,10 @@ class Tables(Protocol):
 
 def check(scenario: Tables) -> None:
     """Raise `InputError` for parts that lack another, contradict another, or have no effect."""
+    for table in ("sensors", "tasking", "mappers"):
+        _check_names(table, getattr(scenario, table))
     sensors = {name: part.make() for name, part in scenario.sensors.items()}
+    _check_single(sensors)
     _check_mappers(scenario, sensors)
     _check_navigation(scenario, sensors)
     _check_control(scenario, sensors)
@@ -88,6 +92,23 @@ def check(scenario: Tables) -> None:
     chosen = scenario.decisions.map
     if chosen and chosen not in scenario.mappers:
         raise InputError("decisions.map", chosen, suggestion(chosen, scenario.mappers))
+
+
+def _check_names(table: str, parts: Mapping[str, Chosen]) -> None:
+    """Refuse names that are no good as names of files, streams and columns."""
+    for name in parts:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
+            raise InputError(table, name, "names of letters, digits, _ and -, a letter first")
+
+
+def _check_single(sensors: dict[str, Any]) -> None:
+    """Refuse a second sensor of a kind that navigation takes for the only one."""
+    for only in (InertialSamples, NavigationFix):
+        names = [name for name, sensor in sensors.items() if issubclass(sensor.gives, only)]
+        if len(names) > 1:
+            raise InputError(
+                f"sensors.{names[1]}", names, f"at most one sensor that gives {only.__name__}"
+            )
 
 
 def _gives(sensors: dict[str, Any], wanted: type) -> bool:
@@ -166,13 +187,16 @@ def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
             "needs a sensor of kind 'imu': add it under [sensors.NAME], or take control of kind "
             "'ideal'",
         )  # fmt: skip
-    clock = scenario.simulation.make()
+    step = scenario.simulation.make().step
     frequency = getattr(scenario.control.make(), "frequency", 0.0)
-    # A sampled loop with a lag of one and a half steps loses 45 degrees of phase there.
-    if frequency * clock.step > 0.25:
+    damping = getattr(scenario.control.make(), "damping", 0.0)
+    # Sampled: the rate's feedback 2 damping frequency must be well below 2 / step, and the attitude
+    # loop must not lose its phase to a lag of one and a half steps.
+    if frequency * step > 0.25 or 2.0 * damping * frequency * step > 0.5:
+        most = min(0.25 / step, 0.25 / (damping * step))
         raise InputError(
             "control.frequency_rad_s", frequency,
-            f"at most {0.25 / clock.step:g}: the attitude loop runs every {clock.step:g} s",
+            f"at most {most:g} with damping {damping:g}: the attitude loop runs every {step:g} s",
         )  # fmt: skip
 
 

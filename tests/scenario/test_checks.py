@@ -100,7 +100,7 @@ WRONG = {
     ),
     "control too fast for its clock": (
         {"control": {"frequency_rad_s": 26.0}},
-        "control.frequency_rad_s", 26.0, "at most 25: the attitude loop runs every 0.01 s",
+        "control.frequency_rad_s", 26.0, "at most 25 with damping 0.9: the attitude loop runs every 0.01 s",
     ),
     "control too fast for a slower clock": (
         {"simulation": {"step_s": 0.1}},
@@ -189,3 +189,33 @@ def test_parts_of_other_packages_are_checked_by_what_they_say():
 def test_changes_are_checked_too():
     with pytest.raises(InputError, match=r"prior_map = None: a table \[prior_map\]"):
         Scenario.load(SCENARIOS / "morpheus.toml").changed(prior_map=None)
+
+
+@pytest.mark.parametrize(
+    ("tables", "field", "words"),
+    [
+        ({"mappers": {"a/b": {"kind": "gaussian-dem"}}}, "mappers", "letters, digits"),
+        ({"mappers": {"": {"kind": "gaussian-dem"}}}, "mappers", "letters, digits"),
+        (
+            {"sensors": {n: {"kind": "imu"} for n in ("one", "two")}},
+            "sensors.two",
+            "at most one sensor that gives InertialSamples",
+        ),
+        (
+            {"sensors": {n: {"kind": "navigation-fix"} for n in ("one", "two")}},
+            "sensors.two",
+            "at most one sensor that gives NavigationFix",
+        ),
+        (
+            {"tasking": {"flash": {"kind": "at-altitudes", "altitudes_m": []}}},
+            "tasking.flash.altitudes_m",
+            "at least one",
+        ),
+        ({"control": {"damping": 50.0}}, "control.frequency_rad_s", "at most 0.5 with damping 50"),
+    ],
+)
+def test_names_doubles_and_gains(tables, field, words):
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict(tables)
+    assert caught.value.field == field
+    assert words in caught.value.expected

@@ -44,6 +44,10 @@ class AtAltitudes:
     altitudes: tuple[float, ...] = quantity((350.0, 160.0), "m", gt=0, help="above the site")
     boresight: Literal["site", "nadir"] = quantity("site", help="where it looks")
 
+    def __post_init__(self) -> None:
+        if not self.altitudes:
+            raise InputError("altitudes", (), "at least one altitude in metres")
+
     def build(self, sensor: str, briefing: Briefing) -> AltitudeSchedule:
         """Return the schedule of one flight."""
         limit = briefing.instruments[sensor].gimbal_limit
