@@ -49,8 +49,6 @@ class LidarScan:
         Rotation (3, 3), sensor to body, read from the gimbal.
     sigma
         Standard deviation of each range (rows * cols,), m.
-    incidence
-        Angle between each ray and the surface normal (rows * cols,), rad; NaN for no return.
     shape
         Rows and columns of the detector.
     """
@@ -60,7 +58,6 @@ class LidarScan:
     direction: Array
     mount: Array
     sigma: Array
-    incidence: Array
     shape: tuple[int, int]
 
     def points(self, position: Array, attitude: Array) -> Array:

@@ -25,11 +25,17 @@ class Contract:
         What it is, in a few words.
     kinds
         Name to "module:Class" of the parts that come with the package.
+    needs
+        Names that every part has.
     """
 
     summary: str
     kinds: dict[str, str]
+    needs: tuple[str, ...]
 
+
+# Names of fields that tables have for themselves.
+RESERVED = {"kind", "make", "model_config", "copy", "json", "dict"}
 
 CONTRACTS: dict[str, Contract] = {
     "terrain": Contract(
@@ -39,8 +45,13 @@ CONTRACTS: dict[str, Contract] = {
             "dtm": "lunarsim.world.grounds.measured:MeasuredGround",
             "hazard-field": "lunarsim.world.grounds.made:HazardFieldGround",
         },
+        ("build",),
     ),
-    "vehicle": Contract("the lander", {"lander": "lunarsim.models.lander:Lander"}),
+    "vehicle": Contract(
+        "the lander",
+        {"lander": "lunarsim.models.lander:Lander"},
+        ("pads", "wet_mass", "check_hover"),
+    ),
     "sensor": Contract(
         "what measures",
         {
@@ -50,6 +61,7 @@ CONTRACTS: dict[str, Contract] = {
             "flash-lidar": "lunarsim.sensors.lidar:FlashLidar",
             "camera": "lunarsim.sensors.camera:FramingCamera",
         },
+        ("gives", "tasked", "calibration"),
     ),
     "tasking": Contract(
         "where a sensor points and when it measures",
@@ -58,6 +70,7 @@ CONTRACTS: dict[str, Contract] = {
             "periodic": "lunarsim.onboard.tasking.schedules:Periodic",
             "sweep": "lunarsim.onboard.tasking.schedules:Sweep",
         },
+        ("build",),
     ),
     "navigation": Contract(
         "where the lander believes it is",
@@ -66,6 +79,7 @@ CONTRACTS: dict[str, Contract] = {
             "rocks": "lunarsim.onboard.navigation.rock_filter:RockNavigation",
             "prior-map": "lunarsim.onboard.navigation.lidar_inertial:PriorMapNavigation",
         },
+        ("build", "needs", "takes", "uses_prior_map"),
     ),
     "mapper": Contract(
         "where it is safe to land",
@@ -74,6 +88,7 @@ CONTRACTS: dict[str, Contract] = {
             "shadow": "lunarsim.onboard.hazards.shadows.mapper:ShadowMapping",
             "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapping",
         },
+        ("build", "takes", "sensor"),
     ),
     "policy": Contract(
         "where to land",
@@ -84,10 +99,12 @@ CONTRACTS: dict[str, Contract] = {
             "fuel-aware": "lunarsim.onboard.policies.library:FuelAware",
             "truth-oracle": "lunarsim.simulation.oracle:TruthOracle",
         },
+        ("decide", "name"),
     ),
     "guidance": Contract(
         "how to fly to the end of the approach",
         {"apollo": "lunarsim.onboard.guidance.apollo:ApolloLaw"},
+        ("build",),
     ),
     "control": Contract(
         "how the attitude follows guidance",
@@ -95,6 +112,7 @@ CONTRACTS: dict[str, Contract] = {
             "pd": "lunarsim.onboard.control.attitude:ProportionalDerivative",
             "ideal": "lunarsim.onboard.control.attitude:IdealAttitude",
         },
+        ("torques", "torque", "response_time"),
     ),
 }
 
@@ -148,10 +166,22 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     module, _, name = where.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever somebody else's module raises, an exit included
+        said = str(error).split("\n")[0]
         raise InputError(
-            field, kind, f"a class that can be imported ({type(error).__name__}: {error})"
+            field, kind, f"a class that can be imported ({type(error).__name__}: {said})"
         ) from error
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
         raise InputError(field, kind, f"a dataclass; {where} is none")
+    if not found.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        raise InputError(field, kind, f"a frozen dataclass; {where} is not frozen")
+    names = {f.name for f in dataclasses.fields(found)}
+    missing = [n for n in CONTRACTS[contract].needs if n not in names and not hasattr(found, n)]
+    if missing:
+        raise InputError(field, kind, f"a {contract}; {where} has no {missing[0]!r}")
+    reserved = names & RESERVED
+    if reserved:
+        raise InputError(field, kind, f"a dataclass without a field named {min(reserved)!r}")
     return found

@@ -36,6 +36,9 @@ class PartSettings(BaseModel):
             return cls(**values)
         except InputError as error:
             raise self._named(error, keys) from None
+        except (TypeError, ValueError) as error:
+            said = str(error).split("\n")[0]
+            raise InputError("kind", cls.__name__, f"values that it takes ({said})") from error
 
     def _named(self, error: InputError, keys: dict[str, tuple[str, Quantity | None]]) -> InputError:
         """Return a part's error with the scenario's key and value."""
@@ -132,13 +135,15 @@ def _bounded(annotation: Any, q: Quantity | None) -> Any:
     if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
         return settings_of(annotation)
     if annotation in (float, int):
-        limits: dict[str, Any] = {} if annotation is int else {"allow_inf_nan": False}
+        limits: dict[str, Any] = {"strict": True}
+        if annotation is float:
+            limits["allow_inf_nan"] = False
         if q is not None:
             limits |= {
                 n: getattr(q, n) for n in ("gt", "ge", "lt", "le") if getattr(q, n) is not None
             }
         return Annotated[annotation, Field(**limits)]
-    return annotation
+    return Annotated[bool, Field(strict=True)] if annotation is bool else annotation
 
 
 def unit_of(model: type[PartSettings], key: str) -> str:

@@ -24,7 +24,7 @@ class RockPopulation(RockModel):
     """
 
     cover: float = quantity(0.05, ge=0, le=0.2, help="fraction k of ground under rocks")
-    min_diameter: float = quantity(0.15, "m", gt=0, help="of the rocks drawn")
+    min_diameter: float = quantity(0.15, "m", ge=0.01, help="of the rocks drawn")
     max_diameter: float = quantity(3.0, "m", gt=0, help="of the rocks drawn")
 
     def __post_init__(self) -> None:

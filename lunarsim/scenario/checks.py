@@ -84,6 +84,7 @@ def check(scenario: Tables) -> None:
         _check_names(table, getattr(scenario, table))
     sensors = {name: part.make() for name, part in scenario.sensors.items()}
     _check_single(sensors)
+    _check_filters(scenario)
     _check_mappers(scenario, sensors)
     _check_navigation(scenario, sensors)
     _check_control(scenario, sensors)
@@ -109,6 +110,19 @@ def _check_single(sensors: dict[str, Any]) -> None:
             raise InputError(
                 f"sensors.{names[1]}", names, f"at most one sensor that gives {only.__name__}"
             )
+
+
+def _check_filters(scenario: Tables) -> None:
+    """Refuse a second mapper that adds its own states to the one filter of navigation."""
+    names = [
+        name
+        for name, part in scenario.mappers.items()
+        if getattr(part.make(), "navigation", None) is not None
+    ]
+    if len(names) > 1:
+        raise InputError(
+            f"mappers.{names[1]}", names, "at most one mapper that shares the filter of navigation"
+        )
 
 
 def _gives(sensors: dict[str, Any], wanted: type) -> bool:
@@ -192,8 +206,8 @@ def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
     damping = getattr(scenario.control.make(), "damping", 0.0)
     # Sampled: the rate's feedback 2 damping frequency must be well below 2 / step, and the attitude
     # loop must not lose its phase to a lag of one and a half steps.
-    if frequency * step > 0.25 or 2.0 * damping * frequency * step > 0.5:
-        most = min(0.25 / step, 0.25 / (damping * step))
+    if frequency * step > 0.15 or 2.0 * damping * frequency * step > 0.4:
+        most = min(0.15 / step, 0.2 / (damping * step))
         raise InputError(
             "control.frequency_rad_s", frequency,
             f"at most {most:g} with damping {damping:g}: the attitude loop runs every {step:g} s",

@@ -58,7 +58,7 @@ class MissionTarget:
 
     position: tuple[float, float] = quantity((0.0, 0.0), "m", help="east and north")
     scatter: tuple[float, float] = quantity(
-        (0.0, 0.0), "m", help="half sides of a uniform scatter, east and north"
+        (0.0, 0.0), "m", ge=0, help="half sides of a uniform scatter, east and north"
     )
 
 
@@ -77,7 +77,7 @@ class Clock:
     """
 
     step: float = quantity(0.01, "s", gt=0, help="of integration, inertial unit, attitude loop")
-    cycle: float = quantity(0.1, "s", gt=0, help="of the onboard computer")
+    cycle: float = quantity(0.1, "s", gt=0, le=1, help="of the onboard computer")
     max_time: float = quantity(300.0, "s", gt=0, help="a flight that is not over by then is")
 
     def __post_init__(self) -> None:

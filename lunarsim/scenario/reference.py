@@ -96,7 +96,7 @@ _COLUMNS = ("key", "default", "unit", "bounds or choices", "meaning")
 _TOP = (
     ("name", '"unnamed"', "", "", "of the study"),
     ("description", '""', "", "", "a sentence"),
-    ("gravity_m_s2", "1.622", "m/s^2", "> 0", "downward acceleration"),
+    ("gravity_m_s2", "1.622", "m/s^2", "> 0, < 1000", "downward acceleration"),
 )
 
 

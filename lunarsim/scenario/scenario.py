@@ -232,7 +232,7 @@ def _text(data: Mapping[str, Any], key: str, default: str) -> str:
 def _number(data: Mapping[str, Any], key: str, default: float) -> float:
     value = data.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e3:
-        raise InputError(key, value, "a positive number in m/s^2")
+        raise InputError(key, value, "a positive number in m/s^2, below 1000")
     return float(value)
 
 
@@ -262,7 +262,13 @@ def _table(
     kind: str = "",
 ) -> PartSettings:
     """Return a checked table; the part is made once, so that it can refuse what it is given."""
-    model = settings_of(of)
+    try:
+        model = settings_of(of)
+    except Exception as error:  # whatever pydantic makes of somebody else's annotations
+        said = str(error).split("\n")[0]
+        raise InputError(
+            f"{path}.kind", kind or of.__name__, f"fields of types that a file can hold ({said})"
+        ) from error
     try:
         table = model.model_validate(dict(_mapping(path, value)))
     except ValidationError as error:

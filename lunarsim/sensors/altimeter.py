@@ -78,4 +78,7 @@ class RadarAltimeter:
             return AltimeterReading(time, np.nan, np.nan)
         distance = float(hit.range[0])
         sigma = float(np.hypot(self.noise_floor, self.noise_ratio * distance))
-        return AltimeterReading(time, distance + sigma * noise, sigma)
+        measured = distance + sigma * noise
+        # What is stated goes by what was measured: the truth stays here.
+        stated = float(np.hypot(self.noise_floor, self.noise_ratio * measured))
+        return AltimeterReading(time, measured, stated)

@@ -273,8 +273,8 @@ class FramingCamera:
     The rest as in `Camera`.
     """
 
-    width: int = quantity(640, ge=1, help="pixels")
-    height: int = quantity(480, ge=1, help="pixels")
+    width: int = quantity(640, ge=1, le=8192, help="pixels")
+    height: int = quantity(480, ge=1, le=8192, help="pixels")
     field_of_view: float = quantity(60.0, "deg", gt=0, lt=170, help="of the width")
     distortion: tuple[float, float, float, float, float] = quantity(
         (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"

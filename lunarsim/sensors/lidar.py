@@ -55,8 +55,8 @@ class FlashLidar:
         Greatest angle of the boresight from straight down through the lander, rad.
     """
 
-    rows: int = quantity(256, ge=2, help="of the detector")
-    cols: int = quantity(256, ge=2, help="of the detector")
+    rows: int = quantity(256, ge=2, le=4096, help="of the detector")
+    cols: int = quantity(256, ge=2, le=4096, help="of the detector")
     half_width: float = quantity(0.1, gt=0, lt=2, help="tangent of half the field of view")
     noise_ratio: float = quantity(
         0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="1 sigma over the range, along the ray"
@@ -133,14 +133,14 @@ class FlashLidar:
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
         origin = np.asarray(state.position, dtype=np.float64)
-        measured, sigma, incidence = self._sense(world, origin, direction @ rotation.T, rng)
+        measured, sigma = self._sense(world, origin, direction @ rotation.T, rng)
         shape = (self.rows, self.cols)
-        return LidarScan(time, measured, direction, mount, sigma, incidence, shape)
+        return LidarScan(time, measured, direction, mount, sigma, shape)
 
     def _sense(
         self, world: World, origin: Array, rays: Array, rng: np.random.Generator
-    ) -> tuple[Array, Array, Array]:
-        """Return measured range, its deviation and the incidence of rays (n, 3), ENU.
+    ) -> tuple[Array, Array]:
+        """Return measured range and its stated deviation of rays (n, 3), ENU.
 
         `origin` is (3,) for all or (n, 3).
         """
@@ -148,15 +148,16 @@ class FlashLidar:
         true = hits.range if self.divergence == 0.0 else self._beam(world, origin, rays, hits.range)
         cosine = np.clip(-np.einsum("ij,ij->i", hits.normal, rays), 0.0, 1.0)
         incidence = np.arccos(cosine)
-        sigma = self.noise_ratio * true
-        measured = true + sigma * rng.standard_normal(true.size)
+        measured = true * (1.0 + self.noise_ratio * rng.standard_normal(true.size))
+        # What is stated goes by what was measured: the truth stays here.
+        sigma = self.noise_ratio * np.abs(measured)
         lost = ~(incidence <= self.max_incidence)
         if self.photons is not None:
             mean = self.photons * cosine * (_REFERENCE_RANGE / true) ** 2
             lost |= rng.random(mean.size) < np.exp(-mean)
-        for values in (measured, sigma, incidence):
+        for values in (measured, sigma):
             values[lost] = np.nan
-        return measured, sigma, incidence
+        return measured, sigma
 
     def _beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
         """Return the mean range over the beam's footprint, NaN where its centre finds nothing.

@@ -112,5 +112,5 @@ class FixInstrument:
             state.position + self._bias + self._drift,
             state.velocity + self._velocity,
             quat_multiply(self._misalignment, state.attitude),
-            self._covariance,
+            self._covariance.copy(),
         )

@@ -39,11 +39,14 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
     InputError
         If there is no such policy.
     """
-    if not isinstance(policy, str):
-        return policy
-    if policy == scenario.policy.kind:
-        return scenario.policy.make()
-    return settings_of(resolve("policy", policy, "policy"))().make()
+    made: Any = policy
+    if isinstance(policy, str):
+        own = policy == scenario.policy.kind
+        table = scenario.policy if own else settings_of(resolve("policy", policy, "policy"))()
+        made = table.make()
+    if getattr(made, "knows_truth", False) and "truth" not in made.name:
+        raise InputError("policy", made.name, "a name with 'truth' in it: it is told the truth")
+    return made
 
 
 class Simulation:

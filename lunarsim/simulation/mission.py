@@ -90,7 +90,7 @@ def draw_start(start: Start, world: World, lander: Lander, streams: Streams, sit
 def plan_time_to_go(
     state: State, target: Array, approach: Approach, lander: Lander, gravity: float
 ) -> float:
-    """Return the duration of the approach from a state, s.
+    """Return the duration of the approach from the planned start, s.
 
     Raises
     ------
@@ -163,8 +163,13 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
     start: Start = scenario.start.make()
     target = draw_target(scenario.target.make(), world.terrain, lander, streams)
     state = draw_start(start, world, lander, streams, target)
+    planned = replace(
+        state,
+        position=target + np.asarray(start.position),
+        velocity=np.asarray(start.velocity, dtype=np.float64),
+    )
     software: Software = scenario.software()
-    time_to_go = plan_time_to_go(state, target, software.approach, lander, world.gravity)
+    time_to_go = plan_time_to_go(planned, target, software.approach, lander, world.gravity)
     prior = None
     if scenario.prior_map is not None:
         middle = scenario.target.make().position
@@ -177,7 +182,7 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         gravity=UniformGravity(scenario.gravity_m_s2),
         target=target,
         heading=start.heading,
-        start=told(state, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),
+        start=told(planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),
         time_to_go=time_to_go,
         sun=world.light.direction,
         rocks=scenario.expected_rocks.make(),

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.commands import SensorTask
-from lunarsim.messages.measurements import Measurements
+from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import within
 from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
@@ -96,6 +97,13 @@ class Plant:
             name: Instrument.of(part, rng, dynamics.step) for name, (part, rng) in sensors.items()
         }
         units: list[tuple[str, Any]] = [(name, one.sensor) for name, one in made.items()]
+        for name, unit in units:
+            if sensors[name][0].gives is InertialSamples and not isinstance(unit, Imu):
+                raise InputError(
+                    f"sensors.{name}",
+                    type(unit).__name__,
+                    "an inertial unit whose build gives an Imu",
+                )
         self.imus: dict[str, Imu] = {n: u for n, u in units if isinstance(u, Imu)}
         self._instruments = {n: i for n, i in made.items() if n not in self.imus}
         self._max_time = max_time

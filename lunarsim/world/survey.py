@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 # Samples of the ground along each side of a post's square.
 _SAMPLES = 4
+# Along a side of a map.
+_MOST_POSTS = 4000
 # A patch out of date shows bumps of this width, m.
 _BUMP = 2.0
 
@@ -52,6 +54,10 @@ class PriorSurvey:
         self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator
     ) -> PriorMap:
         """Return the map about a point (east, north; m)."""
+        if self.size / self.posting > _MOST_POSTS:
+            raise InputError(
+                "prior_map.size_m", self.size, f"at most {_MOST_POSTS} posts of {self.posting} m"
+            )
         grid = Grid.centred(centre, self.size, self.posting)
         made = survey(
             terrain,

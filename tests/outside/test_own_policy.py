@@ -22,7 +22,7 @@ def test_in_a_scenario(small):
 
 
 def test_on_the_command_line(small, tmp_path):
-    small.save(tmp_path / "s.toml")
+    small.changed(rocks={"cover": 0.12}).save(tmp_path / "s.toml")
     arguments = ["fly", str(tmp_path / "s.toml"), "--policy", OWN, "--seed", "3"]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output

@@ -20,6 +20,9 @@ class MyPolicy:
     patience: float = 3.0
     name: str = "mine"
 
+    def decide(self, observation):
+        """Stay."""
+
 
 class NoDataclass:
     pass
@@ -86,3 +89,46 @@ def test_entry_points_add_names_but_take_none(monkeypatch):
     extra.append(EntryPoint("safest", "other:Safest", "lunarsim.policy"))
     with pytest.raises(InputError, match=r"a name of its own: lunarsim\.onboard\.policies"):
         kinds("policy")
+
+
+@dataclass
+class Thawed:
+    """A policy that can be changed under way."""
+
+    name: str = "thawed"
+
+    def decide(self, observation):
+        """Stay."""
+
+
+@dataclass(frozen=True)
+class Greedy:
+    """A policy with a field that tables have for themselves."""
+
+    kind: str = "x"
+    name: str = "greedy"
+
+    def decide(self, observation):
+        """Stay."""
+
+
+@pytest.mark.parametrize(
+    ("contract", "name", "words"),
+    [
+        ("policy", "Thawed", "not frozen"),
+        ("policy", "Greedy", "without a field named 'kind'"),
+        ("navigation", "MyPolicy", "has no 'build'"),
+        ("control", "MyPolicy", "has no 'torques'"),
+        ("sensor", "MyPolicy", "has no 'gives'"),
+    ],
+)
+def test_what_is_no_part_of_the_contract_is_refused(contract, name, words):
+    with pytest.raises(InputError, match=words):
+        resolve(contract, f"{__name__}:{name}")
+
+
+def test_a_module_that_exits_is_an_error_not_an_exit(tmp_path, monkeypatch):
+    (tmp_path / "quitter.py").write_text("raise SystemExit(5)")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(InputError, match="SystemExit"):
+        resolve("policy", "quitter:Policy")

@@ -89,13 +89,11 @@ def test_pixels_even_in_the_angle():
     assert np.arctan(0.5) - across.max() == pytest.approx(0.5 * np.diff(across)[0])
 
 
-def test_incidence_is_the_angle_to_the_slope():
+def test_no_return_beyond_the_greatest_incidence():
     slope = World(sloped_terrain((0.3, 0.0), 200.0), 1.622)
     lidar = FlashLidar(32, 32, half_width=0.2)
-    scan = lidar.measure(slope, state(100.0), 0.0, np.random.default_rng(0), DOWN)
     normal = np.array([-0.3, 0.0, 1.0]) / np.hypot(0.3, 1.0)
-    expected = np.arccos(-(scan.direction @ DOWN.T) @ normal)
-    assert np.allclose(scan.incidence, expected, atol=1e-4)
+    expected = np.arccos(-(lidar.directions() @ DOWN.T) @ normal)
     blind = FlashLidar(32, 32, half_width=0.2, max_incidence=np.arctan(0.3))
     kept = blind.measure(slope, state(100.0), 0.0, np.random.default_rng(0), DOWN)
     assert np.array_equal(np.isfinite(kept.range), expected <= np.arctan(0.3))
@@ -111,4 +109,13 @@ def test_returns_are_lost_as_photons_get_few(height):
     expected = np.mean(np.exp(-mean))
     spread = np.sqrt(expected * (1.0 - expected) / cosine.size)
     assert np.mean(np.isnan(scan.range)) == pytest.approx(expected, abs=4.0 * spread)
-    assert np.array_equal(np.isnan(scan.range), np.isnan(scan.incidence))
+    assert np.array_equal(np.isnan(scan.range), np.isnan(scan.sigma))
+
+
+def test_what_is_stated_tells_no_truth():
+    world = World(flat_terrain(800.0, 8.0), 1.622)
+    lidar = FlashLidar(16, 16)
+    scan = lidar.measure(world, state(500.0), 0.0, np.random.default_rng(1), DOWN)
+    true = 500.0 / -(scan.direction @ DOWN.T)[:, 2]
+    assert np.abs(scan.range - true).max() > 0.02
+    assert scan.sigma == pytest.approx(lidar.noise_ratio * scan.range)

@@ -26,7 +26,7 @@ class ProportionalDerivative:
     """
 
     frequency: float = quantity(4.0, "rad/s", gt=0, help="natural frequency of the loop")
-    damping: float = quantity(0.9, gt=0, help="damping ratio of the loop")
+    damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the loop")
     slew_limit: float = quantity(15.0, "deg/s", gt=0, help="greatest rate asked for")
 
     torques: ClassVar[bool] = True

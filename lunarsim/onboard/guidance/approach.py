@@ -37,7 +37,7 @@ class Approach:
         (0.0, 0.0, 0.0), "m/s^2", help="where it ends; shapes the path before it"
     )
     time_to_go: float | None = quantity(
-        None, "s", gt=0, help="at the start; left out: the cheapest admissible"
+        None, "s", ge=1, le=10_000, help="at the start; left out: the cheapest admissible"
     )
     max_tilt: float = quantity(40.0, "deg", gt=0, lt=85, help="of the thrust")
     glideslope: float = quantity(8.0, "deg", ge=0, lt=80, help="least elevation of the path")

@@ -17,6 +17,9 @@ from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 
 Array = NDArray[np.float64]
 
+# Along a side of a map.
+_MOST_CELLS = 8000
+
 
 class HazardMapper(ABC):
     """Anything that draws a `HazardMap` from measurements."""
@@ -98,4 +101,6 @@ def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid
         raise InputError("posting_m", posting, f"at most {0.5 * lander.leg_radius} m")
     if size < 4.0 * lander.leg_radius + 1.0:
         raise InputError("size_m", size, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m")
+    if size / posting > _MOST_CELLS:
+        raise InputError("size_m", size, f"at most {_MOST_CELLS} cells of {posting} m a side")
     return Grid.centred(centre, size, posting)

@@ -11,6 +11,8 @@ from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockPopulation
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 
+_MOST_POSTS = 20_000
+
 
 class Ground(Protocol):
     """Anything that makes the true terrain of a flight."""
@@ -36,6 +38,12 @@ def strewn(relief: Heightfield, rocks: RockPopulation, streams: Streams) -> Terr
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
         field = place_rocks(relief, diameters, rng, model=rocks.model())
     return Terrain(relief, field)
+
+
+def check_posts(size: float, posting: float) -> None:
+    """Raise `InputError` for relief of more than 20,000 posts a side: 1.6 GB."""
+    if size / posting > _MOST_POSTS:
+        raise InputError("size", size, f"at most {_MOST_POSTS} posts of {posting} m a side")
 
 
 def check_room(terrain: Terrain, footprint: float) -> None:

@@ -9,7 +9,7 @@ from lunarsim.grid import Grid
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import Streams
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.grounds.contract import strewn
+from lunarsim.world.grounds.contract import check_posts, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain
 
@@ -26,6 +26,9 @@ class FractalGround(Roughness):
 
     size: float = quantity(160.0, "m", gt=0, help="side of the square")
     posting: float = quantity(0.25, "m", gt=0, help="of the relief")
+
+    def __post_init__(self) -> None:
+        check_posts(self.size, self.posting)
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""

@@ -8,6 +8,7 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import Streams
 from lunarsim.rocks.population import RockPopulation
+from lunarsim.world.grounds.contract import check_posts
 from lunarsim.world.terrain import Terrain, hazard_field
 
 
@@ -35,6 +36,7 @@ class HazardFieldGround:
     craters: int = quantity(24, ge=0, help="2 to 5 m across")
 
     def __post_init__(self) -> None:
+        check_posts(self.size, self.posting)
         if self.field > self.size:
             raise InputError("field", self.field, f"at most size_m, {self.size}")
 

@@ -199,7 +199,7 @@ def test_scans_that_tell_nothing_change_nothing(world):
     n = 128 * 128
     for scan in (
         LidarScan(0.0, np.full(n, np.nan), LIDAR.directions(), np.eye(3), np.ones(n),
-                  np.ones(n), (128, 128)),
+                  (128, 128)),
     ):  # fmt: skip
         assert not descent.filter.update_scan(scan, descent.time)
     assert np.array_equal(descent.filter.covariance, before[0])

@@ -64,7 +64,7 @@ class QuadtreeMapping:
     least: float = quantity(0.1, "m", gt=0, help="least cells of the quadtree")
     split_count: int = quantity(8, ge=2, help="points at which a cell divides")
     hold_sigma: float = quantity(
-        0.5, "m", gt=0, help="scans whose ground is less certain wait until it is"
+        0.5, "m", gt=0, help="with a prior map: scans whose ground is less certain wait"
     )
     interval: float = quantity(1.0, "s", gt=0, help="between two selections of sites")
     interest_path: Path | None = quantity(
@@ -83,7 +83,8 @@ class QuadtreeMapping:
             least=self.least,
             split_count=self.split_count,
             interest=None if self.interest_path is None else InterestMap.load(self.interest_path),
-            hold_sigma=self.hold_sigma,
+            # Without a map to find there is nothing to wait for: an error of place is shared.
+            hold_sigma=np.inf if briefing.prior_map is None else self.hold_sigma,
             interval=self.interval,
         )
 

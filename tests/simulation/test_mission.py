@@ -1,0 +1,116 @@
+"""What the mission tells the computer, and what it keeps to itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import quat_angle
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import SMALL_SHADOW_FLIGHT
+
+
+def briefings(scenario, seeds):
+    made = [Simulation(scenario, seed) for seed in seeds]
+    return made, [simulation.computer.briefing for simulation in made]
+
+
+def test_the_plan_does_not_know_the_true_start(small_scenario):
+    fixed = small_scenario.changed(target={"scatter_m": [0.0, 0.0]})
+    made, told = briefings(fixed, (1, 2, 3))
+    assert len({tuple(s.state.position) for s in made}) == 3
+    assert len({b.time_to_go for b in told}) == 1
+
+
+def test_errors_of_the_start_are_those_stated():
+    scenario = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
+        start_knowledge={"position_m": 4.0, "velocity_m_s": 0.3, "attitude_deg": 1.0}
+    )
+    made, told = briefings(scenario, range(40))
+    errors = np.array(
+        [
+            [
+                *(b.start.position - s.state.position) / 4.0,
+                *(b.start.velocity - s.state.velocity) / 0.3,
+            ]
+            for s, b in zip(made, told, strict=True)
+        ]
+    )
+    assert np.std(errors) == pytest.approx(1.0, abs=0.15)
+    turns = [
+        quat_angle(b.start.attitude, s.state.attitude) for s, b in zip(made, told, strict=True)
+    ]
+    assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.deg2rad(np.sqrt(3)), rel=0.2)
+
+
+def test_rocks_are_told_as_expected_not_as_drawn():
+    scenario = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
+        rocks={"cover": 0.09}, expected_rocks={"cover": 0.03}
+    )
+    simulation = Simulation(scenario, 1)
+    assert simulation.computer.briefing.rocks.cover == 0.03
+    assert simulation.computer.mappers["rocks"].probability.prior.cover == 0.03
+
+
+def test_the_scenarios_own_policy_settings_count(small_scenario):
+    scenario = small_scenario.changed(policy={"kind": "safest", "gain": 5.0})
+    assert Simulation(scenario, 1, "safest").policy.gain == 5.0
+    assert Simulation(scenario, 1, "nearest-safe").policy.enough == 0.95
+
+
+def test_fixes_err_by_what_they_state(small_scenario):
+    scaled = []
+    for seed in range(40):
+        simulation = Simulation(small_scenario, seed)
+        sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
+        scaled.append(simulation.navigation_error / sigma)
+    assert np.std(scaled) == pytest.approx(1.0, abs=0.15)
+
+
+def test_each_mapper_gets_the_scans_of_its_own_sensor(small_scenario):
+    flash = small_scenario.to_dict()["sensors"]["flash"]
+    scenario = small_scenario.changed(
+        sensors={"other": flash | {"half_width": 0.02}},
+        tasking={
+            "flash": {"altitudes_m": [350.0]},
+            "other": {"kind": "at-altitudes", "altitudes_m": [300.0], "boresight": "nadir"},
+        },
+        mappers={"narrow": {"kind": "gaussian-dem", "sensor": "other", "posting_m": 0.4}},
+    )
+    simulation = Simulation(scenario, 2)
+    while simulation.altitude > 320.0:
+        simulation.move()
+    assert not simulation.computer.mappers["dem"].blank
+    assert simulation.computer.mappers["narrow"].blank
+    scans = []
+    while simulation.altitude > 280.0:
+        simulation.move()
+        items = simulation.plant.measure().items
+        scans += [m for _, m in items if isinstance(m, LidarScan)]
+    assert not scans  # none without a task
+
+
+def test_sensors_have_streams_of_their_own(small_scenario):
+    """Another sensor on the lander changes no other's noise."""
+    flash = small_scenario.to_dict()["sensors"]["flash"]
+    more = small_scenario.changed(
+        sensors={"other": flash},
+        tasking={"other": {"kind": "at-altitudes", "altitudes_m": [10.0]}},
+        mappers={"second": {"kind": "gaussian-dem", "sensor": "other", "posting_m": 0.4}},
+    )
+    a, b = (Simulation(s, 3).run() for s in (small_scenario, more))
+    n = 100
+    for column in ("position_x", "estimated_x", "thrust"):
+        assert np.array_equal(a.trajectory[column][:n], b.trajectory[column][:n]), column
+    first = a.scans[:, 3] == a.scans[0, 3]
+    assert np.array_equal(a.scans[first], b.scans[: first.sum()])
+
+
+def test_stopped_sensors_measure_no_more(small_scenario):
+    simulation = Simulation(small_scenario, 3)
+    simulation.computer.stop_sensors()
+    flight = simulation.run()
+    assert not [e for e in flight.events if e["name"] == "scan"]
+    assert flight.maps == {}
