@@ -248,7 +248,7 @@ class OnboardComputer:
                     mapper.recentre(shift.to_local(self.briefing.target))
         for event in self.navigation.events[self._events :]:
             self.telemetry.append((event.time, event.name, dict(event.details)))
-            if event.name == "lock" and self.approach.time_to_go is None:
+            if event.name in {"lock", "relock"} and self.approach.time_to_go is None:
                 # A path planned from tens of metres off is planned afresh.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
                 self._retime()

@@ -205,6 +205,8 @@ class Flight:
             data = getattr(self, name)
             cloud = {column: data[:, i] for i, column in enumerate(columns)}
             pq.write_table(pa.table(cloud), folder / f"{name}.parquet")
+        for old in (folder / "maps").glob("*"):
+            old.unlink()  # of a flight that was saved here before
         for name, record in self.maps.items():
             _save_map(name, record, folder / "maps")
         text = json.dumps(self._record(), indent=1)

@@ -205,7 +205,7 @@ class Simulation:
         c = self.computer
         c.update(measurements)
         self.recorder.measured(measurements, c, self.navigation_error)
-        left = 0.0 if self.done else c.time_to_go
+        left = 0.0 if self.done else max(c.time_to_go, 0.0)
         self.recorder.row(self.time, self.state, c.estimate, c.site, left, c.phase)
 
     def decide(self) -> None:

@@ -26,7 +26,7 @@ _MOST_MARKS = 8
 _MARKED = {"scan": "LiDAR scan", "picture": "first picture", "lock": "lock onto the map"}
 
 
-def draw_flight(flight: Flight, world: World, truth: Truth, folder: Path) -> None:
+def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:
     """Write ``descent.png`` and ``maps.png`` of a finished flight into `folder`.
 
     Parameters
@@ -38,8 +38,8 @@ def draw_flight(flight: Flight, world: World, truth: Truth, folder: Path) -> Non
     folder
         Where pictures go.
     """
-    draw_descent(flight, folder / "descent.png")
-    draw_maps(flight, world, truth, folder / "maps.png")
+    draw_descent(flight, Path(folder) / "descent.png")
+    draw_maps(flight, world, truth, Path(folder) / "maps.png")
 
 
 def _title(flight: Flight) -> str:

@@ -64,6 +64,20 @@ def test_a_flight_comes_back_to_the_last_bit(flown, tmp_path):
     )
 
 
+def test_a_flight_saved_over_another_leaves_nothing_of_it(flown, tmp_path):
+    _, flight = flown
+    folder = flight.save(tmp_path / "flight")
+    (folder / "maps" / "dem.rocks.parquet").write_bytes(
+        (folder / "candidates.parquet").read_bytes()
+    )
+    assert Flight.load(flight.save(folder)).maps["dem"].tables == {}
+
+
+def test_time_to_go_ends_at_nothing(flown):
+    _, flight = flown
+    assert flight.trajectory["time_to_go"].min() == 0.0
+
+
 def test_judgement_and_figures_need_the_record_alone(flown, tmp_path):
     simulation, flight = flown
     loaded = Flight.load(flight.save(tmp_path / "flight"))

@@ -114,3 +114,18 @@ def test_stopped_sensors_measure_no_more(small_scenario):
     flight = simulation.run()
     assert not [e for e in flight.events if e["name"] == "scan"]
     assert flight.maps == {}
+
+
+def test_the_oracle_flies_to_what_is_truly_safe(small_scenario):
+    """With a navigation error of tens of metres its sites must be moved by it, the right way."""
+    scenario = small_scenario.changed(
+        terrain={"size_m": 160.0},
+        rocks={"cover": 0.08},
+        sensors={"fix": {"position_bias_m": 12.0}},
+        mappers={"dem": {"size_m": 80.0}},
+    )
+    for seed in (1, 2, 3):
+        simulation = Simulation(scenario, seed, "truth-oracle")
+        flight = simulation.run()
+        assert np.linalg.norm(simulation.navigation_error[:2]) > 3.0
+        assert simulation.truth.safe_at(flight.verdict.touchdown.position[:2]), seed

@@ -16,6 +16,7 @@ def perfect(scenario: Scenario) -> Scenario:
     """Return a scenario whose vehicle does at once what it is told, and knows where it is."""
     return scenario.changed(
         rocks={"cover": 0.0},
+        start={"position_sigma_m": 0.0, "velocity_sigma_m_s": 0.0},
         vehicle={"thrust_lag_s": 0.0},
         control={"kind": "ideal", "slew_limit_deg_s": 90.0},
         navigation={"kind": "fixes"},

@@ -22,8 +22,8 @@ def survey(
     for n in range(targets.shape[0]):
         out[n, 0] = np.inf
         out[n, 1:] = np.nan
-        for m in range(times.size):
-            big_t = times[m]
+        for m in range(times.shape[1]):
+            big_t = times[n, m]
             c0 = a_f + 12.0 * (targets[n] - r) / big_t**2 - 6.0 * (v_f + v) / big_t
             da = a_f - c0
             dv = v_f - v - c0 * big_t

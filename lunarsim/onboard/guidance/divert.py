@@ -94,8 +94,9 @@ def divert_cost(
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
     gap = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
-    slowest = max(20.0, 3.0 * float(gap.max(initial=1.0)) / max(speed, 5.0))
-    times = np.geomspace(3.0, slowest, _TIMES)
+    # Each target has times of its own: its answer does not depend on what else is asked for.
+    slowest = np.maximum(20.0, 3.0 * gap / max(speed, 5.0))
+    times = 3.0 * (slowest[:, None] / 3.0) ** np.linspace(0.0, 1.0, _TIMES)
     found = np.empty((len(targets), 4))
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     k.survey(

@@ -88,3 +88,27 @@ def test_far_sites_and_empty_tanks_are_out_of_reach():
     assert not divert_cost(estimate(), far, LANDER, G).feasible[0]
     dry = estimate(mass=LANDER.dry_mass + 16.0)
     assert not divert_cost(dry, near, LANDER, G).feasible[0]
+
+
+def test_the_answer_for_a_site_does_not_depend_on_what_else_is_asked():
+    rng = np.random.default_rng(4)
+    sites = np.column_stack((rng.uniform(-200.0, 200.0, (40, 2)), np.full(40, 12.0)))
+    together = divert_cost(estimate(), PhaseEnd(sites, DOWN), LANDER, G)
+    assert 5 < together.feasible.sum() < 40
+    for n, site in enumerate(sites):
+        alone = divert_cost(estimate(), PhaseEnd(site, DOWN), LANDER, G)
+        for name in ("propellant", "time_to_go", "peak_thrust", "peak_tilt"):
+            a, b = getattr(alone, name)[0], getattr(together, name)[n]
+            assert a == b or (np.isnan(a) and np.isnan(b)), (n, name)
+
+
+def test_reserve_and_throttle_margin_are_kept():
+    end = PhaseEnd(np.array([0.0, 0.0, 12.0]), DOWN)
+    cost = divert_cost(estimate(), end, LANDER, G, limits=PathLimits(reserve=0.0))
+    left = estimate().mass - LANDER.dry_mass - cost.propellant[0]
+    assert divert_cost(estimate(), end, LANDER, G, limits=PathLimits(reserve=left - 0.01)).feasible[
+        0
+    ]
+    assert not divert_cost(
+        estimate(), end, LANDER, G, limits=PathLimits(reserve=left + 0.01)
+    ).feasible[0]
