@@ -6,8 +6,8 @@ import numba
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from scipy.stats import chi2
 
+from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
@@ -173,22 +173,18 @@ def test_rocks_that_rest_are_considered(seed):
 @pytest.mark.parametrize("resting", [False, True], ids=["all corrected", "some at rest"])
 def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
     flights, seconds = 50, 12.0
-    nees = np.empty(flights)
-    lander = np.empty(flights)
-    nis, size = 0.0, 0
+    nees, lander, nis = Consistency(), Consistency(), Consistency()
     for k in range(flights):
         flight = Flight(np.random.default_rng(100 + k), rocks=8)
         if resting:
             flight.resting = np.random.default_rng(k)
         for value, degrees in fly(flight, seconds):
-            nis += value
-            size += degrees
+            nis = nis.plus(value, degrees)
         error, p = flight.error(), flight.filter.covariance
-        nees[k] = error @ np.linalg.solve(p, error)
-        lander[k] = error[:15] @ np.linalg.solve(p[:15, :15], error[:15])
-    for total, degrees in ((nees.sum(), 31 * flights), (lander.sum(), 15 * flights), (nis, size)):
-        low, high = chi2.ppf([0.025, 0.975], degrees)
-        assert low <= total <= high, (total, degrees, low, high)
+        nees = nees.plus(normalised_square(error, p), 31)
+        lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
+    for found in (nees, lander, nis):
+        assert found.holds(0.95), (found.ratio, found.bounds(0.95))
 
 
 @pytest.mark.parametrize("resting", [False, True], ids=["all corrected", "some at rest"])

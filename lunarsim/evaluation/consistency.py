@@ -1,0 +1,53 @@
+"""Whether a filter errs by what it says: normalised errors and innovations, and their bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+
+def normalised_square(error: ArrayLike, covariance: ArrayLike) -> float:
+    """Return ``e' P^-1 e`` of an error (d,) and its stated covariance (d, d).
+
+    Chi-squared with d degrees of freedom for a consistent filter: the NEES of an estimate, the NIS
+    of an innovation (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+    """
+    e = np.asarray(error, dtype=np.float64)
+    return float(e @ np.linalg.solve(np.asarray(covariance, dtype=np.float64), e))
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Normalised squares added up over independent trials.
+
+    Attributes
+    ----------
+    total, degrees
+        Their sum, and its degrees of freedom.
+    """
+
+    total: float = 0.0
+    degrees: int = 0
+
+    def plus(self, square: float, degrees: int) -> Consistency:
+        """Return the sum with one more square."""
+        return Consistency(self.total + square, self.degrees + degrees)
+
+    @property
+    def ratio(self) -> float:
+        """Mean square over what is stated: 1 for a consistent filter; NaN without trials."""
+        return self.total / self.degrees if self.degrees else float("nan")
+
+    def bounds(self, level: float = 0.95) -> tuple[float, float]:
+        """Return what `ratio` lies between with this probability, if the filter is consistent."""
+        tail = 0.5 * (1.0 - level)
+        low, high = chi2.ppf([tail, 1.0 - tail], self.degrees) / self.degrees
+        return float(low), float(high)
+
+    def holds(self, level: float = 0.95) -> bool:
+        """Tell whether `ratio` lies within the bounds."""
+        low, high = self.bounds(level)
+        return low <= self.ratio <= high
