@@ -45,7 +45,7 @@ def within(mount: Array, limit: float) -> Array:
     """Return a mount (3, 3), turned back to the gimbal's limit (rad) where it is beyond it."""
     boresight = mount[:, 2]
     if boresight @ _REST >= np.cos(limit) - 1e-9:
-        return np.array(mount)
+        return mount
     across = np.cross(boresight, _REST)
     length = np.linalg.norm(across)
     # Straight up there is no nearest side: any will do.

@@ -121,7 +121,7 @@ class Plant:
 
     def _measure(self, name: str, mount: Array | None) -> object:
         i = self._instruments[name]
-        held = None if mount is None else within(mount, i.gimbal_limit)
+        held = None if mount is None else within(mount.copy(), i.gimbal_limit)
         return i.sensor.measure(self.world, self.state, self.time, i.rng, held)
 
     def moved(

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import calibration_error, reliability
-from lunarsim.onboard.hazards.quadtree import calibration as quadtree
+from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.logistic import Logistic
 
 

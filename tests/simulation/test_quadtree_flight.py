@@ -113,7 +113,7 @@ def test_the_local_frame_never_jumps():
     assert (stride < flown + 0.35).all()
     # The site is where the briefed target is now known to lie.
     target = simulation.computer.briefing.target
-    assert simulation.site == pytest.approx(target + offsets[-1])
+    assert simulation.site[:2] == pytest.approx((target + offsets[-1])[:2])
     assert mapper_of(simulation).grid.contains(simulation.site[:2])
 
 
