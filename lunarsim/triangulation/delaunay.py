@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.triangulation import _kernels as k
+from lunarsim.triangulation._flip_kernels import flip_mesh
+from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 
 _BITS = 25
 
@@ -58,13 +59,13 @@ def delaunay(xy: ArrayLike) -> IntArray:
     points = _to_integers(xy)
     if len(points) < 3:
         return np.zeros((0, 3), np.int64)
-    key = k.hilbert_keys(points, _BITS)
+    key = hilbert_keys(points, _BITS)
     order = np.argsort(key, kind="stable")
     # Along the curve coincident points are neighbours.
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = key[order][1:] != key[order][:-1]
     order = order[fresh]
-    return np.asarray(k.insert_all(points, order))
+    return np.asarray(insert_all(points, order))
 
 
 def delaunay_of_image(xy: ArrayLike, shape: tuple[int, int]) -> IntArray:
@@ -97,7 +98,7 @@ def delaunay_of_image(xy: ArrayLike, shape: tuple[int, int]) -> IntArray:
         raise ValueError(f"xy has shape {points.shape}: must be ({rows * cols}, 2)")
     seen = ~np.isnan(points).any(axis=1)
     if seen.all() and rows > 1 and cols > 1:
-        triangles = np.asarray(k.flip_mesh(_to_integers(points), rows, cols))
+        triangles = np.asarray(flip_mesh(_to_integers(points), rows, cols))
         if len(triangles):
             return triangles
     index = np.flatnonzero(seen)

@@ -71,14 +71,15 @@ def features_of(sites: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def draw(table: np.ndarray, fields: int, path: Path) -> None:
-    """Draw the reliability diagram with 95 % intervals."""
+    """Draw the reliability diagram with 95 % Wilson intervals."""
     figure = new_figure(5.4, 5.6)
     top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1)})
     full = table[:, 0] > 0
-    (p, share), n = frequencies(table[full]), table[full, 0]
-    half = 1.96 * np.sqrt(np.maximum(share * (1.0 - share), 0.25 / n) / n)
+    p, share = frequencies(table[full])
+    interval = np.array([Proportion(int(s), int(n)).interval for n, _, s in table[full]])
+    beside = np.abs(interval - share[:, None]).T
     plot_ideal(top, label="perfect")
-    top.errorbar(p, share, half, fmt="o", color=COLOURS[0], capsize=2, label="fields not fitted")
+    top.errorbar(p, share, beside, fmt="o", color=COLOURS[0], capsize=2, label="fields not fitted")
     top.set_ylabel("share of sites that are safe")
     top.set_title(
         f"Quadtree probability of safety, {fields} fields kept out "

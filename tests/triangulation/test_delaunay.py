@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay, QhullError
 
-from lunarsim.triangulation import _kernels as kernels
+from lunarsim.triangulation import _geometry_kernels as kernels
 from lunarsim.triangulation import delaunay, delaunay_of_image
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
-from lunarsim.triangulation._kernels import hilbert_keys, insert_all
+from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
