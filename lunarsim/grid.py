@@ -57,10 +57,8 @@ class Grid:
 
     def about(self, centre: ArrayLike) -> Grid:
         """Return the same grid about another centre (2,) or (3,)."""
-        cx, cy = np.asarray(centre, dtype=np.float64)[:2]
-        x0 = float(cx - 0.5 * (self.cols - 1) * self.posting)
-        y0 = float(cy - 0.5 * (self.rows - 1) * self.posting)
-        return Grid(x0, y0, self.posting, self.rows, self.cols)
+        width, height = self.cols * self.posting, self.rows * self.posting
+        return Grid.centred(centre, width, self.posting, height)
 
     def moved(self, by: ArrayLike) -> Grid:
         """Return the same grid moved by (2,) or (3,), m."""

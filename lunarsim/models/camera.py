@@ -65,11 +65,6 @@ class CameraModel:
             object.__setattr__(self, "cy", 0.5 * (self.height - 1))
 
     @property
-    def matrix(self) -> Array:
-        """Intrinsic matrix (3, 3), as OpenCV's."""
-        return self.pinhole.matrix
-
-    @property
     def pinhole(self) -> Pinhole:
         """The projection, distortion left out."""
         assert self.cx is not None

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-import numpy as np
-
-from lunarsim.errors import InputError
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 
 
 @dataclass(frozen=True)
@@ -38,10 +35,7 @@ class TriadErrors:
     quantum: float = quantity(0.0, ge=0, help="least increment, u")
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"imu.{f.name}", value, "0 or a positive number")
+        check_bounds(self, "imu")
 
 
 # A tactical unit: 1 deg/h, 0.1 deg/sqrt(h), 100 ppm; 300 micro-g, 0.05 m/s/sqrt(h), 200 ppm.

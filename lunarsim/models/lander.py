@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition; turns specific impulse into exhaust speed
 
@@ -79,26 +79,14 @@ class Lander:
     rate_limit: float = quantity(6.0, "deg/s", gt=0, help="at touchdown")
 
     def __post_init__(self) -> None:
-        positive = (
-            "dry_mass", "propellant_mass", "thrust_max", "specific_impulse", "leg_radius",
-            "pad_diameter", "com_height", "slope_limit", "roughness_limit",
-            "vertical_speed_limit", "horizontal_speed_limit", "tilt_limit", "rate_limit",
-        )  # fmt: skip
-        for name in positive:
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"vehicle.{name}", value, "a positive number")
+        check_bounds(self, "vehicle")
         if self.legs not in (3, 4):
             raise InputError("vehicle.legs", self.legs, "3 or 4")
-        if not 0.0 <= self.thrust_min < self.thrust_max:
-            raise InputError(
-                "vehicle.thrust_min", self.thrust_min, f"0 or more and less than {self.thrust_max}"
-            )
-        if self.thrust_lag < 0.0:
-            raise InputError("vehicle.thrust_lag", self.thrust_lag, "0 or more seconds")
+        if self.thrust_min >= self.thrust_max:
+            raise InputError("vehicle.thrust_min", self.thrust_min, f"less than {self.thrust_max}")
         for name in ("inertia_dry", "inertia_full"):
             a, b, c = sorted(getattr(self, name))
-            if not (a > 0.0 and a + b >= c):
+            if a + b < c:
                 raise InputError(
                     f"vehicle.{name}",
                     getattr(self, name),
@@ -108,8 +96,6 @@ class Lander:
             raise InputError(
                 "vehicle.pad_diameter", self.pad_diameter, f"less than {self.leg_radius}"
             )
-        if self.slope_limit >= np.pi / 4:
-            raise InputError("vehicle.slope_limit", self.slope_limit, "less than 45 deg")
 
     @property
     def wet_mass(self) -> float:

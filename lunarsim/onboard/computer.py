@@ -47,14 +47,14 @@ _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expect
 def _named(table: str) -> Iterator[None]:
     """Put the scenario's table before a key that a part complains of.
 
-    Fields that name another table (a sensor's, the mission's) are left as they are.
+    What names another table, or a key of one (a sensor's, the mission's), is left as it is.
     """
     try:
         yield
     except InputError as error:
-        room, _, key = error.field.rpartition(".")
-        if room in _OTHER_TABLES:
+        if error.field.partition(".")[0] in _OTHER_TABLES:
             raise
+        key = error.field.rpartition(".")[2]
         raise InputError(f"{table}.{key}", error.value, error.expected) from None
 
 
@@ -97,7 +97,7 @@ class OnboardComputer:
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
         self.guidance = software.guidance.build(briefing, lag)
-        self.vertical = VerticalDescent(briefing.weight, self.approach.vertical_speed)
+        self.vertical = VerticalDescent(briefing.weight)
         self.attitude_loop = AttitudeLoop(control, self.lander, briefing.step)
         self.site: Array = briefing.target.copy()
         self.phase = APPROACH
@@ -224,11 +224,13 @@ class OnboardComputer:
             self._retime()
 
     def _take(self, sensor: str, measurement: Any) -> None:
+        if isinstance(measurement, InertialSamples):
+            self.navigation.take(sensor, measurement, self.time)
+            self._follow_navigation()
+            return
         before = self.navigation.estimate(self.time, self.mass)
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
-        if isinstance(measurement, InertialSamples):
-            return
         after = self.navigation.estimate(self.time, self.mass)
         for name, mapper in self.mappers.items():
             mapper.correct(before, after)
@@ -263,12 +265,9 @@ class OnboardComputer:
         if mapper is None or mapper.blank:
             return
         height = mapper.ground_height(self.site[:2])
-        if height is None and self.decisions_map in self.mapped:
-            m = mapper.hazard_map()
-            if m.elevation is not None and m.grid.contains(self.site[:2]):
-                row, col = (int(v) for v in m.grid.cell(self.site[:2]))
-                height = float(m.elevation[row, col])
-        if height is not None and np.isfinite(height):
+        if height is None:
+            height = mapper.hazard_map().elevation_at(self.site[:2])
+        if np.isfinite(height):
             self.site = np.array([self.site[0], self.site[1], height])
 
     def apply(self, decision: Decision) -> bool:

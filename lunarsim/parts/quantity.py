@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from numbers import Real
 from typing import Any
 
 import numpy as np
+
+from lunarsim.errors import InputError
 
 # Unit to the ending of the scenario's key. Radians are degrees in scenarios.
 _SUFFIXES = {
@@ -67,6 +70,30 @@ class Quantity:
     def suffix(self) -> str:
         """Ending of the scenario's key."""
         return _SUFFIXES[self.unit]
+
+    @property
+    def expected(self) -> str:
+        """Bounds and unit in words."""
+        words = [
+            f"{word} {bound:g}"
+            for word, bound in (
+                ("more than", self.gt), ("at least", self.ge), ("less than", self.lt),
+                ("at most", self.le),
+            )
+            if bound is not None
+        ]  # fmt: skip
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
+        return (" and ".join(words) or "a finite number") + unit
+
+    def allows(self, value: float) -> bool:
+        """Tell whether a number, in the scenario's unit, is finite and within the bounds."""
+        return bool(
+            np.isfinite(value)
+            and (self.gt is None or value > self.gt)
+            and (self.ge is None or value >= self.ge)
+            and (self.lt is None or value < self.lt)
+            and (self.le is None or value <= self.le)
+        )
 
     def to_si(self, value: Any) -> Any:
         """Return the scenario's value as the part wants it: angles in radians."""
@@ -132,3 +159,31 @@ def quantity_of(metadata: Any) -> Quantity | None:
     """Return what a field says of itself, None for a plain one."""
     found = metadata.get(_KEY)
     return found if isinstance(found, Quantity) else None
+
+
+def check_bounds(part: Any, table: str) -> None:
+    """Refuse numbers of a dataclass that are not finite or beyond what its fields declare.
+
+    Scenario files are checked before the part is made; this is for parts made in Python.
+
+    Parameters
+    ----------
+    part
+        The dataclass, angles in radians.
+    table
+        Put before the field's name in the message.
+
+    Raises
+    ------
+    InputError
+        Naming the first such field; value and bounds are in the scenario's unit.
+    """
+    for f in fields(part):
+        q = quantity_of(f.metadata)
+        value = getattr(part, f.name)
+        if q is None or q.hidden or value is None:
+            continue
+        given = q.from_si(tuple(value) if isinstance(value, list | np.ndarray) else value)
+        for one in given if isinstance(given, tuple) else (given,):
+            if isinstance(one, Real) and not q.allows(float(one)):
+                raise InputError(f"{table}.{f.name}", given, q.expected)

@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.models.instruments import FixedBeam
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -49,13 +49,7 @@ class RadarAltimeter:
     def __post_init__(self) -> None:
         if not np.isclose(np.linalg.norm(self.boresight), 1.0, atol=1e-6):
             raise InputError("altimeter.boresight", self.boresight, "a unit vector")
-        for name in ("noise_ratio", "noise_floor"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"altimeter.{name}", getattr(self, name), "0 or a positive number")
-        if not self.max_range > 0.0:
-            raise InputError("altimeter.max_range", self.max_range, "a positive length")
-        if not 0.0 < self.max_incidence <= np.pi / 2:
-            raise InputError("altimeter.max_incidence", self.max_incidence, "up to pi/2")
+        check_bounds(self, "altimeter")
 
     def calibration(self) -> FixedBeam:
         """Return what the onboard computer may know of it."""

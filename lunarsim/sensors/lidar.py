@@ -13,7 +13,7 @@ from lunarsim.frames import quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.camera import DOWN
 from lunarsim.models.instruments import PointedInstrument
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -76,22 +76,9 @@ class FlashLidar:
     tasked: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.rows < 2 or self.cols < 2:
-            raise InputError("lidar.pixels", (self.rows, self.cols), "at least 2 x 2")
-        if not 0.0 < self.half_width < 2.0:
-            raise InputError("lidar.half_width", self.half_width, "between 0 and 2")
-        if not 0.0 <= self.noise_ratio < 0.1:
-            raise InputError("lidar.noise_ratio", self.noise_ratio, "from 0 to 0.1")
-        if not self.max_range > 0.0:
-            raise InputError("lidar.max_range", self.max_range, "a positive length")
+        check_bounds(self, "lidar")
         if self.spacing not in {"tangent", "angle"}:
             raise InputError("lidar.spacing", self.spacing, "tangent or angle")
-        if not 0.0 < self.max_incidence <= np.pi / 2:
-            raise InputError("lidar.max_incidence", self.max_incidence, "up to pi/2")
-        if self.photons is not None and not self.photons > 0.0:
-            raise InputError("lidar.photons", self.photons, "a positive number")
-        if not 0.0 <= self.divergence < 0.1:
-            raise InputError("lidar.divergence", self.divergence, "from 0 to 0.1 rad")
 
     def calibration(self) -> PointedInstrument:
         """Return what the onboard computer may know of it."""

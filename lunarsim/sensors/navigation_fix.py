@@ -8,10 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import NavigationFix
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -51,12 +50,7 @@ class NavigationFixes:
         """Return what the onboard computer may know of it: a fix carries its covariance."""
 
     def __post_init__(self) -> None:
-        for name in ("position_bias", "position_drift", "velocity", "attitude"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"navigation.{name}", value, "0 or a positive number")
-        if not self.drift_time > 0.0:
-            raise InputError("navigation.drift_time", self.drift_time, "a positive time")
+        check_bounds(self, "navigation")
 
 
 class FixInstrument:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 
@@ -41,14 +41,7 @@ class Light:
     )
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.azimuth):
-            raise InputError("sun.azimuth", self.azimuth, "an angle in radians")
-        if not -np.pi / 2 <= self.elevation <= np.pi / 2:
-            raise InputError("sun.elevation", self.elevation, "an angle from -pi/2 to pi/2")
-        if not 0.0 < self.albedo <= 1.0:
-            raise InputError("sun.albedo", self.albedo, "above 0, at most 1")
-        if not 0.0 <= self.ambient <= 1.0:
-            raise InputError("sun.ambient", self.ambient, "from 0 to 1")
+        check_bounds(self, "sun")
         if self.photometry not in {"lambert", "lunar-lambert"}:
             raise InputError("sun.photometry", self.photometry, "lambert or lunar-lambert")
 

@@ -22,6 +22,7 @@ from rich.table import Table
 from lunarsim.campaign.pool import gathered
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import EDGES, calibration_error, frequencies, reliability
+from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.hazards.quadtree.site_probability import features
 from lunarsim.rng import flight_seed
 from lunarsim.safety.logistic import Logistic

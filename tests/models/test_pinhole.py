@@ -52,4 +52,3 @@ def test_the_border_lies_half_a_pixel_beyond_the_outer_pixels():
 def test_a_camera_and_its_view_share_one_projection():
     camera = CameraModel(width=320, height=200, fx=300.0, fy=310.0)
     assert camera.pinhole == (300.0, 310.0, 159.5, 99.5)
-    np.testing.assert_array_equal(camera.matrix, camera.pinhole.matrix)

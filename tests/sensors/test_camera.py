@@ -85,7 +85,7 @@ def test_distortion_is_opencvs():
         seen = (ring - [0.0, 0.0, 50.0]) @ axes
         zero = np.zeros(3)
         expected, _ = cv2.projectPoints(
-            seen, zero, zero, camera.matrix, np.array(camera.distortion)
+            seen, zero, zero, camera.pinhole.matrix, np.array(camera.distortion)
         )
         low, high = expected.reshape(-1, 2).min(0), expected.reshape(-1, 2).max(0)
         inner = axes[:, :2].T @ -np.array([rocks.x[n], rocks.y[n], 0.0])

@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.navigation.estimate import Estimate
 
@@ -28,13 +29,23 @@ class PhaseEnd:
     velocity, acceleration
         Wanted there (3,), m/s and m/s^2.
     frame
-        Of all three: "local" (never jumps) or "site" (the prior map's).
+        Of all three: "local", where control lives; what is given in the site frame is moved by
+        navigation's `site_to_local` first.
+
+    Raises
+    ------
+    InputError
+        If the frame is another.
     """
 
     position: Array
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     acceleration: Array = field(default_factory=lambda: np.zeros(3))
-    frame: Literal["local", "site"] = "local"
+    frame: Literal["local"] = "local"
+
+    def __post_init__(self) -> None:
+        if self.frame != "local":
+            raise InputError("end.frame", self.frame, "'local'; navigation moves points to it")
 
 
 class GuidanceLaw(Protocol):

@@ -19,8 +19,6 @@ class VerticalDescent:
     ----------
     gravity
         Downward acceleration, m/s^2.
-    speed
-        Descent speed, m/s.
     frequency, damping
         Of the horizontal position loop, rad/s.
     speed_gain
@@ -33,7 +31,6 @@ class VerticalDescent:
     """
 
     gravity: float
-    speed: float = 2.0
     frequency: float = 0.6
     damping: float = 1.1
     speed_gain: float = 1.5
@@ -44,14 +41,15 @@ class VerticalDescent:
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        The end's position is that of the centre of mass on the ground.
+        The end's position is that of the centre of mass on the ground, its velocity that of the
+        whole descent.
         """
         offset = estimate.position[:2] - end.position[:2]
         sideways = (
             -(self.frequency**2) * offset
             - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
         )
-        up = self.gravity + self.speed_gain * (-self.speed - float(estimate.velocity[2]))
+        up = self.gravity + self.speed_gain * (float(end.velocity[2]) - float(estimate.velocity[2]))
         up = max(up, 0.3 * self.gravity)
         height = float(estimate.position[2] - end.position[2])
         share = min(max(height / self.lean_height, 0.0), 1.0)

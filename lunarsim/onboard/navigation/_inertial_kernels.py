@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lunarsim._frame_kernels import turned
 from lunarsim._jit import kernel
 
 
@@ -20,21 +21,6 @@ def _rotation(q, out):
     out[2, 0] = 2.0 * (x * z - w * y)
     out[2, 1] = 2.0 * (y * z + w * x)
     out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
-
-
-@kernel()
-def _turn(q, phi):
-    """Return q times the quaternion of the rotation vector phi (Eq. 5), at unit norm."""
-    angle = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-    s = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
-    x, y, z = phi[0] * s, phi[1] * s, phi[2] * s
-    w = np.cos(0.5 * angle)
-    out = np.empty(4)
-    out[0] = q[3] * x + q[0] * w + q[1] * z - q[2] * y
-    out[1] = q[3] * y - q[0] * z + q[1] * w + q[2] * x
-    out[2] = q[3] * z + q[0] * y - q[1] * x + q[2] * w
-    out[3] = q[3] * w - q[0] * x - q[1] * y - q[2] * z
-    return out / np.sqrt(np.sum(out * out))
 
 
 @kernel(inline=True)
@@ -134,12 +120,15 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
     phi = np.eye(15)
     r = np.empty((3, 3))
     ra = np.empty((3, 3))
+    half = np.empty(4)
     accel = np.empty(3)
     for n in range(angle.shape[0]):
         good = _hold(angle, velocity, n, step, held)
         w = held[:3] - x[13:16]
         a = held[3:] - x[6:9]
-        _rotation(_turn(x[9:13], 0.5 * step * w), r)
+        half[:] = x[9:13]
+        turned(half, 0.5 * step * w)
+        _rotation(half, r)
         for i in range(3):
             accel[i] = r[i, 0] * a[0] + r[i, 1] * a[1] + r[i, 2] * a[2] + gravity[i]
             # R [a x]
@@ -148,7 +137,7 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
             ra[i, 2] = r[i, 0] * a[1] - r[i, 1] * a[0]
         x[0:3] += step * (x[3:6] + 0.5 * step * accel)
         x[3:6] += step * accel
-        x[9:13] = _turn(x[9:13], step * w)
+        turned(x[9:13], step * w)
         _write_transition(r, ra, w, step, phi)
         total = phi @ total
         noise = phi @ noise @ phi.T

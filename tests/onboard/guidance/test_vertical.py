@@ -8,6 +8,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622
+GROUND = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -2.0]))
 
 
 def estimate(position, velocity, mass=1500.0) -> Estimate:
@@ -21,7 +22,7 @@ def test_vertical_descent_settles_on_its_speed_above_the_target():
     law = VerticalDescent(G)
     r, v = np.array([0.4, -0.2, 10.0]), np.array([0.1, 0.0, -3.0])
     for n in range(450):
-        a = law.command(estimate(r, v), PhaseEnd(np.zeros(3)), 0.01 * n) - np.array([0.0, 0.0, G])
+        a = law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([0.0, 0.0, G])
         v = v + 0.01 * a
         r = r + 0.01 * v
     assert v[2] == pytest.approx(-2.0, abs=0.05)
@@ -31,6 +32,6 @@ def test_vertical_descent_settles_on_its_speed_above_the_target():
 
 def test_vertical_descent_stays_upright_near_the_ground():
     law = VerticalDescent(G)
-    command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), PhaseEnd(np.zeros(3)), 0.0)
+    command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), GROUND, 0.0)
     lean = np.arctan2(np.hypot(command[0], command[1]), command[2])
     assert lean <= law.lean_low + 0.2 * (law.lean - law.lean_low)

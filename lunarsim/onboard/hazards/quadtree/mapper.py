@@ -128,7 +128,6 @@ class QuadtreeMapper(HazardMapper):
         interval: float = 1.0,
     ) -> None:
         self._quadtree = (least, split_count)
-        self._elevation = elevation
         self._settings = settings
         self._interest = interest
         self._lay(grid, elevation)
@@ -146,22 +145,18 @@ class QuadtreeMapper(HazardMapper):
         least, split_count = self._quadtree
         self.grid = grid
         west, east, south, north = grid.extent
-        centre = (0.5 * (west + east), 0.5 * (south + north), elevation)
         self.map = QuadtreeMap(
-            centre, max(east - west, north - south), least, split_count=split_count
-        )
+            (*grid.centre, elevation), max(east - west, north - south), least,
+            split_count=split_count,
+        )  # fmt: skip
         self.selector = SiteSelector(self.map, self._settings, self._interest, thorough=True)
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (3,), local frame, m; what was of interest moves too."""
         g = self.grid.about(centre)
         if self._interest is not None:
-            of = self._interest.grid
-            moved = Grid(
-                of.x0 + g.x0 - self.grid.x0, of.y0 + g.y0 - self.grid.y0, of.posting, of.rows,
-                of.cols,
-            )  # fmt: skip
-            self._interest = InterestMap(moved, self._interest.value)
+            by = g.x0 - self.grid.x0, g.y0 - self.grid.y0
+            self._interest = InterestMap(self._interest.grid.moved(by), self._interest.value)
         self._lay(g, float(centre[2]))
         self.selection, self._judged = None, -1
         self._drawn = HazardMap.unobserved(g)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 
@@ -67,26 +67,11 @@ class SiteSettings:
     roughness: Literal["rms", "printed"] = quantity("rms", help="Eq. 8")
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.slope_limit < np.pi / 2:
-            raise InputError("sites.slope_limit", self.slope_limit, "between 0 and pi/2")
-        for name in ("roughness_limit", "zone"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"sites.{name}", value, "a positive length in metres")
-        for name in (
-            "density", "separation", "weight_interest", "weight_slope", "weight_roughness",
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"sites.{name}", value, "0 or a positive number")
-        if not 0.0 <= self.exception_limit < 1.0:
-            raise InputError("sites.exception_limit", self.exception_limit, "from 0 to below 1")
+        check_bounds(self, "sites")
         for name in ("mesh_band", "hazard_band", "site_band"):
             low, high = getattr(self, name)
-            if not 0.0 < low <= high < np.inf:
+            if low > high:
                 raise InputError(f"sites.{name}", (low, high), "two rising sizes in metres")
-        if self.count < 1:
-            raise InputError("sites.count", self.count, "1 or more")
         if self.roughness not in {"rms", "printed"}:
             raise InputError("sites.roughness", self.roughness, "rms or printed")
 

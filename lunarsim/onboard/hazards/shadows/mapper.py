@@ -46,7 +46,7 @@ class ShadowMapping:
     sensor: str = quantity("camera", help="whose pictures it maps")
     posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
-    hazard_diameter: float = quantity(0.5, "m", gt=0, help="least diameter of a hazard")
+    hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
     interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
 
     takes: ClassVar[type] = Picture
@@ -75,7 +75,7 @@ class ShadowMapping:
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
         probability = ProbabilityMap(grid, model, prior, ground=navigation.ground)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
-        return ShadowMapper(tracker, probability, briefing.sun, reach, refresh=self.interval)
+        return ShadowMapper(tracker, probability, briefing.sun, reach, interval=self.interval)
 
 
 class ShadowMapper(HazardMapper):
@@ -93,7 +93,7 @@ class ShadowMapper(HazardMapper):
         Radius of the disc into which no rock may reach under the lander, m.
     detector
         What counts as a shadow.
-    refresh
+    interval
         Least time between two evaluations of the map, s.
     """
 
@@ -105,14 +105,14 @@ class ShadowMapper(HazardMapper):
         footprint: float,
         *,
         detector: DetectorSettings | None = None,
-        refresh: float = 1.0,
+        interval: float = 1.0,
     ) -> None:
         self.tracker = tracker
         self.probability = probability
         self.grid = probability.grid
         self.sun = np.asarray(sun, dtype=np.float64)
         self.footprint = footprint
-        self.interval = refresh
+        self.interval = interval
         self.detector = detector or DetectorSettings()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
@@ -135,10 +135,8 @@ class ShadowMapper(HazardMapper):
         self._time = picture.time
 
     def hazard_map(self) -> HazardMap:
-        """Return the map, at most `refresh` seconds old."""
-        if self._time >= self._mapped + self.interval - 1e-9 or (
-            self._time > self._mapped == -np.inf
-        ):
+        """Return the map, at most `interval` seconds old."""
+        if not self.blank and self._time >= self._mapped + self.interval - 1e-9:
             self._map = self.probability.hazard_map(self.tracker, self.footprint)
             self._mapped = self._time
         return self._level(self._map)
