@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
+
 from click.testing import CliRunner
 
 from lunarsim.cli import main
-from lunarsim.parts import CONTRACTS
+from lunarsim.parts import CONTRACTS, registry
 from lunarsim.scenario.reference import parts_list, reference_text
 from tests.conftest import ROOT
 
@@ -33,6 +35,19 @@ def test_the_page_is_what_the_command_prints():
     printed = CliRunner().invoke(main, ["scenario", "reference", "--markdown"]).output
     page = (ROOT / "docs" / "scenario-reference.md").read_text(encoding="utf-8")
     assert page.endswith(printed)
+
+
+def test_a_part_that_cannot_be_loaded_is_named_and_the_rest_is_printed(monkeypatch):
+    def points(group):
+        own = {"lunarsim.policy": [EntryPoint("lost", "no_such_module:Policy", group)]}
+        return own.get(group, [])
+
+    monkeypatch.setattr(registry, "entry_points", points)
+    assert [line for line in parts_list("policy") if "lost" in line and "cannot be loaded" in line]
+    whole = reference_text(markdown=True)
+    assert "cannot be loaded: " in whole
+    assert "`relief_scale`" in whole
+    assert all(kind != "lost" for kind, _ in registry.loadable("policy"))
 
 
 def test_a_scenario_is_printed_whole():

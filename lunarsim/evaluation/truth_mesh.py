@@ -66,11 +66,10 @@ class TruthMesh:
         normal, height = self.plane(grid.centres())
         return np.asarray((np.asarray(elevation, dtype=np.float64) - height) * normal[..., 2])
 
+    def hazards(self, elevation: ArrayLike, grid: Grid, limit: float) -> Array:
+        """Return 1 where the ground leaves the mesh's planes by more than `limit` (m), else 0.
 
-def truth_hazards(elevation: ArrayLike, grid: Grid, spacing: float, limit: float) -> Array:
-    """Return 1 where the ground leaves the mesh's planes by more than `limit` (m), else 0.
-
-    NaN where there is no mesh (rows, cols).
-    """
-    d = TruthMesh(elevation, grid, spacing).distance(elevation, grid)
-    return np.where(np.isnan(d), np.nan, (np.abs(d) > limit).astype(np.float64))
+        NaN where there is no mesh (rows, cols).
+        """
+        d = self.distance(elevation, grid)
+        return np.where(np.isnan(d), np.nan, (np.abs(d) > limit).astype(np.float64))

@@ -201,9 +201,13 @@ class OnboardComputer:
     def step(self, measurements: Measurements) -> Command:
         """Do a whole control cycle."""
         self.update(measurements)
+        self.decide()
+        return self.command()
+
+    def decide(self) -> None:
+        """Ask the policy, if there is one and a decision is due."""
         if self.policy is not None and self.decision_due:
             self.apply(self.policy.decide(self.observe()))
-        return self.command()
 
     def update(self, measurements: Measurements) -> None:
         """Navigate and map by what has been measured since the last cycle."""
@@ -271,7 +275,15 @@ class OnboardComputer:
             self.site = np.array([self.site[0], self.site[1], height])
 
     def apply(self, decision: Decision) -> bool:
-        """Carry out a decision; return False if its site is out of reach (the old one stays)."""
+        """Carry out a decision; return False if its site is out of reach (the old one stays).
+
+        Raises
+        ------
+        InputError
+            If a policy gave something else.
+        """
+        if not isinstance(decision, Decision):
+            raise InputError("policy", decision, "a policy whose decide returns a Decision")
         self._next_decision = self.time + self.decisions.interval
         first, self._decided = not self._decided, True
         if decision.site is None:

@@ -6,7 +6,10 @@ are made from it.
 """
 
 from lunarsim.parts.quantity import hidden, quantity
-from lunarsim.parts.registry import CONTRACTS, kinds, resolve
+from lunarsim.parts.registry import CONTRACTS, kinds, loadable, resolve
 from lunarsim.parts.settings import PartSettings, settings_of
 
-__all__ = ["CONTRACTS", "PartSettings", "hidden", "kinds", "quantity", "resolve", "settings_of"]
+__all__ = [
+    "CONTRACTS", "PartSettings", "hidden", "kinds", "loadable", "quantity", "resolve",
+    "settings_of",
+]  # fmt: skip

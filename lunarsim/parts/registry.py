@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
+from typing import Any
 
 from lunarsim.errors import InputError, suggestion
 
@@ -135,6 +137,15 @@ def kinds(contract: str) -> dict[str, str]:
             )
         found[point.name] = point.value
     return found
+
+
+def loadable(contract: str) -> Iterator[tuple[str, Any]]:
+    """Yield kind and class of the parts of a contract that can be loaded."""
+    for kind in kinds(contract):
+        try:
+            yield kind, resolve(contract, kind)
+        except InputError:
+            continue  # `lunarsim parts` says why
 
 
 def resolve(contract: str, kind: str, field: str | None = None) -> type:

@@ -6,9 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+import numpy as np
+
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.measurements import InertialSamples, NavigationFix
-from lunarsim.parts import kinds, resolve
+from lunarsim.parts import loadable
 
 
 class Chosen(Protocol):
@@ -131,25 +133,17 @@ def _gives(sensors: dict[str, Any], wanted: type) -> bool:
 
 def _kinds_giving(wanted: type) -> str:
     """Return the kinds of sensors that give a type of measurement, in words."""
-    found = []
-    for kind in kinds("sensor"):
-        try:
-            if issubclass(getattr(resolve("sensor", kind), "gives", object), wanted):
-                found.append(repr(kind))
-        except InputError:
-            continue  # another package's part that does not load is no help here
+    found = [
+        repr(kind)
+        for kind, sensor in loadable("sensor")
+        if isinstance(sensor.gives, type) and issubclass(sensor.gives, wanted)
+    ]
     return " or ".join(found) or f"a part that gives {wanted.__name__}"
 
 
 def _kinds_of(contract: str, wanted: type) -> str:
     """Return the kinds of a contract whose class is one, or is derived from it, in words."""
-    found = []
-    for kind in kinds(contract):
-        try:
-            if issubclass(resolve(contract, kind), wanted):
-                found.append(repr(kind))
-        except InputError:
-            continue  # another package's part that does not load is no help here
+    found = [repr(kind) for kind, part in loadable(contract) if issubclass(part, wanted)]
     return " or ".join(found) or f'"{wanted.__module__}:{wanted.__qualname__}"'
 
 
@@ -207,7 +201,7 @@ def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
     # Sampled: the rate's feedback 2 damping frequency must be well below 2 / step, and the attitude
     # loop must not lose its phase to a lag of one and a half steps.
     if frequency * step > 0.15 or 2.0 * damping * frequency * step > 0.4:
-        most = min(0.15 / step, 0.2 / (damping * step))
+        most = min(0.15 / step, 0.2 / (damping * step) if damping else np.inf)
         raise InputError(
             "control.frequency_rad_s", frequency,
             f"at most {most:g} with damping {damping:g}: the attitude loop runs every {step:g} s",

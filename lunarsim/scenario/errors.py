@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.parts import PartSettings, kinds, resolve, settings_of
+from lunarsim.parts import PartSettings, loadable, settings_of
 from lunarsim.parts.settings import unit_of
 from lunarsim.scenario import layout
 
@@ -50,11 +50,11 @@ def _table_at(model: type[PartSettings], location: tuple[Any, ...]) -> type[Part
 def _kinds_with(contract: str, key: str) -> list[str]:
     """Return the kinds of a contract that have a key."""
     found = []
-    for kind in kinds(contract):
+    for kind, part in loadable(contract):
         try:
-            table = settings_of(resolve(contract, kind))
-        except (InputError, TypeError):
-            continue  # another package's part that does not load is no help here
+            table = settings_of(part)
+        except Exception:
+            continue
         if key in table.model_fields:
             found.append(kind)
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -55,8 +55,6 @@ def _rows(model: type[PartSettings], prefix: str = "") -> Iterator[tuple[str, ..
 
 
 def _choices(annotation: Any) -> str:
-    from typing import Literal, get_args, get_origin  # noqa: PLC0415
-
     if get_origin(annotation) is Literal:
         return " | ".join(_word(a) for a in get_args(annotation))
     return ""
@@ -86,10 +84,16 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
     named = {f"{name}.NAME": contract for name, (contract, _) in layout.NAMED.items()}
     for name, contract in (chosen | named).items():
         for kind in kinds(contract):
-            of = resolve(contract, kind)
             default = layout.CHOSEN.get(name, ("", ""))[1] == kind
             heading = f"[{name}] kind = {_word(kind)}" + (" (default)" if default else "")
-            yield heading, _first_line(of), settings_of(of)
+            try:
+                of = resolve(contract, kind)
+                table = settings_of(of)
+            except Exception as error:
+                said = error.expected if isinstance(error, InputError) else str(error)
+                yield heading, f"cannot be loaded: {said}", None
+            else:
+                yield heading, _first_line(of), table
 
 
 _COLUMNS = ("key", "default", "unit", "bounds or choices", "meaning")

@@ -225,7 +225,7 @@ class Camera(CameraModel):
         if not self.motion_blur or travel < 0.05:
             return image
         steps = int(min(max(4, np.ceil(2.0 * travel)), _MOST_STEPS))
-        k = np.array([[view.fx, 0.0, view.cx], [0.0, view.fy, view.cy], [0.0, 0.0, 1.0]])
+        k = view.pinhole.matrix
         inverse = np.linalg.inv(k)
         total = np.zeros_like(image)
         for part in (np.arange(steps) + 0.5) / steps - 0.5:

@@ -15,13 +15,14 @@ A flight is saved as one folder:
 ``candidates.parquet``
     Sites that the policy chose from at the last decision.
 
-`Flight.load` gives back what was saved, to the last bit.
+`Flight.load` gives back what was saved, to the last bit; the covariance of the first map's estimate
+is not saved.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,20 +80,23 @@ class MapRecord:
 
     def __post_init__(self) -> None:
         m = self.hazard_map
-        layers = {
-            name: None if layer is None else _rounded(layer)
-            for name in ("p_safe", "elevation", "variance")
-            for layer in (getattr(m, name),)
-        }
-        p_safe = layers.pop("p_safe")
-        assert p_safe is not None
-        object.__setattr__(self, "hazard_map", HazardMap(m.grid, p_safe, m.observed, **layers))
+        rounded = replace(
+            m,
+            p_safe=_rounded(m.p_safe),
+            elevation=None if m.elevation is None else _rounded(m.elevation),
+            variance=None if m.variance is None else _rounded(m.variance),
+        )
+        object.__setattr__(self, "hazard_map", rounded)
 
 
 def _rounded(layer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a layer to 16 significant bits: beyond any sensor here, and far shorter packed."""
-    bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32) & np.uint32(0xFFFFFF00)
-    return np.asarray(bits.view(np.float32))
+    """Return a layer rounded to 16 significant bits, which packs far shorter.
+
+    Heights within 256 m of the frame's origin are so kept to 2 mm, those within 1 km to 8 mm.
+    """
+    bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32)
+    whole = (bits + np.uint32(0x80)) & np.uint32(0xFFFFFF00)
+    return np.asarray(np.where(np.isfinite(layer), whole, bits).view(np.float32))
 
 
 @dataclass

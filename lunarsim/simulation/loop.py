@@ -108,8 +108,9 @@ class Simulation:
             steps=clock.steps,
             max_time=clock.max_time,
         )
-        knows = getattr(self.policy, "knows_truth", False)
-        self.computer = OnboardComputer(briefing, None if knows else self.policy)
+        # What is told the truth is asked here; every other policy is the computer's.
+        self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
+        self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
         self.recorder = Recorder(briefing.target)
         self._tap = tap
         if tap is not None:
@@ -210,18 +211,13 @@ class Simulation:
 
     def decide(self) -> None:
         """Ask the policy, if there is one and a decision is due."""
-        if self.policy is None or not self.decision_due:
-            return
-        observation = self.observe()
-        if getattr(self.policy, "knows_truth", False):
-            decision = self.policy.decide_by_truth(
-                observation, self.truth, self.navigation_error, self.computer.cost_of
+        if self._oracle is None:
+            self.computer.decide()
+        elif self.decision_due:
+            decision = self._oracle.decide_by_truth(
+                self.observe(), self.truth, self.navigation_error, self.computer.cost_of
             )
-        else:
-            decision = self.policy.decide(observation)
-        if not isinstance(decision, Decision):
-            raise InputError("policy", self.policy.name, "a policy whose decide returns a Decision")
-        self.apply(decision)
+            self.apply(decision)
 
     def move(self) -> None:
         """Let the computer command, the plant move and measure, and the computer take that in."""

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.policies.contract import Decision, Observation
@@ -61,7 +60,7 @@ class TruthOracle:
             Returns what it costs to fly to sites (n, 3), local frame.
         """
         grid = truth.safety.grid
-        clearance = ndimage.distance_transform_edt(truth.safety.safe) * grid.posting
+        clearance = truth.clearance
         here = observation.site - error
         row, col = (int(v) for v in grid.cell(here[:2]))
         if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= self.room:

@@ -142,13 +142,11 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     _draw_map(figure, panels[2], flight)
     _draw_measured(figure, panels[3], flight)
     if flight.hazard_map is not None:
-        x0, x1, y0, y1 = flight.hazard_map.grid.extent
+        x0, x1, y0, y1 = flight.hazard_map.grid.moved(-flight.map_error).extent
         if max(x1 - x0, y1 - y0) < 0.5 * max(east - west, north - south):
             # The ground reaches far beyond what is mapped: show the map and some of the way to it.
             aside = 0.25 * (x1 - x0)
-            dx, dy, _ = flight.map_error
-            west, east = x0 - dx - aside, x1 - dx + aside
-            south, north = y0 - dy - aside, y1 - dy + aside
+            west, east, south, north = x0 - aside, x1 + aside, y0 - aside, y1 + aside
     for panel in panels:
         _path_and_sites(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)
@@ -176,20 +174,11 @@ def _draw_map(figure: Any, panel: Any, flight: Flight) -> None:
     """Draw the map that decided, and the sites that were chosen from."""
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
-        x0, x1, y0, y1 = flight.hazard_map.grid.extent
-        dx, dy, _ = flight.map_error
-        image = panel.imshow(
-            shown,
-            origin="lower",
-            extent=(x0 - dx, x1 - dx, y0 - dy, y1 - dy),
-            interpolation="nearest",
-            cmap="viridis",
-            vmin=0.0,
-            vmax=1.0,
-        )
+        grid = flight.hazard_map.grid.moved(-flight.map_error)
+        image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
         figure.colorbar(image, ax=panel, label="probability of safety", shrink=0.6)
-        sites = flight.candidates
-        panel.plot(sites[:, 0] - dx, sites[:, 1] - dy, "o", mfc="none", mec="white", ms=6)
+        sites = flight.candidates[:, :2] - flight.map_error[:2]
+        panel.plot(*sites.T, "o", mfc="none", mec="white", ms=6)
     map_axes(panel, "hazard map and candidate sites")
 
 

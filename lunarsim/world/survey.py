@@ -50,14 +50,14 @@ class PriorSurvey:
     stale_side: float = quantity(12.0, "m", gt=0, help="of the patches out of date")
     stale_sigma: float = quantity(0.4, "m", ge=0, help="of what they show besides the ground")
 
+    def __post_init__(self) -> None:
+        if self.size / self.posting > _MOST_POSTS:
+            raise InputError("size", self.size, f"at most {_MOST_POSTS} posts of {self.posting} m")
+
     def build(
         self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator
     ) -> PriorMap:
         """Return the map about a point (east, north; m)."""
-        if self.size / self.posting > _MOST_POSTS:
-            raise InputError(
-                "prior_map.size_m", self.size, f"at most {_MOST_POSTS} posts of {self.posting} m"
-            )
         grid = Grid.centred(centre, self.size, self.posting)
         made = survey(
             terrain,
@@ -68,9 +68,7 @@ class PriorSurvey:
             stale_side=self.stale_side,
             stale_sigma=self.stale_sigma,
         )
-        east, north, up = self.offset
-        moved = Grid(grid.x0 + east, grid.y0 + north, grid.posting, grid.rows, grid.cols)
-        return PriorMap(moved, made.elevation + up, made.sigma)
+        return PriorMap(grid.moved(self.offset), made.elevation + self.offset[2], made.sigma)
 
 
 def survey(

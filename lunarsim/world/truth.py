@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
@@ -43,6 +45,12 @@ class Truth:
         )
         elevation = world.terrain.raster(grid)
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
+
+    @cached_property
+    def clearance(self) -> NDArray[np.float64]:
+        """Distance of each safe cell's centre to the nearest unsafe one's (rows, cols), m."""
+        cells = ndimage.distance_transform_edt(self.safety.safe)
+        return np.asarray(cells * self.safety.grid.posting)
 
     def safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
         """Tell which true points (..., 2) are exactly safe (nearest cell); False off the map."""

@@ -56,8 +56,7 @@ def sample_distance(distance: float, angle_deg: float) -> float:
 def baseline(points, grid: Grid, posting: float):
     """Conventional DEM at the scan's own posting, and its values at the cells of `grid`."""
     width, height = grid.cols * grid.posting, grid.rows * grid.posting
-    centre = (0.5 * (grid.extent[0] + grid.extent[1]), 0.5 * (grid.extent[2] + grid.extent[3]))
-    coarse = Grid.centred(centre, width, posting, height)
+    coarse = Grid.centred(grid.centre, width, posting, height)
     row, col = coarse.cell(grid.centres())
     nearest = (np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1))
     return conventional_dem(points, coarse), nearest

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsim.evaluation.map_quality import MapQuality, local_ground
-from lunarsim.evaluation.truth_mesh import TruthMesh, truth_hazards
+from lunarsim.evaluation.truth_mesh import TruthMesh
 from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.jerk_limited import site_cost
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, Selection, SiteSettings
@@ -51,8 +51,9 @@ def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> Ground:
     west, east, _, _ = mapper.grid.extent
     grid = Grid.centred(mapper.grid.centre, east - west, TRUTH)
     elevation = local_ground(simulation.world.terrain, grid, error)
-    hazard = truth_hazards(elevation, grid, 2.0 * s.zone, s.roughness_limit)
-    return Ground(grid, elevation, hazard, TruthMesh(elevation, grid, 2.0 * s.zone), error)
+    mesh = TruthMesh(elevation, grid, 2.0 * s.zone)
+    hazard = mesh.hazards(elevation, grid, s.roughness_limit)
+    return Ground(grid, elevation, hazard, mesh, error)
 
 
 def judged_sites(

@@ -77,7 +77,7 @@ def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str
     q = model.visible_pixels(rocks.a, azimuth, np.arctan2(altitude, level), pixel)
     view = camera.view(state)
     s = (np.column_stack((xy, np.zeros(len(xy)))) - position) @ view.axes
-    uv = s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]
+    uv = view.pinhole.project(s)
     inside = (s[:, 2] > 0.0) & (uv > 25.0).all(1) & (uv < np.array([615.0, 455.0])).all(1)
     found = np.zeros(len(xy), bool)
     false = np.zeros(len(seen), bool)
@@ -97,7 +97,7 @@ def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str
     offset = np.stack((unit.along, unit.side), -1) @ np.array([sun, [-sun[1], sun[0]]])
     middle = np.column_stack((xy + rocks.a[:, None] * offset, np.zeros(len(xy)))) - position
     s = middle @ view.axes
-    u, v = np.rint(s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]).T
+    u, v = np.rint(view.pinhole.project(s)).T
     u, v = np.clip(u, 0, 639).astype(int), np.clip(v, 0, 479).astype(int)
     patch = seen.labels[v, u]
     # Too small patches are dark too, but no detections: those are missed.

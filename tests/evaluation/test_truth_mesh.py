@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.truth_mesh import TruthMesh, truth_hazards
+from lunarsim.evaluation.truth_mesh import TruthMesh
 from lunarsim.grid import Grid
 
 
@@ -19,7 +19,7 @@ def test_truth_mesh_of_a_plane_is_the_plane():
     d = mesh.distance(z + 0.2, grid)
     assert d[np.isfinite(d)] == pytest.approx(0.2 / np.sqrt(1.0125), abs=1e-9)
     z[200:204, 200:204] += 0.5
-    hazards = truth_hazards(z, grid, 5.0, 0.3)
+    hazards = TruthMesh(z, grid, 5.0).hazards(z, grid, 0.3)
     assert np.nansum(hazards) == 16
     assert np.isnan(hazards[0, 0])
     with pytest.raises(InputError, match=r"truth\.spacing"):

@@ -7,8 +7,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.parts import hidden, quantity
-from lunarsim.parts.quantity import quantity_of
+from lunarsim.parts.quantity import check_bounds, quantity_of
 
 
 def test_degrees_of_the_default_are_radians_in_the_object():
@@ -75,3 +76,30 @@ def test_hidden_fields_say_so_and_plain_ones_say_nothing():
     assert quantity_of(own.metadata).hidden
     assert quantity_of(plain.metadata) is None
     assert Part() == Part(3, 4)
+
+
+@pytest.mark.parametrize(
+    ("values", "field", "expected"),
+    [
+        ({"angle": np.deg2rad(91.0)}, "angle", "at most 90 deg"),
+        ({"angle": np.nan}, "angle", "at most 90 deg"),
+        ({"length": 0.0}, "length", "more than 0 m"),
+        ({"length": np.inf}, "length", "more than 0 m"),
+        ({"corners": (0.1, -1e-9)}, "corners", "at least 0 deg"),
+        ({"corners": np.array([0.1, np.nan])}, "corners", "at least 0 deg"),
+    ],
+)
+def test_parts_made_in_python_keep_the_bounds_of_their_fields(values, field, expected):
+    @dataclass(frozen=True)
+    class Part:
+        angle: float = quantity(45.0, "deg", ge=0, le=90)
+        length: float = quantity(1.0, "m", gt=0)
+        corners: tuple[float, float] = quantity((0.0, 5.0), "deg", ge=0)
+        left_out: float | None = quantity(None, "m", gt=0)
+        own: float = hidden(-1.0)
+
+    check_bounds(Part(), "part")
+    with pytest.raises(InputError) as caught:
+        check_bounds(Part(**values), "part")
+    assert caught.value.field == f"part.{field}"
+    assert expected in caught.value.expected

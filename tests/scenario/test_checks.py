@@ -220,6 +220,11 @@ def test_changes_are_checked_too():
             "at most 6.66667",
         ),
         ({"control": {"damping": 50.0}}, "control.damping", "less than or equal to 3"),
+        (
+            map_lander(prior_map={"size_m": 1e5, "posting_m": 0.1}),
+            "prior_map.size_m",
+            "at most 4000 posts of 0.1 m",
+        ),
     ],
 )
 def test_names_doubles_and_gains(tables, field, words):

@@ -83,6 +83,22 @@ def test_scans_lie_one_on_the_other_though_the_altimeter_moves_the_height(flown)
     assert flight.maps["rocks"].hazard_map.elevation[0, 0] == pytest.approx(ground, abs=1e-3)
 
 
+def test_the_site_keeps_the_height_that_is_mapped_there():
+    simulation = Simulation(scenario("dem"), 4, "safest")
+    computer = simulation.computer
+    mapped = 0
+    while not simulation.done:
+        simulation.step()
+        mapper = computer.mapper
+        if mapper.blank or simulation.done:
+            continue
+        height = mapper.hazard_map().elevation_at(computer.site[:2])
+        if np.isfinite(height):
+            mapped += 1
+            assert computer.site[2] == pytest.approx(height, abs=1e-6), simulation.time
+    assert mapped > 100
+
+
 def test_the_other_map_can_decide(flown):
     _, by_dem = flown
     simulation = Simulation(scenario("rocks"), 4, "safest")

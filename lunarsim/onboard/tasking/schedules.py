@@ -29,6 +29,15 @@ def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
         )
 
 
+def _next_due(due: float, now: float, interval: float) -> float:
+    """Return when to measure again after measuring `now` what was due at `due`, s.
+
+    Cycles later than due are not lost, so that a rate that does not divide that of the cycles is
+    kept on the whole; after a pause it begins anew.
+    """
+    return due + interval if now < due + interval else now + interval
+
+
 @dataclass(frozen=True)
 class AtAltitudes:
     """One measurement at each of some altitudes.
@@ -168,14 +177,14 @@ class PeriodicSchedule:
         self._interval = 1.0 / rate
         self._first_altitude = first_altitude
         self._limit = limit
-        self._next = 0.0
+        self._next = -np.inf
 
     def task(self, situation: Situation) -> SensorTask | None:
         """Measure when the next one is due."""
         s = situation
         if s.time < self._next - 1e-9 or not 0.0 < s.altitude <= self._first_altitude:
             return None
-        self._next = s.time + self._interval
+        self._next = _next_due(self._next, s.time, self._interval)
         mount = gimbal_mount(s.estimate.attitude, s.site - s.estimate.position, self._limit)
         return SensorTask(self._sensor, mount)
 
@@ -220,7 +229,7 @@ class SweepSchedule:
         self._rate, self._dwell_rate = rate, dwell_rate
         self._last_altitude = last_altitude
         self._limit = limit
-        self._next = 0.0
+        self._next = -np.inf
         self._count = 0
 
     def task(self, situation: Situation) -> SensorTask | None:
@@ -229,7 +238,8 @@ class SweepSchedule:
         if s.time < self._next - 1e-9 or not s.altitude > self._last_altitude:
             return None
         sweeping = s.time < self._duration
-        self._next = s.time + 1.0 / (self._rate if sweeping else self._dwell_rate)
+        interval = 1.0 / (self._rate if sweeping else self._dwell_rate)
+        self._next = _next_due(self._next, s.time, interval)
         aim = s.site + self._offset() if sweeping else s.site
         self._count += 1
         mount = gimbal_mount(s.estimate.attitude, aim - s.estimate.position, self._limit)

@@ -11,7 +11,7 @@ from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockPopulation
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 
-_MOST_POSTS = 20_000
+MOST_POSTS = 20_000
 
 
 class Ground(Protocol):
@@ -42,8 +42,8 @@ def strewn(relief: Heightfield, rocks: RockPopulation, streams: Streams) -> Terr
 
 def check_posts(size: float, posting: float) -> None:
     """Raise `InputError` for relief of more than 20,000 posts a side: 1.6 GB."""
-    if size / posting > _MOST_POSTS:
-        raise InputError("size", size, f"at most {_MOST_POSTS} posts of {posting} m a side")
+    if size / posting > MOST_POSTS:
+        raise InputError("size", size, f"at most {MOST_POSTS} posts of {posting} m a side")
 
 
 def check_room(terrain: Terrain, footprint: float) -> None:

@@ -10,7 +10,7 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import Streams
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.grounds.contract import strewn
+from lunarsim.world.grounds.contract import MOST_POSTS, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
@@ -68,6 +68,13 @@ def _relief(ground: MeasuredGround) -> Heightfield:
     if ground.height_step is not None:
         measured = measured.dequantised(ground.height_step)
     measured = measured.scaled(ground.relief_scale)
+    west, east, south, north = measured.bounds
+    side = max(east - west, north - south)
+    if side / ground.posting > MOST_POSTS:
+        raise InputError(
+            "terrain.posting_m", ground.posting, f"at least {side / MOST_POSTS:.3g} m: at most "
+            f"{MOST_POSTS} posts along the {side:.0f} m of the raster",
+        )  # fmt: skip
     fine = measured.refined(ground.posting)
     if not ground.detail:
         return fine

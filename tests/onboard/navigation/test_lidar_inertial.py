@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
+from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import (
     attitude_from_thrust,
     quat_conjugate,
@@ -72,8 +72,7 @@ class Descent:
         )
 
     def nees(self):
-        e = self.error()
-        return float(e @ np.linalg.solve(self.filter.covariance[np.ix_(POSE, POSE)], e))
+        return normalised_square(self.error(), self.filter.covariance[np.ix_(POSE, POSE)])
 
     def scan(self, aim):
         state = State(self.position, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
@@ -97,32 +96,30 @@ def names(descent):
 
 
 def test_it_locks_and_then_errs_as_it_says(world):
-    runs, total, errors = 50, 0.0, []
-    for seed in range(runs):
+    nees, errors = Consistency(), []
+    for seed in range(50):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
         if descent.filter.locked:
-            total += descent.nees()
+            nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
     # Whoever starts three sigma off sweeps the grass beside the field.
-    runs = len(errors)
-    assert runs >= 44
+    assert len(errors) >= 44
     # A post's uses count less than they could, never more: the filter may only be too modest.
-    assert total / runs < chi2.ppf(0.975, 6 * runs) / runs
-    assert total / runs > 1.0
+    assert 1.0 / 6.0 < nees.ratio < nees.bounds(0.95)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (rms[:3] < 0.3).all()
     assert (np.rad2deg(rms[3:]) < 0.1).all()
 
 
 def test_before_the_lock_it_knows_that_it_does_not_know(world):
-    total = 0.0
+    nees = Consistency()
     for seed in range(20):
         # Level grass, far from the field: nothing to find.
         descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
         assert names(descent) == []
-        total += descent.nees()
-    assert total / 20 < chi2.ppf(0.995, 120) / 20
+        nees = nees.plus(descent.nees(), 6)
+    assert nees.ratio < nees.bounds(0.99)[1]
 
 
 def test_odometry_slows_the_drift(world):

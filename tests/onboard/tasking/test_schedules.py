@@ -99,6 +99,25 @@ def test_a_sweep_covers_its_square_row_by_row_and_then_dwells():
     assert np.diff(when[when >= 10.0 - 1e-9]) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("rate", [3.0, 7.0, 8.0])
+def test_rates_that_do_not_divide_the_cycles_are_kept_on_the_whole(rate):
+    times = 0.1 * np.arange(1001)
+    when, _ = tasks(built(Periodic(rate=rate)), times)
+    assert len(when) == pytest.approx(100.0 * rate, abs=2)
+    assert np.diff(when).max() < 1.0 / rate + 0.1 + 1e-9
+    # A sweep so gets over all of its square.
+    _, where = tasks(built(Sweep(size=40.0, duration=20.0, rate=rate)), times[:200])
+    assert where.max(axis=0) == pytest.approx(SITE[:2] + 20.0)
+
+
+def test_after_a_pause_the_rate_begins_anew():
+    schedule = built(Periodic(rate=2.0, first_altitude=150.0))
+    assert schedule.task(at(1.0, 100.0)) is not None
+    assert schedule.task(at(5.0, 200.0)) is None
+    when, _ = tasks(schedule, 0.1 * np.arange(60, 80))
+    assert when == pytest.approx([6.0, 6.5, 7.0, 7.5])
+
+
 def test_a_sweep_turns_away_near_the_ground():
     schedule = built(Sweep(last_altitude=15.0, rate=10.0))
     assert schedule.task(at(0.0, 15.0)) is None
