@@ -13,6 +13,9 @@ from lunarsim.models.camera import CameraModel
 
 Array = NDArray[np.float64]
 
+# Tangent of the slope that is taken for moderate.
+_MODERATE = 0.1
+
 
 @dataclass(frozen=True)
 class AltimeterReading:
@@ -71,6 +74,44 @@ class LidarScan:
         rotation = quat_to_matrix(attitude) @ self.mount
         rays = np.einsum("...ij,...j->...i", rotation, self.direction)
         return np.asarray(position + self.range[:, None] * rays)
+
+    def height_sigma(self, attitude: Array) -> Array:
+        """Return the standard deviation of the returns' heights (rows * cols,), m.
+
+        An error of range moves a return along its ray, and so off ground of moderate slope.
+
+        Parameters
+        ----------
+        attitude
+            Of the lander (4,).
+        """
+        rotation = quat_to_matrix(attitude) @ self.mount
+        down = np.einsum("j,...j->...", rotation[2], self.direction)
+        across = np.sqrt(np.maximum(1.0 - down**2, 0.0))
+        return np.asarray(self.sigma * np.hypot(down, _MODERATE * across))
+
+    def spacing(self, attitude: Array) -> Array:
+        """Return how far apart neighbouring returns lie on level ground (rows * cols,), m.
+
+        Along the line of sight, where they lie farthest apart; NaN for no return.
+
+        Parameters
+        ----------
+        attitude
+            Of the lander (4,).
+        """
+        rotation = quat_to_matrix(attitude) @ self.mount
+        down = np.abs(np.einsum("j,...j->...", rotation[2], self.direction))
+        rays = self.direction.reshape(*self.shape, 3)
+        pitch = np.zeros(self.shape)
+        for axis in (0, 1):
+            if self.shape[axis] < 2:
+                continue
+            step = np.linalg.norm(np.diff(rays, axis=axis), axis=2)
+            # The last pixel has the pitch of the one before it.
+            last = np.take(step, [-1], axis=axis)
+            pitch = np.maximum(pitch, np.concatenate((step, last), axis=axis))
+        return np.asarray(self.range * pitch.ravel() / np.maximum(down, 1e-3))
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,24 @@
-"""From the bounds of Eqs. 15 to 17 to a frequency.
+"""From what a map says of a site to how often such sites are safe, and where that is known.
 
-The conservative test answers for the worst of what a footprint may hold, so its probabilities are
-bounds and not frequencies: many sites that it calls hopeless are safe, and ground that a rock hides
-from an oblique scan counts as the worst. What the support planes say of the mean elevations knows
-nothing of what was not seen. A logistic regression on both, measured on testbeds, gives a
-probability that comes true as often as it says.
+Eqs. 15 to 17 of the Gaussian DEM paper bound the probability for the worst of what a footprint may
+hold; what the support planes say of the mean knows nothing of what was not seen. A logistic
+regression on both, and on the rocks that no sample has met, turns them into a frequency. All is
+dimensionless: heights count by the lander's limits, distances by its legs, rocks by footprint.
+
+The regression holds where few hazards stand unseen. Elsewhere no fit to other worlds can know how
+often a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance
+that no unseen rock stands there, and says that it does.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import RegularGridInterpolator
+from scipy import ndimage
 from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
@@ -22,108 +26,208 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.unseen_rocks import HeightCurve
 
 Array = NDArray[np.float64]
+FloatMap = NDArray[np.float32]
+BoolMap = NDArray[np.bool_]
 
-# Probits between which the regression may bend.
-_KNOTS = np.array([-6.0, -3.0, -1.0, 1.0, 3.0, 6.0])
-# Shares of the limits between which it may bend.
-_SHARES = np.array([0.0, 0.4, 0.7, 0.9, 1.0, 1.1, 1.3, 1.6, 2.5])
-COUNT = 1 + 2 * (len(_KNOTS) - 1) + 2 * (len(_SHARES) - 1)
-# Scans by which it was measured: ground sample distance across the line of sight, m, and how many
-# times longer it is along it. (200, 500 and 1000 m; 0, 30 and 60 deg.)
-ACROSS = (0.15625, 0.390625, 0.78125)
-ALONG = (1.0, 1.1585, 2.0619)
+# Between these the regression may bend: probits, shares of the limits, decades of unseen rocks in
+# the footprint, decades of the share of ground above a height.
+_PROBITS = np.array([-6.0, -4.0, -2.5, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 4.0])
+_SHARES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0, 1.05, 1.15, 1.3, 1.6, 2.2, 3.0])
+_ROCKS = np.array([-4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+_COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
+# Heights, over the limit, above which the share of ground counts.
+_HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
+# Intercept, noise, spacing and its square: nothing is claimed for these.
+FREE = 4
+RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_SHARES) - 1) + 2 * (len(_ROCKS) - 1)
+RISING += len(_HEIGHTS) * (len(_COVER) - 1)
+COUNT = FREE + RISING
+
+# In the domain at most so many hazards stand unseen in a footprint, and so many rocks under the
+# pads that would tilt the lander over its limit.
+MOST_HAZARDS = 0.03
+MOST_TILTING = 2.0
+# Landers and scans of the fit: noise over the roughness limit, spacing over the legs' radius.
+NOISES = (0.0, 0.5)
+SPACINGS = (0.01, 1.0)
 
 
-def features(
-    p_slope: ArrayLike, p_roughness: ArrayLike, slope: ArrayLike, roughness: ArrayLike
-) -> Array:
-    """Return what the calibrated probability is computed from (n, `COUNT`).
+@dataclass(frozen=True)
+class Evidence:
+    """What a map says of its sites, for `calibrated_safety`; rasters are (rows, cols).
 
-    A one, how much of each interval between probits the two bounds have passed, and how much of
-    each interval between shares of the limits the mean's slope and roughness leave: with weights
-    that are not negative a better bound, a gentler slope or smoother ground never lowers the
-    probability.
+    Attributes
+    ----------
+    level, planes
+        Of `stochastic_safety` and `plane_stochastic_safety`.
+    nominal
+        Of `bounded_safety` on the mean elevations.
+    lander
+        Of all three.
+    curve
+        How high the ground stands, from the samples and the mission's rock law.
+    density
+        Samples on a square metre.
+    noise, spacing
+        Standard deviation of a sample, and distance of neighbouring ones, m.
+    """
+
+    level: StochasticSafety
+    planes: StochasticSafety
+    nominal: SafetyMap
+    lander: Lander
+    curve: HeightCurve
+    density: Array
+    noise: float
+    spacing: float
+
+    def __post_init__(self) -> None:
+        for name in ("planes", "nominal"):
+            grid = getattr(self, name).grid
+            if grid != self.level.grid:
+                raise InputError(f"calibration.{name}", grid, f"a map on {self.level.grid}")
+        if np.shape(self.density) != self.level.grid.shape:
+            shape = np.shape(self.density)
+            raise InputError("calibration.density", shape, f"a raster {self.level.grid.shape}")
+        for name in ("noise", "spacing"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"calibration.{name}", value, "a positive length in metres")
+
+    @property
+    def observed(self) -> BoolMap:
+        """Where the whole footprint was seen."""
+        return self.level.observed & self.planes.observed & self.nominal.observed
+
+    @property
+    def slope(self) -> Array:
+        """Tangent of the nominal slope over that of the limit; NaN where not observed."""
+        slope = np.tan(self.nominal.slope.astype(np.float64))
+        return np.asarray(slope / np.tan(self.lander.slope_limit))
+
+    @property
+    def roughness(self) -> Array:
+        """Nominal roughness over the limit; NaN where not observed."""
+        return np.asarray(self.nominal.roughness / np.float64(self.lander.roughness_limit))
+
+    def tilting(self) -> Array:
+        """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
+        lander = self.lander
+        # A pad raised by this turns the lander about the opposite pads by the slope that is left.
+        height = (1.0 - self.slope) * np.tan(lander.slope_limit) * 1.4 * lander.leg_radius
+        ring = 2.0 * np.pi * lander.leg_radius * (lander.pad_diameter + 0.2)
+        return self._expected(height, ring)
+
+    def piercing(self) -> Array:
+        """Return how many unseen rocks in the footprint rise above what roughness is left."""
+        height = (1.0 - self.roughness) * self.lander.roughness_limit
+        return self._expected(height, self._footprint())
+
+    def hazards(self) -> Array:
+        """Return how many unseen rocks in the footprint alone would be too high."""
+        return self._expected(np.array(self.lander.roughness_limit), self._footprint())
+
+    def _footprint(self) -> float:
+        return float(np.pi * self.lander.leg_radius**2)
+
+    def _expected(self, height: Array, area: float) -> Array:
+        """Return rocks above a height (rows, cols) or () in an area about each site."""
+        each = self.curve.unseen(height, self.density)
+        if height.ndim:
+            return np.asarray(area * each)
+        # The density may change under the footprint.
+        width = max(1, round(np.sqrt(self._footprint()) / self.level.grid.posting))
+        return np.asarray(area * ndimage.uniform_filter(each, width, mode="nearest"))
+
+
+def _steps(values: Array, knots: Array) -> Array:
+    """Return how much of each interval between knots values (n,) have passed (n, k)."""
+    return np.column_stack(
+        [np.clip((values - low) / (high - low), 0.0, 1.0) for low, high in pairwise(knots)]
+    )
+
+
+def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
+    """Return what the probability is computed from, at sites (n, `COUNT`).
+
+    The first `FREE` say how well was measured. Each of the others only rises when slope,
+    roughness, the chance or size of a rock, or the expected unseen rocks fall; weights that are not
+    negative make the probability do so.
 
     Parameters
     ----------
-    p_slope, p_roughness
-        Of Eqs. 15 and 17 (n,).
-    slope, roughness
-        Of `bounded_safety` on the means, as shares of the lander's limits (n,).
+    evidence
+        Of the map.
+    where
+        The sites (rows, cols).
     """
-    columns = [np.ones(np.size(p_slope))]
-    for bound in (p_slope, p_roughness):
-        p = np.asarray(bound, dtype=np.float64).ravel()
-        z = ndtri(np.clip(p, 1e-30, 1.0 - 1e-12))
-        columns += [np.clip((z - low) / (high - low), 0.0, 1.0) for low, high in pairwise(_KNOTS)]
-    for share in (slope, roughness):
-        used = np.asarray(share, dtype=np.float64).ravel()
-        columns += [
-            np.clip((high - used) / (high - low), 0.0, 1.0) for low, high in pairwise(_SHARES)
-        ]
-    return np.column_stack(columns)
+    e = evidence
+    columns = []
+    for p in (e.level.p_slope, e.level.p_roughness, e.planes.p_slope, e.planes.p_roughness):
+        probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
+        columns.append(_steps(probit, _PROBITS))
+    for share in (e.slope, e.roughness):
+        columns.append(1.0 - _steps(share[where], _SHARES))
+    for rocks in (e.tilting(), e.piercing()):
+        columns.append(1.0 - _steps(np.log10(rocks[where] + 1e-6), _ROCKS))
+    n = len(columns[0])
+    for share in np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit)):
+        columns.append(1.0 - _steps(np.full(n, share), _COVER))
+    noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
+    spacing = np.log(e.spacing / e.lander.leg_radius)
+    free = np.tile([1.0, noise, spacing, spacing**2], (n, 1))
+    return np.column_stack([free, *columns])
+
+
+def in_domain(evidence: Evidence) -> BoolMap:
+    """Tell where few enough rocks can stand unseen for the regression to hold (rows, cols).
+
+    It does so by the map's own samples; noise and spacing must be within those of the fit.
+    """
+    e = evidence
+    noise, spacing = e.noise / e.lander.roughness_limit, e.spacing / e.lander.leg_radius
+    if not (NOISES[0] <= noise <= NOISES[1] and SPACINGS[0] <= spacing <= SPACINGS[1]):
+        return np.zeros(e.level.grid.shape, np.bool_)
+    with np.errstate(invalid="ignore"):
+        few = (e.hazards() <= MOST_HAZARDS) & (e.tilting() <= MOST_TILTING)
+    return e.observed & few
 
 
 @lru_cache(maxsize=1)
 def measured() -> Logistic:
-    """Return the weights measured by `scenarios/gaussian_dem/calibration.py`.
-
-    One set a scan: (across, along, feature), flat.
-    """
-    count = len(ACROSS) * len(ALONG) * COUNT
-    return Logistic.packaged("lunarsim.safety", "calibration.json", count)
+    """Return the weights measured by `scenarios/lidar_maps/calibration.py`."""
+    return Logistic.packaged("lunarsim.safety", "calibration.json", COUNT)
 
 
 def calibrated_safety(
-    safety: StochasticSafety,
-    nominal: SafetyMap,
-    lander: Lander,
-    spacing: tuple[float, float],
-    model: Logistic | None = None,
-) -> NDArray[np.float32]:
-    """Return the probability that a site is safe, as a frequency (rows, cols); 0 if not observed.
+    evidence: Evidence, model: Logistic | None = None
+) -> tuple[FloatMap, BoolMap]:
+    """Return the probability that a site is safe (rows, cols), and where it is a frequency.
+
+    It never rises with slope, roughness, or rocks, seen or expected. Outside the domain it is a
+    bound, see the head of this module; where not observed it is 0.
 
     Parameters
     ----------
-    safety
-        Of `stochastic_safety`.
-    nominal
-        Of `bounded_safety` on the mean elevations.
-    lander
-        Of both.
-    spacing
-        Ground sample distances of the scan along the line of sight and across it, m. Between the
-        scans that were measured weights are interpolated, beyond them the nearest counts.
+    evidence
+        Of the map.
     model
-        Left out: the packaged one, for the lander of the testbeds (2.35 m legs, 10 deg, 0.25 m).
-
-    Raises
-    ------
-    InputError
-        If a spacing is no distance from 0.1 to 2 m, or the two maps lie on different grids.
+        Left out: the packaged one.
     """
-    if safety.grid != nominal.grid:
-        raise InputError("calibration.nominal", nominal.grid, f"a map on {safety.grid}")
-    if not all(0.1 <= s <= 2.0 for s in spacing):
-        raise InputError("calibration.spacing", spacing, "ground sample distances of 0.1 to 2 m")
-    along, across = spacing
-    weights = np.array((model or measured()).weights).reshape(len(ACROSS), len(ALONG), COUNT)
-    place = (
-        np.log(np.clip(across, ACROSS[0], ACROSS[-1])),
-        np.log(np.clip(along / across, ALONG[0], ALONG[-1])),
-    )
-    own = RegularGridInterpolator((np.log(ACROSS), np.log(ALONG)), weights)(place).reshape(COUNT)
-    p = np.zeros(safety.p_safe.shape, np.float32)
-    seen = safety.observed & nominal.observed
-    p[seen] = expit(
-        features(
-            safety.p_slope[seen],
-            safety.p_roughness[seen],
-            nominal.slope[seen] / lander.slope_limit,
-            nominal.roughness[seen] / lander.roughness_limit,
-        )
-        @ own
-    )
-    return p
+    seen = evidence.observed
+    p = np.zeros(seen.shape, np.float32)
+    known = in_domain(evidence)
+    if seen.any():
+        p[seen] = expit(features(evidence, seen) @ np.array((model or measured()).weights))
+        none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
+        bound = np.minimum(evidence.level.p_safe, none.astype(np.float32))
+        p[seen & ~known] = np.minimum(p, bound)[seen & ~known]
+    return p, known
+
+
+def model_from(features_of: ArrayLike, safe: ArrayLike, note: str) -> Logistic:
+    """Fit the regression to features (n, `COUNT`) of sites and whether they are safe (n,)."""
+    return Logistic.fit(features_of, safe, note, rising=RISING)

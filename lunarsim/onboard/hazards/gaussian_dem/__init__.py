@@ -6,17 +6,20 @@ Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomo
 from lunarsim.onboard.hazards.gaussian_dem.conventional import ConventionalDem, conventional_dem
 from lunarsim.onboard.hazards.gaussian_dem.fit import FieldFit, fit_hyperparameters
 from lunarsim.onboard.hazards.gaussian_dem.full import full_regression
-from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, fuse, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
+from lunarsim.onboard.hazards.gaussian_dem.pooled import pooled_dem
+from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 
 __all__ = [
     "ConventionalDem",
     "FieldFit",
     "GaussianDem",
     "GaussianDemMapper",
+    "SamplePool",
     "conventional_dem",
     "fit_hyperparameters",
     "full_regression",
-    "fuse",
     "gaussian_dem",
+    "pooled_dem",
 ]

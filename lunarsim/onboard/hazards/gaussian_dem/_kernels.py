@@ -156,8 +156,8 @@ def _side(points, u, v, x, y):
 
 @kernel()
 def _regress_triangle(
-    points, a, b, c, use, x0, y0, p, prior, length_scale, noise, weight, least, mean, variance,
-    observed,
+    points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, least, mean,
+    variance, observed,
 ):  # fmt: skip
     rows, cols = mean.shape
     ax = points[a, 0]
@@ -173,22 +173,28 @@ def _regress_triangle(
     if i0 > i1 or j0 > j1:
         return
     # The Gram matrix and its inverse, symmetric.
-    d = prior + noise
+    da = prior + noise[a]
+    db = prior + noise[b]
+    dc = prior + noise[c]
     per_length = 1.0 / length_scale
     ab = prior * _correlation(ax, ay, bx, by, per_length)
     ac = prior * _correlation(ax, ay, cx, cy, per_length)
     bc = prior * _correlation(bx, by, cx, cy, per_length)
-    maa = d * d - bc * bc
-    mab = ac * bc - ab * d
-    mac = ab * bc - ac * d
-    mbb = d * d - ac * ac
-    mbc = ab * ac - bc * d
-    mcc = d * d - ab * ab
-    per_det = 1.0 / (d * maa + ab * mab + ac * mac)
+    maa = db * dc - bc * bc
+    mab = ac * bc - ab * dc
+    mac = ab * bc - ac * db
+    mbb = da * dc - ac * ac
+    mbc = ab * ac - bc * da
+    mcc = da * db - ab * ab
+    per_det = 1.0 / (da * maa + ab * mab + ac * mac)
     centre = (points[a, 2] + points[b, 2] + points[c, 2]) / 3.0
-    za = points[a, 2] - centre
-    zb = points[b, 2] - centre
-    zc = points[c, 2] - centre
+    gx = gradient[0]
+    gy = gradient[1]
+    mx = (ax + bx + cx) / 3.0
+    my = (ay + by + cy) / 3.0
+    za = points[a, 2] - centre - gx * (ax - mx) - gy * (ay - my)
+    zb = points[b, 2] - centre - gx * (bx - mx) - gy * (by - my)
+    zc = points[c, 2] - centre - gx * (cx - mx) - gy * (cy - my)
     for i in range(i0, i1 + 1):
         y = y0 + p * i
         for j in range(j0, j1 + 1):
@@ -207,7 +213,8 @@ def _regress_triangle(
             wa = (maa * ka + mab * kb + mac * kc) * per_det
             wb = (mab * ka + mbb * kb + mbc * kc) * per_det
             wc = (mac * ka + mbc * kb + mcc * kc) * per_det
-            mean[i, j] = centre + wa * za + wb * zb + wc * zc
+            trend = centre + gx * (x - mx) + gy * (y - my)
+            mean[i, j] = trend + wa * za + wb * zb + wc * zc
             if use:
                 variance[i, j] = max(prior - (ka * wa + kb * wb + kc * wc), 0.0)
                 observed[i, j] = True
@@ -215,17 +222,19 @@ def _regress_triangle(
 
 @kernel(parallel=True)
 def regress(
-    points, triangles, longest, gap, x0, y0, p, sigma_f, length_scale, sigma_eps, weight, least,
-    mean, variance, observed,
+    points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, least, mean,
+    variance, observed,
 ):  # fmt: skip
     """Write mean and variance (Eqs. 4 to 6) of the cells without samples, triangle by triangle.
 
-    The prior mean is that of the three vertices. Triangles with an edge longer than `gap` span
-    an occlusion: they give a mean, the prior variance, and leave `observed` False.
+    `noise` (n,) is the variance of each point, `prior` (m,) that of the field in each triangle,
+    `length` (m,) its length scale.
+    The prior mean is the plane through the three vertices' mean with the gradient (m, 2) of each
+    triangle. Triangles (m,) that are not usable span an occlusion: they give a mean, the prior
+    variance, and leave `observed` False.
     """
     for t in prange(triangles.shape[0]):
         _regress_triangle(
-            points, triangles[t, 0], triangles[t, 1], triangles[t, 2], longest[t] <= gap, x0, y0,
-            p, sigma_f * sigma_f, length_scale, sigma_eps * sigma_eps, weight, least, mean,
-            variance, observed,
+            points, noise, triangles[t, 0], triangles[t, 1], triangles[t, 2], usable[t],
+            gradient[t], x0, y0, p, prior[t], length[t], weight, least, mean, variance, observed,
         )  # fmt: skip

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 
@@ -65,6 +66,7 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
         If the array is not (n, 3), holds infinities, or no point falls on the grid.
     """
     cloud = check_points(points)
+    check_heights(cloud)
     base = base_height(cloud)
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     if not weight.any():
@@ -73,6 +75,28 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
         z = np.where(weight > 0.0, base + height.astype(np.float64) / weight, np.nan)
     k.fill_holes(z)
     return ConventionalDem(grid, z.astype(np.float32), weight)
+
+
+# Farther up or down float32 tells no millimetres.
+_FARTHEST = 8192.0
+
+
+def check_heights(cloud: NDArray[np.float64]) -> None:
+    """Refuse points (n, 3) that a map in float32 cannot hold.
+
+    Raises
+    ------
+    InputError
+        If one lies more than 8 km above or below the frame's origin.
+    """
+    if not len(cloud):
+        return
+    worst = float(cloud[np.argmax(np.abs(cloud[:, 2])), 2])
+    if abs(worst) > _FARTHEST:
+        raise InputError(
+            "points", worst,
+            f"heights within {_FARTHEST:.0f} m of the frame's origin; take a local frame",
+        )  # fmt: skip
 
 
 def base_height(cloud: NDArray[np.float64]) -> float:

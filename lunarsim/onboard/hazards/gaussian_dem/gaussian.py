@@ -6,19 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
-from lunarsim.onboard.hazards.gaussian_dem.conventional import base_height, check_points
+from lunarsim.onboard.hazards.gaussian_dem.conventional import (
+    base_height,
+    check_heights,
+    check_points,
+)
 from lunarsim.triangulation import delaunay, delaunay_of_image
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
 
 # A cell whose samples weigh more than this is measured, not interpolated.
-_DENSE = 0.5
-# A triangle whose longest edge is this many times longer than the median one spans an occlusion.
+DENSE = 0.5
+# A triangle with an edge this many times longer than the samples are apart spans an occlusion.
 _GAP = 3.0
+# Neighbours by which the distance of samples is judged where no sensor tells it.
+_NEAREST = 6
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,7 @@ def gaussian_dem(
     length_scale: float = 30.0,
     sigma_eps: float = 0.01,
     image_shape: tuple[int, int] | None = None,
+    spacing: ArrayLike | None = None,
 ) -> GaussianDem:
     """Build a Gaussian DEM from a point cloud (section II of the Gaussian DEM paper).
 
@@ -76,31 +84,40 @@ def gaussian_dem(
         Rows and columns of the detector, if the points are its returns in order: the
         triangulation then starts from the detector's mesh, and triangles over missing returns
         are known as such.
+    spacing
+        How far apart neighbouring samples lie, one or (n,), m: a triangle with an edge three times
+        as long spans ground that was not seen. `LidarScan.spacing` tells it; left out, it is
+        that of neighbouring pixels, or without `image_shape` the mean distance to a sample's six
+        nearest.
 
     Raises
     ------
     ValueError
-        If the array is not (n, 3), holds infinities, or a parameter is not positive.
+        If the array is not (n, 3), holds infinities, or a parameter is not positive; if heights
+        lie more than 8 km apart or from 0, where float32 no longer tells millimetres.
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
     raw = np.asarray(points, dtype=np.float64)
     cloud = check_points(raw)
     base = base_height(cloud)
+    check_heights(cloud)
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     mean = np.empty(grid.shape, np.float32)
     variance = np.empty(grid.shape, np.float32)
     observed = np.empty(grid.shape, np.bool_)
     k.measured_cells(
-        height, weight, base, _DENSE, sigma_eps * sigma_eps, sigma_f * sigma_f,
+        height, weight, base, DENSE, sigma_eps * sigma_eps, sigma_f * sigma_f,
         mean, variance, observed,
     )  # fmt: skip
     if not observed.all():
-        mesh = _Mesh.of(raw, cloud, image_shape)
+        mesh = _Mesh.of(raw, cloud, image_shape, spacing)
         if len(mesh.triangles):
             k.regress(
-                mesh.vertices, mesh.triangles, mesh.longest, mesh.gap,
-                grid.x0, grid.y0, grid.posting, sigma_f, length_scale, sigma_eps,
-                weight, np.float32(_DENSE), mean, variance, observed,
+                mesh.vertices, np.full(len(mesh.vertices), sigma_eps * sigma_eps), mesh.triangles,
+                mesh.usable, np.zeros((len(mesh.triangles), 2)), grid.x0, grid.y0, grid.posting,
+                np.full(len(mesh.triangles), sigma_f * sigma_f),
+                np.full(len(mesh.triangles), length_scale),
+                weight, np.float32(DENSE), mean, variance, observed,
             )  # fmt: skip
     return GaussianDem(grid, mean, variance, observed)
 
@@ -123,18 +140,13 @@ class _Mesh:
         (n, 3).
     triangles
         Indices into `vertices` (m, 3).
-    longest
-        Longest edge of each triangle (m,), m; inf for one over missing returns.
+    usable
+        False for triangles over ground that was not seen (m,).
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int64]
-    longest: NDArray[np.float64]
-
-    @property
-    def gap(self) -> float:
-        """Longest edge that spans no occlusion, m."""
-        return _GAP * float(np.median(self.longest))
+    usable: BoolMap
 
     @classmethod
     def of(
@@ -142,19 +154,75 @@ class _Mesh:
         raw: NDArray[np.float64],
         cloud: NDArray[np.float64],
         image_shape: tuple[int, int] | None,
+        spacing: ArrayLike | None,
     ) -> _Mesh:
         """Triangulate all points given, or the cloud of finite ones if they are no image."""
-        pixels, cols = np.zeros(0, np.int64), 1
         if image_shape is None:
-            vertices = _merge_coincident(cloud)
-            triangles = delaunay(vertices[:, :2])
+            return cls._of_cloud(raw, cloud, spacing)
+        if len(raw) != image_shape[0] * image_shape[1]:
+            raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
+        triangles = delaunay_of_image(_blank(raw), image_shape)
+        pixels = np.arange(len(raw))
+        longest = k.longest_edges(raw, triangles, pixels, image_shape[1])
+        wide = _pixel_spacing(raw, image_shape) if spacing is None else spacing
+        apart = np.broadcast_to(np.asarray(wide, dtype=np.float64), len(raw))
+        return cls(raw, triangles, without_gaps(longest, triangles, apart))
+
+    @classmethod
+    def _of_cloud(
+        cls, raw: NDArray[np.float64], cloud: NDArray[np.float64], spacing: ArrayLike | None
+    ) -> _Mesh:
+        vertices, group = _merge_coincident(cloud)
+        triangles = delaunay(vertices[:, :2])
+        longest = k.longest_edges(vertices, triangles, np.zeros(0, np.int64), 1)
+        if spacing is None:
+            apart = sample_spacing(vertices)
         else:
-            if len(raw) != image_shape[0] * image_shape[1]:
-                raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
-            vertices, cols = raw, image_shape[1]
-            pixels = np.arange(len(raw))
-            triangles = delaunay_of_image(_blank(raw), image_shape)
-        return cls(vertices, triangles, k.longest_edges(vertices, triangles, pixels, cols))
+            given = np.broadcast_to(np.asarray(spacing, dtype=np.float64), len(raw))
+            apart = np.full(len(vertices), np.inf)
+            np.minimum.at(apart, group, given[np.isfinite(raw).all(axis=1)])
+        return cls(vertices, triangles, without_gaps(longest, triangles, apart))
+
+
+def without_gaps(
+    longest: NDArray[np.float64], triangles: NDArray[np.int64], spacing: NDArray[np.float64]
+) -> BoolMap:
+    """Tell which triangles (m,) have no edge three times as long as their samples are apart.
+
+    Parameters
+    ----------
+    longest
+        Edge of each (m,), m.
+    triangles
+        Indices into `spacing` (m, 3).
+    spacing
+        Of the samples (n,), m; the widest at a triangle's corners counts.
+    """
+    return np.asarray(longest <= _GAP * spacing[triangles].max(axis=1, initial=0.0))
+
+
+def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
+    """Return the distance of neighbouring pixels' points in the direction of the longer one, m.
+
+    0 if no two neighbours have a return: nothing then tells gaps from sparse samples.
+    """
+    image = raw[:, :2].reshape(*shape, 2)
+    medians = [0.0]
+    for axis in (0, 1):
+        gap = np.hypot(*np.moveaxis(np.diff(image, axis=axis), -1, 0))
+        gap = gap[np.isfinite(gap)]
+        if gap.size:
+            medians.append(float(np.median(gap)))
+    return max(medians)
+
+
+def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean distance (n,) of points (n, 2 or more) to their nearest neighbours, m."""
+    nearest = min(_NEAREST, len(points) - 1)
+    if nearest < 1:
+        return np.full(len(points), np.inf)
+    distance, _ = cKDTree(points[:, :2]).query(points[:, :2], k=nearest + 1, workers=-1)
+    return np.asarray(distance[:, 1:].mean(axis=1))
 
 
 def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -164,36 +232,21 @@ def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(lost[:, None], np.nan, xy) if lost.any() else xy
 
 
-def _merge_coincident(cloud: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the cloud with samples at the same (x, y) replaced by their mean height."""
+def _merge_coincident(
+    cloud: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the cloud with samples at the same (x, y) replaced by their mean height.
+
+    The second array (n,) tells in which row of it each sample ended.
+    """
     order = np.lexsort((cloud[:, 1], cloud[:, 0]))
     same = (np.diff(cloud[order, :2], axis=0) == 0.0).all(axis=1)
     if not same.any():
-        return cloud
+        return cloud, np.arange(len(cloud))
     group = np.concatenate(([0], np.cumsum(~same)))
     first = order[np.concatenate(([True], ~same))]
     count = np.bincount(group)
     z = np.bincount(group, weights=cloud[order, 2]) / count
-    return np.column_stack((cloud[first, :2], z))
-
-
-def fuse(first: GaussianDem, second: GaussianDem) -> GaussianDem:
-    """Return the precision-weighted mean of two maps of the same grid.
-
-    Where one map has not observed a cell the other's value stands; where both have, the errors
-    are taken as independent.
-    """
-    if first.grid != second.grid:
-        raise ValueError("the maps lie on different grids")
-    w1 = np.where(first.observed, 1.0 / np.maximum(first.variance, 1e-12), 0.0)
-    w2 = np.where(second.observed, 1.0 / np.maximum(second.variance, 1e-12), 0.0)
-    both = w1 + w2
-    known = both > 0.0
-    safe = np.where(known, both, 1.0)
-    m1 = np.where(first.observed, first.mean, 0.0)
-    m2 = np.where(second.observed, second.mean, 0.0)
-    fallback = np.where(np.isfinite(second.mean), second.mean, first.mean)
-    mean = np.where(known, (w1 * m1 + w2 * m2) / safe, fallback)
-    prior = np.maximum(first.variance, second.variance)
-    variance = np.where(known, 1.0 / safe, prior)
-    return GaussianDem(first.grid, mean.astype(np.float32), variance.astype(np.float32), known)
+    of = np.empty(len(cloud), np.int64)
+    of[order] = group
+    return np.column_stack((cloud[first, :2], z)), of

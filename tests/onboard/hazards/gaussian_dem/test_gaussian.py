@@ -11,7 +11,6 @@ from lunarsim.onboard.hazards.gaussian_dem import (
     conventional_dem,
     fit_hyperparameters,
     full_regression,
-    fuse,
     gaussian_dem,
 )
 from tests.reference import dem as reference
@@ -84,6 +83,55 @@ def test_missing_returns_are_not_observed():
         gaussian_dem(image, grid, image_shape=(10, 10))
 
 
+def hole(points, side):
+    """Return the points outside a square hole about the origin."""
+    return points[(np.abs(points[:, :2]) > 0.5 * side).any(axis=1)]
+
+
+def test_a_hole_among_many_lost_returns_is_not_observed():
+    """Four of five returns are missing, and all in a hole of 10 m."""
+    rng = np.random.default_rng(5)
+    line = np.linspace(-20.0, 20.0, 101)
+    x, y = np.meshgrid(line, line[::-1])
+    image = np.column_stack((x.ravel(), y.ravel(), np.zeros(x.size)))
+    inside = (np.abs(image[:, :2]) < 5.0).all(axis=1)
+    image[(rng.random(len(image)) < 0.8) | inside] = np.nan
+    grid = Grid.centred((0.0, 0.0), 38.0, 0.5)
+    middle = (np.abs(grid.centres()) < 4.0).all(axis=-1)
+    for dem in (
+        gaussian_dem(image, grid, image_shape=x.shape),
+        gaussian_dem(image, grid, image_shape=x.shape, spacing=0.4),
+        gaussian_dem(image, grid, spacing=0.4),
+        gaussian_dem(image, grid),
+    ):
+        assert not dem.observed[middle].any()
+    # Sparse samples are no hole where nothing but their distance is known.
+    assert gaussian_dem(image, grid).observed[~middle].mean() > 0.5
+
+
+def test_a_fine_patch_hides_no_coarse_ground():
+    rng = np.random.default_rng(6)
+    coarse = np.column_stack((rng.uniform(-20.0, 20.0, (1600, 2)), np.zeros(1600)))
+    fine = np.column_stack((rng.uniform(5.0, 15.0, (40_000, 2)), np.zeros(40_000)))
+    grid = Grid.centred((0.0, 0.0), 36.0, 0.5)
+    alone = gaussian_dem(coarse, grid).observed
+    spacing = np.concatenate((np.full(1600, 1.0), np.full(40_000, 0.05)))
+    for given in (None, spacing):
+        both = gaussian_dem(np.concatenate((coarse, fine)), grid, spacing=given).observed
+        assert alone.mean() > 0.9
+        assert both.mean() > alone.mean() - 0.02
+
+
+def test_a_gap_of_four_spacings_is_one_and_of_two_is_none():
+    line = np.arange(-10.0, 10.01, 0.5)
+    x, y = np.meshgrid(line, line)
+    points = np.column_stack((x.ravel(), y.ravel(), np.zeros(x.size)))
+    grid = Grid.centred((0.0, 0.0), 16.0, 0.2)
+    middle = grid.cell([0.05, 0.05])
+    assert gaussian_dem(hole(points, 1.0 - 1e-6), grid, spacing=0.5).observed[middle]
+    assert not gaussian_dem(hole(points, 2.0 - 1e-6), grid, spacing=0.5).observed[middle]
+
+
 def test_image_order_changes_nothing_on_open_ground():
     rng = np.random.default_rng(3)
     x, y = np.meshgrid(np.linspace(-5, 5, 40), np.linspace(5, -5, 40))
@@ -95,16 +143,6 @@ def test_image_order_changes_nothing_on_open_ground():
     assert np.allclose(a.mean, b.mean, atol=1e-5)
     assert np.allclose(a.variance, b.variance, atol=1e-7)
     assert np.array_equal(a.observed, b.observed)
-
-
-def test_fusion_weighs_by_precision():
-    a = gaussian_dem(cloud(1, 3000), GRID, sigma_eps=0.02)
-    b = gaussian_dem(cloud(2, 3000), GRID, sigma_eps=0.01)
-    both = fuse(a, b)
-    seen = a.observed & b.observed
-    assert np.allclose(both.variance[seen], 1.0 / (1.0 / a.variance + 1.0 / b.variance)[seen])
-    w = (1.0 / a.variance) / (1.0 / a.variance + 1.0 / b.variance)
-    assert np.allclose(both.mean[seen], (w * a.mean + (1 - w) * b.mean)[seen], atol=1e-5)
 
 
 @given(st.floats(-500.0, 500.0), st.integers(-5, 5), st.integers(-5, 5))
@@ -129,6 +167,10 @@ def test_bad_clouds():
         gaussian_dem(cloud(1), GRID, length_scale=-1.0)
     with pytest.raises(ValueError, match="sigma_eps"):
         gaussian_dem(cloud(1), GRID, sigma_eps=float("nan"))
+    with pytest.raises(ValueError, match=r"points = 1737400\.\d+: heights within 8192 m"):
+        gaussian_dem(cloud(1) + [0.0, 0.0, 1_737_400.0], GRID)
+    with pytest.raises(ValueError, match="heights within"):
+        conventional_dem(cloud(1) + [0.0, 0.0, -9000.0], GRID)
     with pytest.raises(ValueError, match="none of the"):
         conventional_dem([[100.0, 0.0, 0.0]], GRID)
 

@@ -1,0 +1,141 @@
+"""Compiled kernels of the pooled samples and of the roughness between them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+
+
+@kernel()
+def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
+    """Add points (n, 3) to the sums of `SamplePool`; return how many fell on the grid.
+
+    `own` (rows, cols) gets the weights of these points alone.
+    """
+    x0, y0, p = frame
+    rows, cols = least.shape
+    count = 0
+    for n in range(points.shape[0]):
+        u = (points[n, 0] - x0) / p
+        v = (points[n, 1] - y0) / p
+        if not (u > -1.0 and v > -1.0 and u < cols and v < rows):
+            continue
+        z = points[n, 2] - base
+        precision = 1.0 / (sigma[n] * sigma[n])
+        j = int(np.floor(u + 0.5))
+        i = int(np.floor(v + 0.5))
+        if i >= 0 and i < rows and j >= 0 and j < cols:
+            count += 1
+            centroid[i, j, 0] += precision
+            centroid[i, j, 1] += precision * (u - j) * p
+            centroid[i, j, 2] += precision * (v - i) * p
+            centroid[i, j, 3] += precision * z
+            least[i, j] = min(least[i, j], spacing[n])
+        j = int(np.floor(u))
+        i = int(np.floor(v))
+        for b in range(2):
+            for a in range(2):
+                r = i + b
+                c = j + a
+                if r < 0 or r >= rows or c < 0 or c >= cols:
+                    continue
+                w = (u - j if a == 1 else 1.0 - u + j) * (v - i if b == 1 else 1.0 - v + i)
+                own[r, c] += w
+                splat[r, c, 1] += w * precision
+                splat[r, c, 2] += w * precision * z
+                splat[r, c, 3] += w * w * precision
+    return count
+
+
+@kernel()
+def plane_sums(points, x0, y0, side, out):
+    """Add to each square (rows, cols, 9) the moments 1, x, y, z, xx, xy, yy, xz, yz of its points.
+
+    x and y are counted from the middle of the grid of squares.
+    """
+    rows, cols = out.shape[:2]
+    for n in range(points.shape[0]):
+        j = int(np.floor((points[n, 0] - x0) / side))
+        i = int(np.floor((points[n, 1] - y0) / side))
+        if i < 0 or i >= rows or j < 0 or j >= cols:
+            continue
+        x = points[n, 0] - x0 - 0.5 * side * cols
+        y = points[n, 1] - y0 - 0.5 * side * rows
+        z = points[n, 2]
+        s = out[i, j]
+        s[0] += 1.0
+        s[1] += x
+        s[2] += y
+        s[3] += z
+        s[4] += x * x
+        s[5] += x * y
+        s[6] += y * y
+        s[7] += x * z
+        s[8] += y * z
+
+
+@kernel(parallel=True)
+def triangle_growth(points, variance, triangles, gradient, out):
+    """Write what the edges of each triangle have grown, and twice their lengths (m, 2).
+
+    The squared differences in height off the gradient (m, 2), less what noise adds to them.
+    """
+    for t in prange(triangles.shape[0]):
+        grown = 0.0
+        length = 0.0
+        for e in range(3):
+            a = triangles[t, e]
+            b = triangles[t, (e + 1) % 3]
+            dx = points[b, 0] - points[a, 0]
+            dy = points[b, 1] - points[a, 1]
+            d = points[b, 2] - points[a, 2] - gradient[t, 0] * dx - gradient[t, 1] * dy
+            grown += d * d - variance[a] - variance[b]
+            length += 2.0 * np.sqrt(dx * dx + dy * dy)
+        out[t, 0] = grown
+        out[t, 1] = length
+
+
+@kernel(parallel=True)
+def measured_pool(splat, base, least, growth, square, sub, prior, mean, variance, observed):
+    """Write mean, variance and observed of the cells that were measured, else the prior's.
+
+    `growth` (m) is that of squares of `square` cells; `sub` times it is what the ground differs
+    by between a single sample and the cell's centre, m^2; many lie about the centre.
+    """
+    rows, cols = mean.shape
+    for i in prange(rows):
+        for j in range(cols):
+            if splat[i, j, 0] > least:
+                w = splat[i, j, 1]
+                mean[i, j] = base + splat[i, j, 2] / w
+                aside = sub * growth[i // square, j // square] / max(splat[i, j, 0], 1.0)
+                variance[i, j] = splat[i, j, 3] / (w * w) + aside
+                observed[i, j] = True
+            else:
+                mean[i, j] = np.nan
+                variance[i, j] = prior
+                observed[i, j] = False
+
+
+@kernel(parallel=True)
+def add_kinks(mean, measured, noise, share, variance):
+    """Add to the variance of measured cells what the ground bends by there.
+
+    On the edge of a rock a cell's samples lie above or below its centre. The bend is the second
+    difference of the mean, the greatest of four directions; what is not three times its noise is
+    none.
+    """
+    rows, cols = mean.shape
+    for i in prange(1, rows - 1):
+        for j in range(1, cols - 1):
+            if not measured[i, j]:
+                continue
+            most = 0.0
+            for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                bend = 0.5 * (mean[i + di, j + dj] + mean[i - di, j - dj]) - mean[i, j]
+                if np.isfinite(bend):
+                    most = max(most, bend * bend)
+            left = most - 13.5 * noise[i, j]
+            if left > 0.0:
+                variance[i, j] += share * left

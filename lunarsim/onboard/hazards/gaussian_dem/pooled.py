@@ -1,0 +1,237 @@
+"""The Gaussian DEM of many scans, with a random field as rough as the ground about each triangle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
+from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
+from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
+    DENSE,
+    GaussianDem,
+    without_gaps,
+)
+from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
+from lunarsim.triangulation import delaunay
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# The field's variance over that of what is asked of it in a triangle: so large that the level of a
+# triangle is known from its corners alone, and only the kernel's growth at the origin matters.
+_WIDE = 100.0
+# Scale on which ground that was not seen may stand off the rest, m.
+_FAR = 30.0
+# Growth of a cell's own square counts as much as this many squares of the whole map's.
+_PRIOR = 1.0
+# A dead level plane of millimetres still has dust on it.
+_LEAST_GROWTH = 1e-6
+# Of the posting: where in its cell a sample lies, as far as the field can differ from the centre.
+_SUB = 0.15
+# Of the squared bend of the ground at a cell.
+_KINK = 0.3
+# A triangle's own growth counts where its edges have grown by this many times their noise.
+_SIGNIFICANT = 6.0
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What the samples of a map say of themselves and of the ground between them.
+
+    Attributes
+    ----------
+    density
+        Samples at different places on a square metre (rows, cols).
+    spacing
+        Middle one of the scans' own distances of neighbouring samples, m.
+    noise
+        Middle one of the samples' standard deviations, m.
+    rises
+        Heights of the samples above the ground about them (n,), m.
+    """
+
+    density: Array
+    spacing: float
+    noise: float
+    rises: Array
+
+
+@dataclass(frozen=True)
+class PooledDem(GaussianDem):
+    """A Gaussian DEM and the sampling that it was made of; see `GaussianDem`."""
+
+    sampling: Sampling
+
+
+def pooled_dem(pool: SamplePool) -> PooledDem:
+    """Return mean and variance of the elevation between all samples.
+
+    As `gaussian_dem`, but for the mean and the variance of the field. The paper's kernel (Eq. 4)
+    grows by ``sigma_f^2 / length_scale`` a metre near its origin, and that alone matters between
+    near samples. Here it is measured: the mean squared difference along the edges of the triangles,
+    off the slope of the ground, less the noise, over twice their length, in squares of a few
+    samples, and of a triangle alone where it shows more. Rocky ground is so given the spread that
+    it has, and smooth ground its own. The field's mean has the slope of the ground about a
+    triangle, so that noise larger than the relief does not flatten it.
+    """
+    grid = pool.grid
+    mean, variance = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
+    observed = np.empty(grid.shape, np.bool_)
+    vertices, noise, spacing = pool.vertices()
+    triangles = delaunay(vertices[:, :2]) if len(vertices) > 2 else np.zeros((0, 3), np.int64)
+    longest = k.longest_edges(vertices, triangles, np.zeros(0, np.int64), 1)
+    # Thinned to one a cell they are no nearer than that.
+    usable = without_gaps(longest, triangles, np.maximum(spacing, grid.posting))
+    squares = _Squares.of(grid, longest[usable])
+    middles = vertices[triangles].mean(axis=1)
+    planes = squares.planes(vertices)
+    gradient = squares.at(planes[..., 1:], middles)
+    grown = np.empty((len(triangles), 2))
+    sk.triangle_growth(vertices, noise, triangles, gradient, grown)
+    growth = squares.growth(middles[usable], grown[usable])
+    weight = np.ascontiguousarray(pool.splat[..., 0], dtype=np.float32)
+    sk.measured_pool(
+        pool.splat, pool.base or 0.0, DENSE, growth, squares.cells, _SUB * grid.posting,
+        float(growth.max()) * _FAR, mean, variance, observed,
+    )  # fmt: skip
+    if len(triangles) and not observed.all():
+        own = grown[:, 0] - (_SIGNIFICANT - 1.0) * _edge_noise(noise, triangles)
+        rate = np.maximum(squares.at(growth, middles), own / grown[:, 1])
+        prior = _WIDE * (noise[triangles].max(axis=1) + rate * grown[:, 1])
+        k.regress(
+            vertices, noise, triangles, usable, gradient, grid.x0, grid.y0, grid.posting,
+            prior, prior / rate, weight, np.float32(DENSE), mean, variance, observed,
+        )  # fmt: skip
+    measured = weight > DENSE
+    with np.errstate(divide="ignore", invalid="ignore"):
+        averaged = pool.splat[..., 3] / pool.splat[..., 1] ** 2
+    sk.add_kinks(mean, measured, averaged, _KINK, variance)
+    return PooledDem(
+        grid, mean, variance, observed, _sampling(pool, vertices, noise, spacing, squares, planes)
+    )
+
+
+def _sampling(
+    pool: SamplePool, vertices: Array, noise: Array, spacing: Array, squares: _Squares, planes: Array
+) -> Sampling:
+    if not len(vertices):
+        nothing = np.zeros(pool.grid.shape)
+        return Sampling(nothing, np.inf, np.inf, np.zeros(0))
+    middle = float(np.median(spacing))
+    # Over some four samples each way.
+    window = max(5, round(4.0 * middle / pool.grid.posting))
+    taken = ndimage.uniform_filter(np.isfinite(pool.spacing).astype(np.float64), window)
+    return Sampling(
+        np.maximum(taken, 0.0) / pool.grid.posting**2,
+        middle,
+        float(np.sqrt(np.median(noise))),
+        vertices[:, 2] - squares.heights(planes, vertices),
+    )
+
+
+def _edge_noise(noise: Array, triangles: IntArray) -> Array:
+    """Return what noise adds to the three squared differences of each triangle (m,), m^2."""
+    return np.asarray(2.0 * noise[triangles].sum(axis=1))
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """Squares of a few samples, in which slope and growth are measured.
+
+    Attributes
+    ----------
+    grid
+        The map.
+    cells
+        Side in its cells.
+    """
+
+    grid: Grid
+    cells: int
+
+    @classmethod
+    def of(cls, grid: Grid, edges: Array) -> _Squares:
+        """Return squares of some two edges (m,), m."""
+        if not len(edges):
+            return cls(grid, 8)
+        return cls(grid, int(np.clip(np.ceil(2.0 * np.median(edges) / grid.posting), 2, 64)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return -(-self.grid.rows // self.cells), -(-self.grid.cols // self.cells)
+
+    def at(self, values: Array, points: Array) -> Array:
+        """Return the values of the squares in which points (n, 2 or more) lie (n, ...)."""
+        row, col = self.grid.cell(points[:, :2])
+        rows, cols = self.shape
+        at = np.clip(row // self.cells, 0, rows - 1), np.clip(col // self.cells, 0, cols - 1)
+        return np.ascontiguousarray(values[at])
+
+    def growth(self, points: Array, grown: Array) -> Array:
+        """Return how fast the variogram rises from its origin (rows, cols), m.
+
+        Parameters
+        ----------
+        points
+            Middles of triangles (m, 2 or more).
+        grown
+            See `triangle_growth` (m, 2).
+        """
+        row, col = self.grid.cell(points[:, :2])
+        rows, cols = self.shape
+        index = np.clip(row // self.cells, 0, rows - 1) * cols
+        index = index + np.clip(col // self.cells, 0, cols - 1)
+        rise, length = (
+            np.bincount(index, weights=grown[:, n], minlength=rows * cols).reshape(self.shape)
+            for n in range(2)
+        )
+        if length.sum() <= 0.0:
+            return np.full(self.shape, _LEAST_GROWTH)
+        whole = max(rise.sum() / length.sum(), _LEAST_GROWTH)
+        usual = _PRIOR * length.sum() / np.count_nonzero(length)
+        own = (_around(rise) + usual * whole) / (_around(length) + usual)
+        return np.maximum(own, _LEAST_GROWTH)
+
+    def planes(self, vertices: Array) -> Array:
+        """Return the planes through the vertices of 5 x 5 squares (rows, cols, 3).
+
+        Height at the middle of the squares' raster, m, and slope to the east and north.
+        """
+        west, _, south, _ = self.grid.extent
+        sums = np.zeros((*self.shape, 9))
+        sk.plane_sums(vertices, west, south, self.cells * self.grid.posting, sums)
+        s = 25.0 * ndimage.uniform_filter(sums, (5, 5, 1), mode="constant")
+        n = np.maximum(s[..., 0], 1.0)
+        xx = s[..., 4] - s[..., 1] ** 2 / n
+        xy = s[..., 5] - s[..., 1] * s[..., 2] / n
+        yy = s[..., 6] - s[..., 2] ** 2 / n
+        xz = s[..., 7] - s[..., 1] * s[..., 3] / n
+        yz = s[..., 8] - s[..., 2] * s[..., 3] / n
+        determinant = xx * yy - xy * xy
+        sound = (s[..., 0] > 5.5) & (determinant > 1e-9 * np.maximum(xx * yy, 1e-12))
+        safe = np.where(sound, determinant, 1.0)
+        east = np.where(sound, (yy * xz - xy * yz) / safe, 0.0)
+        north = np.where(sound, (xx * yz - xy * xz) / safe, 0.0)
+        level = (s[..., 3] - east * s[..., 1] - north * s[..., 2]) / n
+        return np.stack((level, east, north), axis=-1)
+
+    def heights(self, planes: Array, points: Array) -> Array:
+        """Return the heights of the planes of their squares at points (n, 2 or more), m."""
+        west, _, south, _ = self.grid.extent
+        side = self.cells * self.grid.posting
+        rows, cols = self.shape
+        x = points[:, 0] - west - 0.5 * side * cols
+        y = points[:, 1] - south - 0.5 * side * rows
+        own = self.at(planes, points)
+        return np.asarray(own[:, 0] + own[:, 1] * x + own[:, 2] * y)
+
+
+def _around(values: Array) -> Array:
+    """Return sums over 3 x 3 squares."""
+    return np.asarray(9.0 * ndimage.uniform_filter(values, 3, mode="constant"))

@@ -1,0 +1,181 @@
+"""The matrix of worlds on which maps of LiDAR returns are judged: relief, rocks, lander, scan.
+
+A world is named by its parts, so that whole rows of the matrix can be kept out of a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from lunarsim.frames import sensor_axes
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.lander import Lander
+from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.rocks.laws import sample_diameters
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.grounds.measured import MeasuredGround
+from lunarsim.world.terrain import (
+    Heightfield,
+    Terrain,
+    add_craters,
+    fractal_relief,
+    place_rocks,
+)
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+SIDE = 130.0  # of the relief, m
+MIDDLE = 90.0  # of what is judged at most, m
+POSTING = 0.2  # of map and truth, m
+RELIEF_POSTING = 0.25
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+
+RELIEFS = (
+    "flat", "tilt-5", "tilt-9", "tilt-14", "fractal-3", "fractal-6", "fractal-10", "rough-5",
+    "craters", "hirise-0.2", "hirise-0.5", "apollo15",
+)  # fmt: skip
+ROCKS = (
+    "none", "one-metre", "golombek-2", "golombek-5", "golombek-10", "cubes-5", "irregular-5",
+    "small-0.6", "large-2",
+)  # fmt: skip
+LANDERS = {
+    "paper": Lander(),
+    "small": replace(Lander(), leg_radius=1.4, roughness_limit=0.18, pad_diameter=0.2),
+    "large": replace(Lander(), leg_radius=3.6, roughness_limit=0.45, pad_diameter=0.6),
+    "tripod": replace(Lander(), legs=3, leg_radius=2.0, slope_limit=np.deg2rad(12.0)),
+}
+RANGES = (120.0, 250.0, 500.0, 1000.0)
+ANGLES = (0.0, 30.0, 60.0)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One cell of the matrix.
+
+    Attributes
+    ----------
+    relief, rocks, lander
+        Names from `RELIEFS`, `ROCKS`, `LANDERS`.
+    distance, angle_deg
+        Of the flash from the middle of the map, and off nadir.
+    noise
+        Times the sensor's usual noise.
+    seed
+        Of relief, rocks and noise.
+    """
+
+    relief: str
+    rocks: str
+    lander: str
+    distance: float
+    angle_deg: float
+    noise: float
+    seed: int
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """Return a generator of the scene's own."""
+        return np.random.default_rng([self.seed, stream])
+
+    def terrain(self) -> Terrain:
+        """Return relief and rocks."""
+        ground = relief(self.relief, self.seed)
+        return Terrain(ground, rocks(self.rocks, ground, self.rng(1)))
+
+    def grid(self) -> Grid:
+        """Return the map: what the flash covers, and no more than `MIDDLE`."""
+        return Grid.centred((0.0, 0.0), min(MIDDLE, 0.2 * self.distance), POSTING)
+
+    def flash(self, terrain: Terrain) -> tuple[LidarScan, np.ndarray]:
+        """Flash once at the middle; return the scan and where it was taken from (3,)."""
+        angle, azimuth = np.deg2rad(self.angle_deg), self.rng(2).uniform(0.0, 2.0 * np.pi)
+        away = np.array([np.cos(azimuth), np.sin(azimuth)])
+        level = float(terrain.elevation(np.zeros(2)))
+        position = np.array([*(self.distance * np.sin(angle) * away), 0.0])
+        position[2] = level + self.distance * np.cos(angle)
+        state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
+        lidar = FlashLidar()
+        lidar = replace(lidar, noise_ratio=self.noise * lidar.noise_ratio)
+        aim = np.array([0.0, 0.0, level]) - position
+        world = World(terrain, 1.622)
+        return lidar.measure(world, state, 0.0, self.rng(3), sensor_axes(aim)), position
+
+
+def relief(name: str, seed: int) -> Heightfield:
+    """Return a ground without rocks, `SIDE` metres wide (measured ones: as they are)."""
+    kind, _, figure = name.partition("-")
+    grid = Grid.centred((0.0, 0.0), SIDE, RELIEF_POSTING)
+    rng = np.random.default_rng([seed, 0])
+    if kind in {"hirise", "apollo15"}:
+        return _measured(kind, float(figure or 1.0))
+    if kind in {"flat", "tilt"}:
+        tilt, azimuth = np.tan(np.deg2rad(float(figure or 0.0))), rng.uniform(0.0, 2.0 * np.pi)
+        xy = grid.centres()
+        z = tilt * (np.cos(azimuth) * xy[..., 0] + np.sin(azimuth) * xy[..., 1])
+        return Heightfield(grid, z.astype(np.float32))
+    hurst = {"fractal": 0.85, "rough": 0.6, "craters": 0.9}[kind]
+    slope = np.deg2rad(float(figure or 3.0))
+    ground = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
+    if kind == "craters":
+        ground = add_craters(ground, rng, minimum=2.0)
+    return ground
+
+
+@lru_cache(maxsize=4)
+def _measured(kind: str, scale: float) -> Heightfield:
+    part = {
+        "hirise": MeasuredGround(
+            path=DATA / "hirise_dteec_010228_1490_crop.tif", relief_scale=scale, detail=True,
+            hurst=0.8, rms_slope=np.deg2rad(2.0), crater_density=0.0,
+        ),
+        "apollo15": MeasuredGround(
+            path=DATA / "moon_apollo15_nac_dtm_2m.tif", dtm_posting=2.0, height_step=0.192,
+            dtm_window=(90, 160, 90, 160), detail=True, preset="mare",
+        ),
+    }[kind]  # fmt: skip
+    return part.relief()
+
+
+def rocks(name: str, ground: Heightfield, rng: np.random.Generator) -> RockField:
+    """Return the rocks of a law, drawn on a ground."""
+    kind, _, figure = name.partition("-")
+    west, east, south, north = ground.bounds
+    area = (east - west) * (north - south)
+    if kind == "none":
+        return RockField.empty()
+    if kind in {"one", "small", "large"}:
+        # As many as cover 1 % of the ground: 500 of 1 m on 200 x 200 m.
+        diameter = {"one": 1.0, "small": 0.6, "large": 2.0}[kind]
+        count = rng.poisson(0.01 * area / (0.25 * np.pi * diameter**2))
+        return place_rocks(ground, np.full(count, diameter), rng)
+    cover = 0.01 * float(figure)
+    model = {
+        "golombek": RockModel(), "cubes": RockModel("cube"), "irregular": RockModel("mixed"),
+    }[kind]  # fmt: skip
+    diameters = sample_diameters(area, cover, 0.15, 3.0, rng)
+    return place_rocks(ground, diameters, rng, model=model)
+
+
+def scenes(count: int, seed: int) -> Iterator[Scene]:
+    """Yield scenes in which every part of the matrix has its turn, drawn evenly."""
+    rng = np.random.default_rng([seed, 99])
+    decks: dict[str, list[str]] = {}
+    for n in range(count):
+        hand = {}
+        for name, cards in (("relief", RELIEFS), ("rocks", ROCKS), ("lander", tuple(LANDERS))):
+            if not decks.get(name):
+                decks[name] = list(rng.permutation(cards))
+            hand[name] = str(decks[name].pop())
+        yield Scene(
+            **hand,
+            distance=float(RANGES[n % len(RANGES)] * rng.uniform(0.8, 1.25)),
+            angle_deg=float(rng.choice(ANGLES)),
+            noise=float(rng.choice([0.5, 1.0, 1.0, 2.0])),
+            seed=seed * 100_003 + n,
+        )
