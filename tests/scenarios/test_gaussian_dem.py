@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy import ndimage
 
 from lunarsim.grid import Grid
 from tests.conftest import SCENARIOS
@@ -142,6 +143,19 @@ def test_unsafe_sites_are_split_by_whether_a_return_shows_the_rock(script, monke
     assert one.seen[0] + one.unseen[0] == one.quality.false_safe
     # What no return shows is called safe the more often.
     assert one.unseen[0] / one.unseen[1] > 3.0 * one.seen[0] / one.seen[1]
+    # The same split by distances on the raster, good to half a cell.
+    setting = {"sigma_f": np.sqrt(study.VARIANTS[0].growth * study.LENGTH)}
+    rng = np.random.default_rng([1, 0])
+    scan = study.mapped(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
+    low = np.ones(scan.grid.shape, np.bool_)
+    high = scan.points[scan.points[:, 2] > 0.25, :2]
+    row, col = scan.grid.cell(high[scan.grid.contains(high)])
+    low[row, col] = False
+    safe = study.truth_of(own, scan)["roughness"]
+    seen = study.stochastic_safety(scan.dem.mean, scan.dem.variance, scan.grid, study.LANDER)
+    judged = seen.observed & own.safety.observed[scan.window] & ~safe
+    shown = 0.1 * ndimage.distance_transform_edt(low)[judged] < study.LANDER.leg_radius
+    assert one.seen[1] == pytest.approx(shown.sum(), rel=0.02)
 
 
 def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):

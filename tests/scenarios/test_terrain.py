@@ -46,6 +46,7 @@ def test_detail_of_apollo_15_carries_the_relief_on(script, tmp_path):
     part = Scenario.load(SCENARIOS / "apollo15.toml").changed(
         terrain={"dtm_window": (60, 140, 20, 100)}
     )
+    assert part.terrain.detail
     part.save(tmp_path / "part.toml")
     arguments = ["--scenario", str(tmp_path / "part.toml"), "--box", "-70", "70", "-70", "70"]
     files = ["--out", str(tmp_path), "--json", str(tmp_path / "part.json")]
