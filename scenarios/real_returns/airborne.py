@@ -122,7 +122,7 @@ def study(cloud: Cloud, splits: int, title: str, console: Console) -> tuple[dict
 @click.option("--splits", type=click.IntRange(min=1), default=4, show_default=True,
               help="Random splits of the returns.")  # fmt: skip
 @click.option("--quick", is_flag=True,
-              help="Only what lies within 30 m of the middle, and ground alone.")  # fmt: skip
+              help="Only what lies within 24 m of the middle, and ground alone.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write all figures to this file.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
@@ -130,7 +130,7 @@ def study(cloud: Cloud, splits: int, title: str, console: Console) -> tuple[dict
 def main(splits: int, quick: bool, json_file: Path | None, out: Path | None) -> None:
     """Map real returns with both LiDAR mappers and judge by returns held back."""
     console = Console(width=170)
-    limit = 30.0 if quick else None
+    limit = 24.0 if quick else None
     kept, drawn = study(load(limit=limit), splits, "ground returns", console)
     result = {"ground": kept}
     if not quick:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 
@@ -46,7 +47,8 @@ def test_table_3_has_no_false_safe_cell(tmp_path):
 
 @pytest.mark.slow
 def test_table_5_beats_the_paper_everywhere(tmp_path):
-    assert run("--table", "5").count("yes │            yes") == 9
+    """And the baseline at the best phase of its grid."""
+    assert len(re.findall(r"yes │ +yes │", run("--table", "5"))) == 9
 
 
 def test_unknown_table_is_refused():
