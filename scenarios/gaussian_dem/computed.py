@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import operator
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,10 @@ from testbed import (
     MARGIN,
     POSTING,
     Field,
-    crop,
+    Mapped,
+    mapped,
     scan,
     testbed,
-    view_grid,
 )
 
 from lunarsim.evaluation.map_quality import MapQuality
@@ -45,6 +47,10 @@ from lunarsim.world.terrain.dtm import load_dtm
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`
 KINDS = ("slope", "roughness")
+# By how much of a cell the baseline's grid is moved, east and north: its samples come at the same
+# spacing as its cells, so how they fall into them is a matter of luck.
+PHASES = [(east / 4, north / 4) for east in range(4) for north in range(4)]
+HALF_PHASES = [(east / 2, north / 2) for east in range(2) for north in range(2)]
 
 
 def sample_distance(distance: float, angle_deg: float) -> float:
@@ -53,10 +59,13 @@ def sample_distance(distance: float, angle_deg: float) -> float:
     return float(np.sqrt(x * y))
 
 
-def baseline(points, grid: Grid, posting: float):
-    """Conventional DEM at the scan's own posting, and its values at the cells of `grid`."""
+def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0.0, 0.0)):
+    """Conventional DEM at the scan's own posting, and its values at the cells of `grid`.
+
+    `phase` moves its grid east and north by shares of a cell.
+    """
     width, height = grid.cols * grid.posting, grid.rows * grid.posting
-    coarse = Grid.centred(grid.centre, width, posting, height)
+    coarse = Grid.centred(grid.centre, width, posting, height).moved(np.multiply(phase, posting))
     row, col = coarse.cell(grid.centres())
     nearest = (np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1))
     return conventional_dem(points, coarse), nearest
@@ -121,31 +130,47 @@ def density(error: np.ndarray, variance: np.ndarray | float) -> float:
 
 
 def table_5(seeds: int) -> dict[str, Any]:
-    """Error and predictive density of the baseline and the proposed DEM."""
-    rows: list[list[list[float]]] = [[[], [], [], []] for _ in CONFIGURATIONS]
+    """Error and predictive density of the baseline, at all phases of its grid, and of ours.
+
+    ``rows`` holds by configuration the RMSE and the density of the baseline on the mean of the
+    phases, of the proposed method in between, and last the baseline's RMSE at its best and worst
+    phase, each by seed.
+    """
+    rows: list[list[list[float]]] = [[[] for _ in range(6)] for _ in CONFIGURATIONS]
     pictures: dict[str, list[Any]] = {"baseline": [], "mean": [], "sigma": []}
     for seed in track(range(seeds), description="table 5"):
         field = testbed(seed)
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
-            rng = np.random.default_rng([seed, n])
-            points, sigma, shape = scan(field, distance, angle, rng)
-            grid = view_grid(distance)
-            truth = field.elevation[crop(field, grid)]
-            dem = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=shape, **DENSITY)
-            coarse, nearest = baseline(points, grid, sample_distance(distance, angle))
+            one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
+            truth = field.elevation[one.window]
             # Inside the samples' hull; cells over occlusions count too, with the prior's variance.
-            inside = np.isfinite(dem.mean)
-            own = (dem.mean - truth)[inside].astype(float)
-            base = (coarse.elevation[nearest] - truth)[inside].astype(float)
-            rows[n][0].append(float(np.sqrt(np.mean(base**2))))
-            rows[n][1].append(float(np.sqrt(np.mean(own**2))))
-            rows[n][2].append(density(base, sigma**2))
-            rows[n][3].append(density(own, dem.variance[inside].astype(float)))
+            inside = np.isfinite(one.dem.mean)
+            rmse, nlpd = [], []
+            posting = sample_distance(distance, angle)
+            for phase in PHASES:
+                coarse, nearest = baseline(one.points, one.grid, posting, phase)
+                error = (coarse.elevation[nearest] - truth)[inside].astype(float)
+                rmse.append(rms(error))
+                nlpd.append(density(error, one.sigma**2))
+                if seed == 0 and phase == (0.0, 0.0):
+                    picture = (coarse.elevation[nearest], one.grid, one.points)
+                    pictures["baseline"].append(picture)
+            own = (one.dem.mean - truth)[inside].astype(float)
+            values = (
+                statistics.mean(rmse), rms(own), statistics.mean(nlpd),
+                density(own, one.dem.variance[inside].astype(float)), min(rmse), max(rmse),
+            )  # fmt: skip
+            for column, value in zip(rows[n], values, strict=True):
+                column.append(value)
             if seed == 0:
-                pictures["baseline"].append((coarse.elevation[nearest], grid, points))
-                pictures["mean"].append((dem.mean, grid, points))
-                pictures["sigma"].append((np.sqrt(dem.variance), grid, points))
+                pictures["mean"].append((one.dem.mean, one.grid, one.points))
+                pictures["sigma"].append((np.sqrt(one.dem.variance), one.grid, one.points))
     return {"rows": rows, "pictures": pictures}
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(error**2)))
 
 
 @dataclass(frozen=True)
@@ -155,99 +180,113 @@ class Judged:
     Attributes
     ----------
     p
-        Probability of safety by method and kind, on the grid.
+        Probability of safety by method and kind, on the grid; of the baseline a list, one for
+        each phase of its grid.
     truth
         By kind, on the grid.
     judged
         Cells that all have an opinion on, and the truth too.
     p_safe
         Of the proposed method, both kinds together.
-    grid, points
-        The map and the returns.
+    scan
+        The scan.
     """
 
-    p: dict[tuple[str, str], np.ndarray]
+    p: dict[tuple[str, str], list[np.ndarray]]
     truth: dict[str, np.ndarray]
     judged: np.ndarray
     p_safe: np.ndarray
-    grid: Grid
-    points: np.ndarray
+    scan: Mapped
+
+
+def truth_of(field: Field, one: Mapped) -> dict[str, np.ndarray]:
+    """Whether slope and roughness are safe on the grid that is judged."""
+    return {
+        "slope": field.safety.slope[one.window] < LANDER.slope_limit,
+        "roughness": field.safety.roughness[one.window] < LANDER.roughness_limit,
+    }
 
 
 def judge(field: Field, seed: int, n: int) -> Judged:
     """Scan a testbed in its n-th configuration and judge it by all methods."""
     distance, angle = CONFIGURATIONS[n]
-    rng = np.random.default_rng([seed, n])
-    points, sigma, shape = scan(field, distance, angle, rng)
-    grid = view_grid(distance)
-    window = crop(field, grid)
-    dem = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=shape, **MARGIN)
+    one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
     # Cells over occlusions have the prior's variance and so count as unsafe.
-    own = stochastic_safety(dem.mean, dem.variance, grid, LANDER)
-    coarse, nearest = baseline(points, grid, sample_distance(distance, angle))
-    other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=sigma)
-    planes = plane_stochastic_safety(dem.mean, dem.variance, grid, LANDER)
-    return Judged(
-        {
-            ("baseline", "slope"): other.p_slope[nearest],
-            ("baseline", "roughness"): other.p_roughness[nearest],
-            ("proposed", "slope"): own.p_slope,
-            ("proposed", "roughness"): own.p_roughness,
-            ("planes", "slope"): planes.p_slope,
-            ("planes", "roughness"): planes.p_roughness,
-        },
-        {
-            "slope": field.safety.slope[window] < LANDER.slope_limit,
-            "roughness": field.safety.roughness[window] < LANDER.roughness_limit,
-        },
-        own.observed & other.observed[nearest] & field.safety.observed[window],
-        own.p_safe,
-        grid,
-        points,
-    )
+    own = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
+    planes = plane_stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
+    judged = own.observed & field.safety.observed[one.window]
+    p: dict[tuple[str, str], list[np.ndarray]] = {
+        ("baseline", "slope"): [],
+        ("baseline", "roughness"): [],
+        ("proposed", "slope"): [own.p_slope],
+        ("proposed", "roughness"): [own.p_roughness],
+        ("planes", "slope"): [planes.p_slope],
+        ("planes", "roughness"): [planes.p_roughness],
+    }
+    for phase in HALF_PHASES:
+        posting = sample_distance(distance, angle)
+        coarse, nearest = baseline(one.points, one.grid, posting, phase)
+        other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=one.sigma)
+        judged &= other.observed[nearest]
+        p["baseline", "slope"].append(other.p_slope[nearest])
+        p["baseline", "roughness"].append(other.p_roughness[nearest])
+    return Judged(p, truth_of(field, one), judged, own.p_safe, one)
 
 
 def table_6(seeds: int) -> dict[str, Any]:
-    """Precision and recall of slope and roughness safety, and reliability of p_safe."""
+    """Precision and recall of slope and roughness safety, and reliability of p_safe.
+
+    ``curves`` holds the counts by kind, configuration and method, one for each seed; all that is
+    printed comes from them. The baseline's pool the phases of its grid.
+    """
     numbers = range(len(CONFIGURATIONS))
-    rows: list[list[list[float]]] = [[[] for _ in range(8)] for _ in numbers]
     pictures: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
     bins = np.zeros((len(CONFIGURATIONS), 20, 3))
-    curves: dict[tuple[str, int, str], PrecisionRecall] = {}
+    curves: dict[tuple[str, int, str], list[PrecisionRecall]] = {
+        (kind, n, method): [] for kind in KINDS for n in numbers for method in METHODS
+    }
     for seed in track(range(seeds), description="table 6"):
         field = testbed(seed)
         for n in numbers:
             one = judge(field, seed, n)
             seen = one.judged
-            for (method, kind), p in one.p.items():
-                curve = PrecisionRecall.of(p[seen], one.truth[kind][seen])
-                key = (kind, n, method)
-                curves[key] = curves[key] + curve if key in curves else curve
-                if method == "planes":
-                    continue
-                column = 2 * KINDS.index(kind) + METHODS.index(method)
-                quality = MapQuality.of(p[seen] > 0.5, one.truth[kind][seen])
-                rows[n][column].append(quality.precision)
-                rows[n][4 + column].append(quality.recall)
-                if seed == 0:
-                    missing = np.where(seen, one.truth[kind] - p, np.nan)
-                    pictures[f"{method} {kind}"].append((missing, one.grid, one.points))
+            for (method, kind), maps in one.p.items():
+                truth = one.truth[kind]
+                counted = [PrecisionRecall.of(p[seen], truth[seen]) for p in maps]
+                curves[kind, n, method].append(pooled(counted))
+                if seed == 0 and method != "planes":
+                    missing = np.where(seen, truth - maps[0], np.nan)
+                    picture = (missing, one.scan.grid, one.scan.points)
+                    pictures[f"{method} {kind}"].append(picture)
             safe = np.logical_and(*one.truth.values())
             bins[n] += reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
+    together = {key: pooled(own) for key, own in curves.items()}
     return {
-        "rows": rows,
         "pictures": pictures,
         "reliability": bins.tolist(),
         "curves": curves,
+        "at_half": {
+            f"{method} {kind}": [
+                [[q.precision, q.recall] for q in (c.at_half() for c in curves[kind, n, method])]
+                for n in numbers
+            ]
+            for method in METHODS
+            for kind in KINDS
+        },
         "precision_recall": {
             f"{method} {kind}": [
-                [curves[kind, n, method].unsafe.tolist(), curves[kind, n, method].safe.tolist()]
+                [together[kind, n, method].unsafe.tolist(), together[kind, n, method].safe.tolist()]
                 for n in numbers
             ]
             for method in METHODS
             for kind in KINDS
         },
     }
+
+
+def pooled(counts: list[PrecisionRecall]) -> PrecisionRecall:
+    """Add counts up."""
+    return reduce(operator.add, counts)
 
 
 def timed(call: Callable[[], Any], repeats: int) -> float:

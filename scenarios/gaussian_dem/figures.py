@@ -193,9 +193,9 @@ def draw_truth(field: Any, layer: np.ndarray, limit: float, label: str, path: Pa
 
 def draw_precision_recall(
     curves: list[dict[str, PrecisionRecall]], configurations: list[tuple[float, float]],
-    paper: list[tuple[float, float]], title: str, lowest: float, path: Path,
+    paper: list[list[tuple[float, float]]], title: str, lowest: float, path: Path,
 ) -> None:  # fmt: skip
-    """Precision against recall as the threshold falls, the paper's point beside.
+    """Precision against recall as the threshold falls, the paper's points beside.
 
     Parameters
     ----------
@@ -204,22 +204,24 @@ def draw_precision_recall(
     configurations
         Range and angle of each scan.
     paper
-        Precision and recall of the proposed method there.
+        Precision and recall there of baseline and proposed method.
     title, lowest, path
         Of the figure; the lowest precision it shows.
     """
     figure = new_figure(9.6, 9.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
-    for ax, own, (distance, angle), (precision, recall) in zip(
+    colours = ("#D55E00", "#0072B2", "#009E73")
+    for ax, own, (distance, angle), points in zip(
         axes.ravel(), curves, configurations, paper, strict=True
     ):
-        colours = ("#D55E00", "#0072B2", "#009E73")
         for (name, curve), colour in zip(own.items(), colours, strict=True):
             p, r = curve.curve()
             half = curve.at_half()
             ax.plot(r, p, color=colour, label=name)
             ax.plot(half.recall, half.precision, "o", color=colour, ms=4)
-        ax.plot(recall, precision, "k*", ms=9, label="proposed, paper")
+        names = ("baseline, paper", "proposed, paper")
+        for (precision, recall), colour, name in zip(points, colours, names, strict=False):
+            ax.plot(recall, precision, "*", color=colour, mec="black", ms=9, label=name)
         ax.set_title(f"{distance:.0f} m, {angle:.0f} deg")
         ax.set_xlim(0.6, 1.003)
         ax.set_ylim(lowest, 1.0 + 0.02 * (1.0 - lowest))

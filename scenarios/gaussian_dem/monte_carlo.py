@@ -20,12 +20,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy import fft, ndimage
-from testbed import LANDER, MARGIN, Field, crop, scan, testbed
+from testbed import LANDER, MARGIN, Field, Mapped, mapped, testbed
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem
 from lunarsim.safety import (
     exact_safety,
     plane_stochastic_safety,
@@ -52,13 +52,11 @@ class Task:
 
 
 @lru_cache(maxsize=4)
-def scanned(configuration: int, seed: int) -> tuple[Field, np.ndarray, float, Any, GaussianDem]:
-    """Return field, points, noise, detector shape and Gaussian DEM of a configuration."""
+def scanned(configuration: int, seed: int) -> tuple[Field, Mapped]:
+    """Return the testbed and its scan in one configuration."""
     field = testbed(seed, SIDE + 10.0)
     rng = np.random.default_rng([seed, configuration])
-    points, sigma, shape = scan(field, *CONFIGURATIONS[configuration], rng)
-    dem = gaussian_dem(points, MAP, sigma_eps=sigma, image_shape=shape, **MARGIN)
-    return field, points, sigma, shape, dem
+    return field, mapped(field, *CONFIGURATIONS[configuration], rng, grid=MAP, **MARGIN)
 
 
 @lru_cache(maxsize=1)
@@ -72,23 +70,23 @@ def spectrum(cells: int) -> np.ndarray:
 
 def error_field(task: Task, rng: np.random.Generator) -> np.ndarray:
     """Return one draw of the DEM's error over the map (rows, cols), m."""
-    _, points, sigma, shape, _ = scanned(task.configuration, task.seed)
+    _, own = scanned(task.configuration, task.seed)
     # Four times as wide as the map: what is periodic in the draw does not show on it.
     cells = fft.next_fast_len(4 * MAP.rows)
     noise = rng.standard_normal((2, cells, cells))
     drawn = fft.ifft2(spectrum(cells) * (noise[0] + 1j * noise[1])).real * cells
-    col = (points[:, 0] - MAP.x0) / MAP.posting
-    row = (points[:, 1] - MAP.y0) / MAP.posting
-    seen = points.copy()
+    col = (own.points[:, 0] - MAP.x0) / MAP.posting
+    row = (own.points[:, 1] - MAP.y0) / MAP.posting
+    seen = own.points.copy()
     seen[:, 2] = ndimage.map_coordinates(drawn, (row, col), order=1, mode="grid-wrap")
-    seen[:, 2] += sigma * rng.standard_normal(len(points))
-    found = gaussian_dem(seen, MAP, sigma_eps=sigma, image_shape=shape, **MARGIN)
+    seen[:, 2] += own.sigma * rng.standard_normal(len(seen))
+    found = gaussian_dem(seen, MAP, sigma_eps=own.sigma, image_shape=own.shape, **MARGIN)
     return np.asarray(drawn[: MAP.rows, : MAP.cols] - found.mean)
 
 
 def sample(task: Task) -> np.ndarray:
     """Return in how many samples each cell is exactly safe (rows, cols)."""
-    _, _, _, _, dem = scanned(task.configuration, task.seed)
+    dem = scanned(task.configuration, task.seed)[1].dem
     total = np.zeros(MAP.shape, np.int64)
     for n in range(task.first, task.first + task.count):
         rng = np.random.default_rng([task.seed, task.configuration, n])
@@ -99,12 +97,13 @@ def sample(task: Task) -> np.ndarray:
 
 def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
     """Compare both tests with the share of samples in which each cell is safe."""
-    field, _, _, _, dem = scanned(configuration, seed)
+    field, scan = scanned(configuration, seed)
+    dem = scan.dem
     own = stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
     planes = plane_stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
     _, judged = safe_sites(dem.mean, MAP, LANDER)
     judged &= own.observed & planes.observed
-    truth = exact_safety(field.elevation, field.grid, LANDER).safe[crop(field, MAP)]
+    truth = exact_safety(field.elevation, field.grid, LANDER).safe[scan.window]
     p = {"Eqs. 15-17": own.p_safe[judged], "support planes": planes.p_safe[judged]}
     return {
         "sampled": float(share[judged].mean()),

@@ -10,6 +10,7 @@ import numpy as np
 from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, gaussian_dem
 from lunarsim.safety import exact_safety
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
@@ -28,7 +29,7 @@ MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
 @dataclass(frozen=True)
 class Field:
-    """One testbed: 500 hemispheres of 1 m on a plane of 200 x 200 m (section IV.B.1)."""
+    """One testbed: hemispheres on a plane of 200 x 200 m (section IV.B.1)."""
 
     terrain: Terrain
     grid: Grid
@@ -36,22 +37,64 @@ class Field:
     safety: Any
 
 
-def testbed(seed: int, side: float = 100.0) -> Field:
-    """Draw a testbed and its exact safety over the middle `side` metres."""
+@dataclass(frozen=True)
+class Mapped:
+    """A scan of a testbed and its Gaussian DEM.
+
+    Attributes
+    ----------
+    points, sigma, shape
+        Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
+    dem
+        On the grid that is judged.
+    window
+        Cells of the testbed's grid that are those of the DEM.
+    """
+
+    points: np.ndarray
+    sigma: float
+    shape: tuple[int, int]
+    dem: GaussianDem
+    window: tuple[slice, slice]
+
+    @property
+    def grid(self) -> Grid:
+        """The grid that is judged."""
+        return self.dem.grid
+
+
+def testbed(seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0) -> Field:
+    """Draw a testbed and its exact safety over the middle `side` metres.
+
+    The paper's has 500 rocks of 1 m.
+    """
     plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))
-    terrain = Terrain(plane, place_rocks(plane, np.full(500, 1.0), np.random.default_rng(seed)))
+    rng = np.random.default_rng(seed)
+    terrain = Terrain(plane, place_rocks(plane, np.full(rocks, diameter), rng))
     grid = Grid.centred((0.0, 0.0), side, POSTING)
     elevation = terrain.raster(grid)
     return Field(terrain, grid, elevation, exact_safety(elevation, grid, LANDER))
 
 
-def scan(field: Field, distance: float, angle_deg: float, rng: np.random.Generator):
-    """Flash at the map's centre from a distance and an angle off nadir towards +x."""
+def scan(
+    field: Field,
+    distance: float,
+    angle_deg: float,
+    rng: np.random.Generator,
+    lidar: FlashLidar | None = None,
+) -> tuple[np.ndarray, float, tuple[int, int]]:
+    """Flash at the map's centre from a distance and an angle off nadir towards +x.
+
+    Returns
+    -------
+    points, sigma, shape
+        As in `Mapped`.
+    """
     angle = np.deg2rad(angle_deg)
     position = distance * np.array([-np.sin(angle), 0.0, np.cos(angle)])
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = State(position, np.zeros(3), upright, np.zeros(3), 1.0)
-    lidar = FlashLidar()
+    lidar = lidar or FlashLidar()
     world = World(field.terrain, 1.622)
     flash = lidar.measure(world, state, 0.0, rng, sensor_axes(-position))
     return flash.points(position, upright), lidar.noise_ratio * distance, flash.shape
@@ -66,3 +109,28 @@ def crop(field: Field, grid: Grid) -> tuple[slice, slice]:
     """Cells of the field's grid that are those of `grid`."""
     row, col = (int(v) for v in field.grid.cell((grid.x0, grid.y0)))
     return slice(row, row + grid.rows), slice(col, col + grid.cols)
+
+
+def mapped(
+    field: Field,
+    distance: float,
+    angle_deg: float,
+    rng: np.random.Generator,
+    *,
+    sigma_f: float,
+    length_scale: float,
+    grid: Grid | None = None,
+    lidar: FlashLidar | None = None,
+    stated: float | None = None,
+) -> Mapped:
+    """Scan a testbed and build the Gaussian DEM over what is judged, or over `grid`.
+
+    `stated` is taken for the standard deviation of a return (m) instead of the true one.
+    """
+    points, sigma, shape = scan(field, distance, angle_deg, rng, lidar)
+    sigma = sigma if stated is None else stated
+    grid = grid or view_grid(distance)
+    dem = gaussian_dem(
+        points, grid, sigma_f=sigma_f, length_scale=length_scale, sigma_eps=sigma, image_shape=shape
+    )
+    return Mapped(points, sigma, shape, dem, crop(field, grid))

@@ -1,10 +1,18 @@
-"""The gallery, small."""
+"""The scripts of terrain, small."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.grid import Grid
+from lunarsim.scenario import Scenario
+from lunarsim.world.terrain import Heightfield
 from tests.conftest import SCENARIOS
 
 
@@ -15,3 +23,40 @@ def test_gallery_renders_a_scene_and_fits_the_rocks(tmp_path):
         subprocess.run(command, capture_output=True, text=True, check=True)
     assert (tmp_path / "hirise.png").stat().st_size > 20_000
     assert (tmp_path / "rock_sizes.png").exists()
+
+
+def test_differences_know_slope_from_curvature(script):
+    """Of z = a x + b y^2: first a L and b (2 y L + L^2), second 0 and 2 b L^2."""
+    study = script("terrain", "structure")
+    grid = Grid.centred((0.0, 0.0), 20.0, 0.5)
+    x, y = grid.centres()[..., 0], grid.centres()[..., 1]
+    box = (-8.0, 8.0, -8.0, 8.0)
+    tilted = Heightfield(grid, (0.4 * x).astype(np.float32))
+    first, second = study.differences(tilted, 2.0, box)
+    assert first == pytest.approx(0.8 / np.sqrt(2.0), rel=1e-5)
+    assert second < 1e-5
+    bowl = Heightfield(grid, (0.1 * y**2).astype(np.float32))
+    assert study.differences(bowl, 2.0, box)[1] == pytest.approx(0.8 / np.sqrt(2.0), rel=1e-4)
+    assert np.isnan(study.differences(tilted, 0.25, box)).all()
+
+
+def test_detail_of_apollo_15_carries_the_relief_on(script, tmp_path):
+    """On part of the plain: the script prints, and no scale below the posts is left smooth."""
+    study = script("terrain", "structure")
+    part = Scenario.load(SCENARIOS / "apollo15.toml").changed(
+        terrain={"dtm_window": (60, 140, 20, 100)}
+    )
+    assert part.terrain.detail
+    part.save(tmp_path / "part.toml")
+    arguments = ["--scenario", str(tmp_path / "part.toml"), "--box", "-70", "70", "-70", "70"]
+    files = ["--out", str(tmp_path), "--json", str(tmp_path / "part.json")]
+    done = CliRunner().invoke(study.main, arguments + files)
+    assert done.exit_code == 0, done.output
+    data = json.loads((tmp_path / "part.json").read_text())
+    lag = np.array(data["lag"])
+    detail, refined = (np.array(data[n])[:, 1] / lag for n in ("with detail", "refined"))
+    assert refined[0] < 0.3 * refined[lag == 8.0][0]
+    assert np.ptp(np.log(detail[lag <= 8.0])) < np.log(2.0)
+    assert (tmp_path / "structure_part.png").stat().st_size > 20_000
+    other = ["--scenario", str(SCENARIOS / "golombek.toml")]
+    assert CliRunner().invoke(study.main, other).exit_code == 2

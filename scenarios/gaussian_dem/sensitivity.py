@@ -1,0 +1,319 @@
+"""What Tables 5 and 6 ask of the random field, and what the precision at 1000 m hangs on.
+
+    python scenarios/gaussian_dem/sensitivity.py --study field --seeds 4 --out out/gaussian_dem
+    python scenarios/gaussian_dem/sensitivity.py --study misses --seeds 8
+
+`field` sweeps sigma_f^2 / length_scale, the one hyper-parameter that scans can tell, over both
+tables. `misses` changes one thing of the scans from 1000 m at a time.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from computed import density, rms, truth_of
+from paper import PAPER_5, PAPER_6
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial import cKDTree
+from testbed import CONFIGURATIONS, DENSITY, LANDER, MARGIN, Field, Mapped, mapped, testbed
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.map_quality import MapQuality
+from lunarsim.evaluation.statistics import mean_interval
+from lunarsim.safety import stochastic_safety
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.viz.style import COLOURS, new_figure, save
+
+LENGTH = 30.0  # m; only its ratio to sigma_f^2 shows
+# sigma_f^2 / length_scale, m; the tables' own two among them.
+GROWTHS = np.sort(np.append(np.geomspace(1e-5, 1e-1, 17), MARGIN["sigma_f"] ** 2 / LENGTH))
+FIGURES = ("rmse", "nlpd", "beyond", "precision slope", "precision roughness", "recall slope",
+           "recall roughness")  # fmt: skip
+
+
+def growth(setting: dict[str, float]) -> float:
+    """Return sigma_f^2 / length_scale, m."""
+    return setting["sigma_f"] ** 2 / setting["length_scale"]
+
+
+# --- the random field ---------------------------------------------------------------------
+
+
+def judged(own: Field, one: Mapped) -> dict[str, float]:
+    """Return all figures of one map, as both tables have them."""
+    inside = np.isfinite(one.dem.mean)
+    error = (one.dem.mean - own.elevation[one.window])[inside].astype(float)
+    variance = one.dem.variance[inside].astype(float)
+    safety = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
+    seen = safety.observed & own.safety.observed[one.window]
+    truth = truth_of(own, one)
+    slope = MapQuality.of(safety.p_slope[seen] > 0.5, truth["slope"][seen])
+    roughness = MapQuality.of(safety.p_roughness[seen] > 0.5, truth["roughness"][seen])
+    beyond = float((np.abs(error) > 3.0 * np.sqrt(variance)).mean())
+    values = (rms(error), density(error, variance), beyond, slope.precision, roughness.precision,
+              slope.recall, roughness.recall)  # fmt: skip
+    return dict(zip(FIGURES, values, strict=True))
+
+
+def swept(seed: int) -> list[list[list[float]]]:
+    """Return the figures of one testbed by growth and configuration."""
+    own = testbed(seed)
+    out = []
+    for g in GROWTHS:
+        rows = []
+        for n, (distance, angle) in enumerate(CONFIGURATIONS):
+            rng = np.random.default_rng([seed, n])
+            setting = {"sigma_f": float(np.sqrt(g * LENGTH)), "length_scale": LENGTH}
+            rows.append(list(judged(own, mapped(own, distance, angle, rng, **setting)).values()))
+        out.append(rows)
+    return out
+
+
+def reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return in how many of the nine rows each growth reaches the paper's figures."""
+    five, six = np.array(PAPER_5), np.array(PAPER_6)
+    rounded = {name: np.round(v, 4) for name, v in values.items()}
+    return {
+        "RMSE": (rounded["rmse"] <= five[:, 1]).sum(axis=1),
+        "NLPD": (rounded["nlpd"] <= five[:, 3]).sum(axis=1),
+        "precision slope": (rounded["precision slope"] >= six[:, 1]).sum(axis=1),
+        "precision roughness": (rounded["precision roughness"] >= six[:, 3]).sum(axis=1),
+        "recall slope": (rounded["recall slope"] >= six[:, 5]).sum(axis=1),
+        "recall roughness": (rounded["recall roughness"] >= six[:, 7]).sum(axis=1),
+    }
+
+
+def show_field(results: list[Any], console: Console) -> dict[str, Any]:
+    """Print the sweep; return means (growth, configuration) by figure."""
+    mean = np.mean(np.array(results, dtype=float), axis=0)
+    values = {name: mean[:, :, i] for i, name in enumerate(FIGURES)}
+    rows = reached(values)
+    table = Table(
+        title=f"One random field for both tables? {len(results)} testbeds; rows of nine at the "
+        "paper's figure or better"
+    )
+    for heading in ("sigma_f^2 / length\nm", *(name.replace(" ", "\n") for name in rows),
+                    "mean\nNLPD", "beyond 3 sigma\nlargest share", "precision of\nroughness, least",
+                    "recall of\nroughness, mean"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for i, g in enumerate(GROWTHS):
+        least = values["precision roughness"][i].min()
+        table.add_row(
+            f"{g:.1e}", *(str(n[i]) for n in rows.values()), f"{values['nlpd'][i].mean():.3f}",
+            f"{values['beyond'][i].max():.4f}", "-" if np.isnan(least) else f"{least:.4f}",
+            f"{values['recall roughness'][i].mean():.4f}",
+        )  # fmt: skip
+    console.print(table)
+    show_one(values, rows, console)
+    least = GROWTHS[values["nlpd"].argmin(axis=0)]
+    console.print("NLPD is least at: " + ", ".join(
+        f"{g:.0e} ({r:.0f} m, {a:.0f} deg)"
+        for g, (r, a) in zip(least, CONFIGURATIONS, strict=True)
+    ))  # fmt: skip
+    return {name: v.tolist() for name, v in values.items()}
+
+
+def show_one(values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console) -> None:
+    """Print both tables with the widest field whose density keeps to the paper in most rows."""
+    most = np.flatnonzero(rows["NLPD"] == rows["NLPD"].max())
+    own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}
+    table = Table(
+        title="sigma_f^2 / length: " + ", ".join(f"{n} {g:.1e} m" for n, g in own.items())
+    )
+    names = {"NLPD": "nlpd", "precision of roughness": "precision roughness",
+             "recall of roughness": "recall roughness"}  # fmt: skip
+    for heading in ("range\nm", "angle\ndeg", *(f"{n}: paper\n{', '.join(own)}" for n in names)):
+        table.add_column(heading, justify="right")
+    index = [int(np.abs(np.log(GROWTHS / g)).argmin()) for g in own.values()]
+    for n, (distance, angle) in enumerate(CONFIGURATIONS):
+        paper = (PAPER_5[n][3], PAPER_6[n][3], PAPER_6[n][7])
+        cells = [
+            f"{p:.4f}: " + ", ".join(f"{values[name][i, n]:.4f}" for i in index)
+            for p, name in zip(paper, names.values(), strict=True)
+        ]
+        table.add_row(f"{distance:.0f}", f"{angle:.0f}", *cells)
+    console.print(table)
+
+
+def draw_field(values: dict[str, Any], path: Path) -> None:
+    """Draw error, density, precision and recall over the growth of the random field."""
+    figure = new_figure(9.6, 7.2)
+    panels = figure.subplots(2, 2, sharex=True)
+    names = ("rmse", "nlpd", "precision roughness", "recall roughness")
+    labels = ("RMSE (m)", "NLPD", "precision of roughness, p > 0.5",
+              "recall of roughness, p > 0.5")  # fmt: skip
+    for panel, name, label in zip(panels.ravel(), names, labels, strict=True):
+        for n, (distance, angle) in enumerate(CONFIGURATIONS):
+            panel.plot(
+                GROWTHS, np.array(values[name])[:, n], color=COLOURS[n // 3],
+                ls=("-", "--", ":")[n % 3], label=f"{distance:.0f} m, {angle:.0f} deg",
+            )  # fmt: skip
+        for setting, text in ((DENSITY, "Table 5"), (MARGIN, "Table 6")):
+            panel.axvline(growth(setting), color="#999999", lw=1)
+            panel.annotate(
+                text, (growth(setting), 1.0), (2, -3), xycoords=panel.get_xaxis_transform(),
+                textcoords="offset points", fontsize=7, va="top", rotation=90,
+            )  # fmt: skip
+        panel.set_xscale("log")
+        panel.set_ylabel(label)
+        panel.grid(alpha=0.3)
+    for panel in panels[1]:
+        panel.set_xlabel("sigma_f^2 / length scale (m)")
+    handles, texts = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, texts, loc="outside lower center", ncols=5)
+    save(figure, path)
+
+
+# --- what is missed from 1000 m -------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One change of the scans from 1000 m."""
+
+    name: str
+    bed: dict[str, Any] = field(default_factory=dict)
+    lidar: dict[str, Any] = field(default_factory=dict)
+    growth: float = growth(MARGIN)
+    stated: float | None = None  # deviation of a return, m; left out: the true one
+
+
+VARIANTS = (
+    Variant("as in Table 6"),
+    Variant("no noise", lidar={"noise_ratio": 0.0}),
+    Variant("no noise, its sigma stated", lidar={"noise_ratio": 0.0}, stated=0.1 / 3.0),
+    Variant("half the spacing", lidar={"rows": 512, "cols": 512}),
+    Variant("twice the spacing", lidar={"rows": 128, "cols": 128}),
+    Variant("1.5 x sigma_f^2 / length", growth=1.5 * growth(MARGIN)),
+    Variant("rocks of 0.8 m", bed={"diameter": 0.8}),
+    Variant("rocks of 1.5 m", bed={"diameter": 1.5}),
+    Variant("250 rocks", bed={"rocks": 250}),
+    Variant("1000 rocks", bed={"rocks": 1000}),
+)
+
+
+@dataclass(frozen=True)
+class Missed:
+    """Unsafe sites of one map, by whether a return stood above the limit under the lander.
+
+    Attributes
+    ----------
+    quality
+        All sites.
+    seen, unseen
+        Unsafe sites with such a return, and without: called safe, and all of them.
+    """
+
+    quality: MapQuality
+    seen: tuple[int, int]
+    unseen: tuple[int, int]
+
+
+def missed(task: tuple[int, int]) -> list[Missed]:
+    """Judge one testbed under one variant at the three angles."""
+    index, seed = task
+    variant = VARIANTS[index]
+    own = testbed(seed, **variant.bed)
+    out = []
+    for n, (distance, angle) in enumerate(CONFIGURATIONS[-3:]):
+        rng = np.random.default_rng([seed, n])
+        setting = {"sigma_f": float(np.sqrt(variant.growth * LENGTH)), "length_scale": LENGTH}
+        lidar = FlashLidar(**variant.lidar)
+        one = mapped(own, distance, angle, rng, lidar=lidar, stated=variant.stated, **setting)
+        safety = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
+        use = safety.observed & own.safety.observed[one.window]
+        called = safety.p_roughness[use] > 0.5
+        safe = truth_of(own, one)["roughness"][use]
+        # The testbed's plane is level at 0: a return above the limit shows the rock.
+        high = one.points[one.points[:, 2] > LANDER.roughness_limit, :2]
+        away, _ = cKDTree(high).query(one.grid.centres()[use][~safe])
+        shown = away < LANDER.leg_radius
+        wrong = called[~safe]
+        out.append(
+            Missed(
+                MapQuality.of(called, safe),
+                (int(wrong[shown].sum()), int(shown.sum())),
+                (int(wrong[~shown].sum()), int((~shown).sum())),
+            )
+        )
+    return out
+
+
+def share(part: int, whole: int) -> float:
+    """Return part over whole; NaN of nothing."""
+    return float(part / whole) if whole else float("nan")
+
+
+def show_misses(results: list[list[Missed]], seeds: int, console: Console) -> list[Any]:
+    """Print the variants, testbeds pooled; return the rows."""
+    table = Table(title=f"Roughness from 1000 m at p > 0.5, {seeds} testbeds, 95 % intervals")
+    for heading in ("angle\ndeg", "scans", "truly\nunsafe", "precision", "recall",
+                    "unsafe sites\ncalled safe", "of those without a return\nabove the limit",
+                    "called safe, with\nsuch a return", "called safe,\nwithout"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    rows = []
+    for n, (_, angle) in enumerate(CONFIGURATIONS[-3:]):
+        for index, variant in enumerate(VARIANTS):
+            own = [results[index * seeds + s][n] for s in range(seeds)]
+            precision = mean_interval([m.quality.precision for m in own])
+            recall = mean_interval([m.quality.recall for m in own])
+            unsafe = float(np.mean([1.0 - m.quality.safe_share for m in own]))
+            seen, unseen = (
+                np.sum([getattr(m, k) for m in own], axis=0) for k in ("seen", "unseen")
+            )
+            wrong, all_unsafe = seen[0] + unseen[0], seen[1] + unseen[1]
+            row = {
+                "unsafe": unsafe, "precision": precision.mean, "recall": recall.mean,
+                "called_safe": share(wrong, all_unsafe),
+                "unseen_of_called": share(unseen[0], wrong),
+                "seen_called_safe": share(*seen), "unseen_called_safe": share(*unseen),
+            }  # fmt: skip
+            rows.append({"angle": angle, "scans": variant.name} | row)
+            table.add_row(
+                f"{angle:.0f}" if index == 0 else "", variant.name, f"{unsafe:.3f}",
+                precision.text(), recall.text(),
+                *("-" if np.isnan(v) else f"{v:.4f}" for v in list(row.values())[3:]),
+            )  # fmt: skip
+    console.print(table)
+    return rows
+
+
+@click.command()
+@click.option("--study", type=click.Choice(["field", "misses", "all"]), default="all",
+              show_default=True, help="Which study.")  # fmt: skip
+@click.option("--seeds", type=click.IntRange(min=1), default=4, show_default=True,
+              help="Testbeds.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write all figures to this file.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the figure.")  # fmt: skip
+def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
+    """Sweep the random field over both tables, and the scans from 1000 m."""
+    console = Console(width=190)
+    kept: dict[str, Any] = {}
+    if study in {"field", "all"}:
+        results = gathered(swept, range(seeds), jobs, console, "testbeds")
+        kept["field"] = show_field(results, console) | {"growth": GROWTHS.tolist()}
+        if out is not None:
+            draw_field(kept["field"], out / "random_field.png")
+    if study in {"misses", "all"}:
+        tasks = [(v, s) for v in range(len(VARIANTS)) for s in range(seeds)]
+        results = gathered(missed, tasks, jobs, console, "variants and testbeds")
+        if len(results) < len(tasks):
+            raise click.Abort
+        kept["misses"] = show_misses(results, seeds, console)
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""The airborne cloud, its parts, and the two LiDAR maps of a part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, fuse, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem.fit import fit_hyperparameters
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSettings
+
+CLOUD = Path(__file__).parents[1] / "data" / "lidar_airborne_alirt_mountain.npz"
+GROUND = 2  # class of returns from the ground; the others are from what stands on it
+# Deviation of a return, m. The file states none: ground returns lie 0.08 m from the plane of their
+# neighbours, ground between them included.
+SIGMA = 0.05
+# Spacing of the returns of one scan from 1000 m straight above, m: the lander is scaled so that its
+# footprint holds as many of the cloud's.
+SCAN_SPACING = 0.2 * 1000.0 / 256.0
+SLOPE_LIMIT_DEG = 30.0
+# What flights use, at their scale, m.
+SHIPPED = {"sigma_f": 0.5, "length_scale": 30.0}
+EDGES_DEG = (0.0, 20.0, 25.0, 30.0, 40.0, 90.0)
+STRATA = ("under 20 deg", "20 to 25", "25 to 30", "30 to 40", "over 40")
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Returns of one flight over a mountain.
+
+    Attributes
+    ----------
+    points
+        East, north, up (n, 3), m, about the middle of the cloud.
+    area
+        Of the ground that they cover, m^2.
+    """
+
+    points: np.ndarray
+    area: float
+
+    def spacing(self, share: float) -> float:
+        """Return the mean distance of a share of the returns, m."""
+        return float(np.sqrt(self.area / (share * len(self.points))))
+
+    def grid(self, posting: float) -> Grid:
+        """Return a grid over all returns."""
+        low, high = self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)
+        width, height = high - low
+        return Grid.centred(0.5 * (low + high), width, posting, height)
+
+    def split(self, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return a share of the returns, drawn at random, and the others."""
+        chosen = np.zeros(len(self.points), np.bool_)
+        chosen[rng.permutation(len(chosen))[: round(share * len(chosen))]] = True
+        return self.points[chosen], self.points[~chosen]
+
+
+def load(ground_only: bool = True, limit: float | None = None) -> Cloud:
+    """Return the cloud, or what of it lies within `limit` (m) of its middle, east and north."""
+    with np.load(CLOUD) as file:
+        points = file["xyz"].astype(np.float64)
+        if ground_only:
+            points = points[file["classification"] == GROUND]
+    points -= np.median(points, axis=0)
+    if limit is not None:
+        points = points[np.abs(points[:, :2]).max(axis=1) < limit]
+    # Squares of 5 m that hold returns.
+    squares = np.unique(np.floor(points[:, :2] / 5.0).astype(int), axis=0)
+    return Cloud(points, 25.0 * len(squares))
+
+
+def slope_of(cloud: Cloud, grid: Grid) -> np.ndarray:
+    """Return the slope of the ground smoothed over 3 m (rows, cols), deg; NaN off the cloud."""
+    dem = gaussian_dem(cloud.points, grid, sigma_eps=SIGMA, **SHIPPED)
+    known = dem.observed
+    z = np.where(known, dem.mean, 0.0).astype(np.float64)
+    width = 3.0 / grid.posting
+    # Dividing by the smoothed share of known ground keeps edges from looking like cliffs.
+    share = np.maximum(ndimage.gaussian_filter(known.astype(np.float64), width), 1e-6)
+    north, east = np.gradient(ndimage.gaussian_filter(z, width) / share, grid.posting)
+    return np.where(known, np.rad2deg(np.arctan(np.hypot(north, east))), np.nan)
+
+
+def stratum(slope: np.ndarray) -> np.ndarray:
+    """Return the stratum of slopes (deg), an index into `STRATA`; -1 where unknown."""
+    index = np.digitize(slope, EDGES_DEG) - 1
+    return np.where(np.isfinite(slope), index, -1)
+
+
+def fitted(points: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
+    """Return the hyper-parameters that the returns themselves show."""
+    fit = fit_hyperparameters(points, SIGMA, rng)
+    return {"sigma_f": fit.sigma_f, "length_scale": fit.length_scale}
+
+
+def without_trend(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
+    """Return the points (n, 3) with their heights above the planes of their nearest neighbours."""
+    _, near = cKDTree(points[:, :2]).query(points[:, :2], k=neighbours)
+    around = points[near] - points[:, None]
+    rows = np.concatenate((around[..., :2], np.ones_like(around[..., :1])), axis=-1)
+    normal = np.einsum("nki,nkj->nij", rows, rows)
+    right = np.einsum("nki,nk->ni", rows, around[..., 2])
+    plane = np.linalg.solve(normal, right[..., None])[:, 2, 0]
+    return np.column_stack((points[:, :2], -plane))
+
+
+def one_map(points: np.ndarray, grid: Grid, setting: dict[str, float]) -> GaussianDem:
+    """Return the Gaussian DEM of all returns at once."""
+    return gaussian_dem(points, grid, sigma_eps=SIGMA, **setting)
+
+
+def fused_map(points: np.ndarray, grid: Grid, setting: dict[str, float], parts: int) -> GaussianDem:
+    """Return the fusion of as many maps, each of its own part of the returns."""
+    dem = one_map(points[0::parts], grid, setting)
+    for n in range(1, parts):
+        dem = fuse(dem, one_map(points[n::parts], grid, setting))
+    return dem
+
+
+def scaled(lander: Lander, factor: float) -> Lander:
+    """Return the lander so many times as large, for the slopes of this mountain."""
+    return replace(
+        lander,
+        leg_radius=factor * lander.leg_radius,
+        pad_diameter=factor * lander.pad_diameter,
+        roughness_limit=factor * lander.roughness_limit,
+        slope_limit=np.deg2rad(SLOPE_LIMIT_DEG),
+    )
+
+
+def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) -> QuadtreeMapper:
+    """Return the quadtree of the returns and its sites, all sizes scaled by powers of two.
+
+    Half the density that there is (1/m^2) is asked for.
+    """
+    times = 2.0 ** round(np.log2(factor))
+    paper = SiteSettings()
+    settings = SiteSettings(
+        slope_limit=np.deg2rad(SLOPE_LIMIT_DEG),
+        roughness_limit=factor * paper.roughness_limit,
+        density=0.5 * density,
+        zone=factor * paper.zone,
+        mesh_band=tuple(times * size for size in paper.mesh_band),
+        hazard_band=tuple(times * size for size in paper.hazard_band),
+        site_band=tuple(times * size for size in paper.site_band),
+    )
+    mapper = QuadtreeMapper(
+        grid, settings, elevation=float(np.median(points[:, 2])), least=0.1 * times
+    )
+    mapper.map.insert(points)
+    mapper.select()
+    return mapper

@@ -1,0 +1,133 @@
+"""Whether the detail below a measured relief's posts carries on what the relief shows above them.
+
+    python scenarios/terrain/structure.py --scenario scenarios/apollo15.toml --out out/terrain
+
+First differences over a lag (the structure function) are ruled by the large slopes; second
+differences, z(x - lag) - 2 z(x) + z(x + lag), know nothing of a slope that is the same on both
+sides, so they show how rough the ground is at that scale. Divided by the lag they are level where
+the ground looks alike at every scale, as ground covered by craters in equilibrium does.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.scenario import Scenario
+from lunarsim.viz.style import COLOURS, new_figure, save
+from lunarsim.world.grounds.measured import MeasuredGround
+from lunarsim.world.terrain import Heightfield
+from lunarsim.world.terrain.dtm import load_dtm
+
+LAGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
+
+
+def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tuple[float, float]:
+    """Return the root mean square first and second difference over a lag, m; NaN off the posting.
+
+    Parameters
+    ----------
+    relief
+        The ground.
+    lag
+        m.
+    box
+        West, east, south and north limit of what is used, m.
+    """
+    grid = relief.grid
+    step = round(lag / grid.posting)
+    if step < 1 or abs(step * grid.posting - lag) > 1e-6:
+        return float("nan"), float("nan")
+    west, east, south, north = box
+    inside = np.ix_((grid.y >= south) & (grid.y <= north), (grid.x >= west) & (grid.x <= east))
+    z = relief.z[inside].astype(np.float64)
+    first = [z[:, step:] - z[:, :-step], z[step:] - z[:-step]]
+    second = [
+        z[:, 2 * step :] - 2.0 * z[:, step:-step] + z[:, : -2 * step],
+        z[2 * step :] - 2.0 * z[step:-step] + z[: -2 * step],
+    ]
+    one, two = (
+        float(np.sqrt(np.nanmean(np.concatenate([d.ravel() for d in both]) ** 2)))
+        for both in (first, second)
+    )
+    return one, two
+
+
+def reliefs(ground: MeasuredGround) -> dict[str, Heightfield]:
+    """Return the relief as filed, smoothed within its steps and refined, and with the detail."""
+    filed = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
+    return {
+        "as filed": filed.scaled(ground.relief_scale),
+        "refined": replace(ground, detail=False).relief(),
+        "with detail": replace(ground, detail=True).relief(),
+    }
+
+
+def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
+    """Draw second differences over the lag, and first ones."""
+    figure = new_figure(9.6, 4.2)
+    panels = figure.subplots(1, 2)
+    titles = ("first differences / lag", "second differences / lag")
+    for panel, which, title in zip(panels, range(2), titles, strict=True):
+        for (name, values), colour in zip(rows.items(), COLOURS, strict=False):
+            panel.plot(
+                LAGS, values[:, which] / np.array(LAGS), "o-", ms=3, color=colour, label=name
+            )
+        panel.axvline(posting, color="#999999", lw=1)
+        panel.set_xscale("log")
+        panel.set_ylim(bottom=0.0)
+        panel.set_xlabel("lag (m); line: measured posting")
+        panel.set_ylabel("root mean square / lag")
+        panel.set_title(title)
+        panel.grid(alpha=0.3)
+    panels[0].legend()
+    save(figure, path)
+
+
+@click.command()
+@click.option("--scenario", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+              default=Path(__file__).parents[1] / "apollo15.toml", show_default="apollo15.toml",
+              help="A scenario on measured ground.")  # fmt: skip
+@click.option("--box", nargs=4, type=float, default=(-256.0, 24.0, -256.0, 256.0),
+              show_default=True,
+              help="West, east, south, north limit of what is used, m: the plain.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write the figures to this file.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the figure.")  # fmt: skip
+def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Path | None) -> None:
+    """Print the roughness of a measured ground by scale, with and without detail."""
+    ground = Scenario.load(scenario).terrain.make()
+    if not isinstance(ground, MeasuredGround):
+        raise click.BadParameter(f"{scenario}: its ground is not measured", param_hint="--scenario")
+    found = reliefs(ground)
+    rows = {n: np.array([differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}
+    # Rounding to steps adds the variance of as many values as go into a difference.
+    step = (ground.height_step or 0.0) * ground.relief_scale
+    noise = step**2 / 12.0 * np.array([2.0, 6.0])
+    rows["as filed, less rounding"] = np.sqrt(np.maximum(rows["as filed"] ** 2 - noise, 0.0))
+    table = Table(title=f"{scenario.stem}: root mean square difference over the lag, by lag")
+    table.add_column("lag m", justify="right")
+    for order in ("first", "second"):
+        for name in rows:
+            table.add_column(f"{order}, {name}", justify="right")
+    for n, lag in enumerate(LAGS):
+        cells = [f"{v[n, k] / lag:.4f}" for k in range(2) for v in rows.values()]
+        table.add_row(f"{lag:g}", *(c if c != "nan" else "" for c in cells))
+    Console(width=150).print(table)
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        plain = {name: v.tolist() for name, v in rows.items()}
+        json_file.write_text(json.dumps({"lag": LAGS} | plain, indent=1), encoding="utf-8")
+    if out is not None:
+        draw(rows, found["as filed"].grid.posting, out / f"structure_{scenario.stem}.png")
+
+
+if __name__ == "__main__":
+    main()

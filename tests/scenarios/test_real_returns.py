@@ -1,0 +1,120 @@
+"""The airborne returns through both LiDAR maps, small; the judging on ground that is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem
+
+GRADIENT = (0.3, -0.2)
+
+
+def plane(xy):
+    return 5.0 + xy[..., 0] * GRADIENT[0] + xy[..., 1] * GRADIENT[1]
+
+
+@pytest.fixture
+def scattered():
+    """Points on a tilted plane without errors."""
+    xy = np.random.default_rng(3).uniform(-20.0, 20.0, (4000, 2))
+    return np.column_stack((xy, plane(xy)))
+
+
+def test_cloud_is_split_once_and_its_spacing_follows_the_share(script):
+    returns = script("real_returns", "returns")
+    cloud = returns.load()
+    assert len(cloud.points) == 35_318
+    assert cloud.spacing(1.0) == pytest.approx(1.03, abs=0.02)
+    assert cloud.spacing(0.25) == pytest.approx(2.0 * cloud.spacing(1.0))
+    mapped, held = cloud.split(0.3, np.random.default_rng(0))
+    assert len(mapped) == round(0.3 * len(cloud.points))
+    both = np.vstack((mapped, held))
+    order = np.lexsort(both.T), np.lexsort(cloud.points.T)
+    np.testing.assert_array_equal(both[order[0]], cloud.points[order[1]])
+
+
+def test_trend_of_a_plane_is_taken_away_whole(script, scattered):
+    returns = script("real_returns", "returns")
+    bumps = scattered + [0.0, 0.0, 1.0] * (np.arange(4000) == 77)[:, None]
+    np.testing.assert_allclose(returns.without_trend(scattered)[:, 2], 0.0, atol=1e-8)
+    assert returns.without_trend(bumps)[77, 2] == pytest.approx(1.0, abs=0.2)
+
+
+def test_lander_is_scaled_in_length_alone(script):
+    returns = script("real_returns", "returns")
+    large = returns.scaled(Lander(), 2.0)
+    assert (large.leg_radius, large.pad_diameter, large.roughness_limit) == (4.7, 0.6, 0.5)
+    assert large.slope_limit == pytest.approx(np.deg2rad(30.0))
+
+
+def test_heights_are_judged_between_cell_centres_and_by_stratum(script, scattered):
+    """Bilinear between cells, so a plane is met exactly; errors come back as they were put in."""
+    judging = script("real_returns", "judging")
+    grid = Grid.centred((0.0, 0.0), 30.0, 0.5)
+    mean = plane(grid.centres()).astype(np.float32)
+    seen = np.ones(grid.shape, np.bool_)
+    dem = GaussianDem(grid, mean, np.full(grid.shape, 0.0375, np.float32), seen)
+    slope = np.where(grid.centres()[..., 0] < 0.0, 10.0, 35.0)
+    wrong = scattered.copy()
+    sigma = np.sqrt(0.0375 + judging.SIGMA**2)
+    wrong[:, 2] += sigma * np.random.default_rng(1).standard_normal(4000)
+    exact = judging.heights_of(dem, scattered, slope)
+    assert np.abs(exact.error).max() < 1e-4
+    own = judging.heights_of(dem, wrong, slope)
+    np.testing.assert_allclose(own.sigma, sigma, rtol=1e-5)
+    assert np.unique(own.stratum).tolist() == [0, 3]
+    figures = own.figures()
+    assert figures["nees"] == pytest.approx(1.0, abs=0.08)
+    assert figures["beyond2"] == pytest.approx(0.0455, abs=0.015)
+    assert figures["n"] == own.figures(0)["n"] + own.figures(3)["n"]
+    assert np.isnan(own.figures(1)["rmse"])
+
+
+def test_cells_of_the_quadtree_err_by_the_scatter_of_their_returns(script):
+    """On level ground with noise, mapped and held alike: the error has the deviation stated."""
+    returns, judging = script("real_returns", "returns"), script("real_returns", "judging")
+    rng = np.random.default_rng(4)
+    both = np.column_stack((rng.uniform(-32.0, 32.0, (40_000, 2)), rng.normal(0.0, 0.2, 40_000)))
+    grid = Grid.centred((0.0, 0.0), 64.0, 0.5)
+    mapper = returns.quadtree_map(both[:20_000], grid, 2.0, 20_000 / 64.0**2)
+    slope = np.full(grid.shape, 22.0)
+    own = judging.heights_of_cells(mapper, both[20_000:], slope, grid)
+    figures = own.figures(1)
+    assert figures["n"] > 300
+    # Cells of 1.6 m hold 12.5 of either.
+    assert figures["rmse"] == pytest.approx(0.2 * np.sqrt(2.0 / 12.5), rel=0.2)
+    assert figures["nees"] == pytest.approx(1.0, abs=0.2)
+    lifted = judging.heights_of_cells(mapper, both[20_000:] + [0.0, 0.0, 0.3], slope, grid)
+    assert lifted.figures()["bias"] == pytest.approx(figures["bias"] - 0.3, abs=1e-6)
+
+
+def test_scores_of_a_known_map(script):
+    judging = script("real_returns", "judging")
+    p = np.array([0.9, 0.9, 0.1, 0.1, np.nan])
+    safe = np.array([True, False, False, False, True])
+    s = judging.scores(p, safe)
+    assert (s["n"], s["share"], s["precision"], s["recall"]) == (4, 0.25, 0.5, 1.0)
+    # Brier: (0.01 + 0.81 + 0.01 + 0.01) / 4 = 0.21 against a base of 0.1875.
+    assert s["skill"] == pytest.approx(1.0 - 0.21 / 0.1875)
+    assert np.isnan(s["above"])
+
+
+def test_script_prints_and_draws(script, tmp_path):
+    study = script("real_returns", "airborne")
+    arguments = ["--quick", "--splits", "1", "--out", str(tmp_path)]
+    done = CliRunner().invoke(study.main, [*arguments, "--json", str(tmp_path / "all.json")])
+    assert done.exit_code == 0, done.output
+    data = json.loads((tmp_path / "all.json").read_text())["ground"]
+    every = data["heights"]["as flights do"]["all"]
+    assert abs(every["bias"]) < 0.05
+    assert every["rmse"] < 0.5
+    planes = data["safety"]["0.5"]["planes, as flights do"]["all"]
+    assert planes["precision"] > 0.9
+    assert (tmp_path / "airborne.png").stat().st_size > 50_000
+    assert CliRunner().invoke(study.main, ["--splits", "0"]).exit_code == 2
