@@ -14,13 +14,46 @@ from lunarsim._jit import kernel, prange
 from lunarsim._lanes import LANES, larger, load, spread, store
 
 FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any terrain
-_TILE_ROWS = 64
-_TILE_COLS = 128
+MOST_RELIEF = 30_000.0  # from the middle of a map, m: what lies further off is no ground
+TILE_ROWS = 64
+TILE_COLS = 128
+
+
+@kernel()
+def known(z, middle):
+    """Tell whether a height is ground: NaN, infinities and what no map can hold are not."""
+    return abs(np.float64(z) - middle) <= MOST_RELIEF
+
+
+@kernel()
+def datum_of(z, middle, r0, c0, rows, cols):
+    """Return the lower median of nine heights of a tile, those known: one of its own heights.
+
+    Where none of the nine is known it is the first known one, where there is none at all `middle`.
+    """
+    found = np.empty(9)
+    count = 0
+    for a in range(1, 6, 2):
+        for b in range(1, 6, 2):
+            here = z[r0 + a * rows // 6, c0 + b * cols // 6]
+            if known(here, middle):
+                found[count] = here
+                count += 1
+    if count > 0:
+        return np.sort(found[:count])[(count - 1) // 2]
+    for i in range(r0, r0 + rows):
+        for j in range(c0, c0 + cols):
+            if known(z[i, j], middle):
+                return np.float64(z[i, j])
+    return np.float64(middle)
 
 
 @kernel(fast=True)
-def _load(z, r0, c0, out):
-    """Copy a window whose corner is (r0, c0) into `out`; FAR off the raster and where unknown."""
+def load_window(z, middle, datum, r0, c0, out):
+    """Copy a window whose corner is (r0, c0) into `out`, above `datum`, as float32.
+
+    FAR off the raster and where unknown. The difference is taken before it is rounded.
+    """
     rows, cols = z.shape
     tall, wide = out.shape
     first = min(max(-c0, 0), wide)
@@ -36,11 +69,30 @@ def _load(z, r0, c0, out):
         here = z[r, c0 + first : c0 + last]
         there = line[first:last]
         for j in range(last - first):
-            there[j] = here[j] if abs(here[j]) < FAR else FAR
+            height = np.float64(here[j])
+            there[j] = np.float32(height - datum) if abs(height - middle) <= MOST_RELIEF else FAR
+
+
+@kernel(fast=True)
+def load_variance(variance, r0, c0, out):
+    """Copy a window of variances as `load_window` does; NaN and infinity are unknown."""
+    rows, cols = variance.shape
+    tall, wide = out.shape
+    first = min(max(-c0, 0), wide)
+    last = max(min(cols - c0, wide), first)
+    for i in range(tall):
+        line = out[i]
+        r = r0 + i
+        line[:] = FAR
+        if r >= 0 and r < rows:
+            here = variance[r, c0 + first : c0 + last]
+            there = line[first:last]
+            for j in range(last - first):
+                there[j] = here[j] if here[j] < FAR else FAR
 
 
 @kernel(finite=True)
-def _spread(middle, wide, high, low):
+def spread_bounds(middle, wide, high, low):
     """Write middle +- 3 sigma where known, from the variance in `wide`; FAR where not."""
     for i in range(middle.shape[0]):
         for j in range(middle.shape[1]):
@@ -61,7 +113,7 @@ def _turn(source, out):
 
 
 @kernel(finite=True)
-def _double(levels):
+def double(levels):
     """Fill levels[k] with maxima over windows of 2**k cells, from levels[0]."""
     depth, rows, cols = levels.shape
     for k in range(1, depth):
@@ -77,7 +129,7 @@ def _double(levels):
 
 
 @kernel()
-def _over_runs(levels, runs, reach, out):
+def over_runs(levels, runs, reach, out):
     """Write the maximum over a set of runs around each cell of the tile.
 
     A row of `runs` is (row offset, level, first window, second window); their number is a
@@ -116,53 +168,56 @@ def _best(flat, first, second, at):
 
 
 @kernel()
-def _tiles(rows, cols):
-    across = (cols + _TILE_COLS - 1) // _TILE_COLS
-    return across, across * ((rows + _TILE_ROWS - 1) // _TILE_ROWS)
+def tiles_of(rows, cols, tall):
+    """Return how many tiles stand side by side, and how many there are."""
+    across = (cols + TILE_COLS - 1) // TILE_COLS
+    return across, across * ((rows + tall - 1) // tall)
+
+
+@kernel()
+def over_cells(levels, window, runs, reach, out):
+    """Write the maximum of a window over a set of runs around each cell of the tile in it."""
+    levels[0] = window
+    double(levels)
+    over_runs(levels, runs, reach, out)
 
 
 @kernel(parallel=True)
-def maximum(z, runs, depth, reach, out):
-    """Write the maximum of z over a set of runs around each cell; FAR where unknown."""
-    rows, cols = z.shape
-    across, tiles = _tiles(rows, cols)
-    for tile in prange(tiles):
-        r0 = (tile // across) * _TILE_ROWS
-        c0 = (tile % across) * _TILE_COLS
-        h = min(_TILE_ROWS, rows - r0)
-        w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
-        _load(z, r0 - reach, c0 - reach, levels[0])
-        _double(levels)
-        _over_runs(levels, runs, reach, out[r0 : r0 + h, c0 : c0 + w])
+def extremes(z, middle, cells, span, rise):
+    """Write max over L less min over L, and max over U less min over L (Eq. 10).
 
-
-@kernel(parallel=True)
-def extremes(z, leg_runs, body_runs, depth, reach, leg_max, leg_min, body_max):
-    """Write max over L, min over L and max over U (Eq. 10) around each cell.
-
-    Where L or U holds unknown ground or leaves the raster the maximum concerned is FAR.
+    FAR where L or U holds unknown ground or leaves the raster.
     """
     rows, cols = z.shape
-    across, tiles = _tiles(rows, cols)
+    reach = cells.reach
+    across, tiles = tiles_of(rows, cols, TILE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * _TILE_ROWS
-        c0 = (tile % across) * _TILE_COLS
-        h = min(_TILE_ROWS, rows - r0)
-        w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        r0 = (tile // across) * TILE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        h = min(TILE_ROWS, rows - r0)
+        w = min(TILE_COLS, cols - c0)
+        levels = np.empty((cells.depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
         window = np.empty(levels.shape[1:], np.float32)
-        _load(z, r0 - reach, c0 - reach, window)
-        levels[0] = window
-        _double(levels)
-        _over_runs(levels, leg_runs, reach, leg_max[r0 : r0 + h, c0 : c0 + w])
-        _over_runs(levels, body_runs, reach, body_max[r0 : r0 + h, c0 : c0 + w])
+        leg = np.empty((2, h, w), np.float32)
+        body = np.empty((h, w), np.float32)
+        datum = datum_of(z, middle, r0, c0, h, w)
+        load_window(z, middle, datum, r0 - reach, c0 - reach, window)
+        over_cells(levels, window, cells.leg_windows, reach, leg[0])
+        over_runs(levels, cells.body_windows, reach, body)
         _turn(window, levels[0])
-        _double(levels)
-        _over_runs(levels, leg_runs, reach, leg_min[r0 : r0 + h, c0 : c0 + w])
-        for i in range(r0, r0 + h):
-            for j in range(c0, c0 + w):
-                leg_min[i, j] = -leg_min[i, j]
+        double(levels)
+        over_runs(levels, cells.leg_windows, reach, leg[1])
+        _differ(leg, body, span[r0 : r0 + h, c0 : c0 + w], rise[r0 : r0 + h, c0 : c0 + w])
+
+
+@kernel(finite=True)
+def _differ(leg, body, span, rise):
+    """Write highest and body's highest less lowest, out of maxima of z and of -z."""
+    for i in range(span.shape[0]):
+        for j in range(span.shape[1]):
+            known = (leg[0, i, j] < FAR) & (body[i, j] < FAR)
+            span[i, j] = leg[0, i, j] + leg[1, i, j] if known else FAR
+            rise[i, j] = body[i, j] + leg[1, i, j] if known else FAR
 
 
 # The normal distribution between +-6.5 sigma: linear between, it errs by less than 4e-7.
@@ -187,34 +242,36 @@ def _normal_cdf(d, s):
 
 @kernel(parallel=True)
 def stochastic(
-    mean, variance, leg_runs, body_runs, depth, reach, slope_margin, roughness_limit, p_slope,
-    p_rough, p_safe, observed,
+    mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
+    observed,
 ):  # fmt: skip
     """Write Eqs. 15 to 17 around each cell; observed is False where ground is unknown."""
     rows, cols = mean.shape
-    across, tiles = _tiles(rows, cols)
+    reach = cells.reach
+    across, tiles = tiles_of(rows, cols, TILE_ROWS)
     six, half = np.float32(6.0), np.float32(0.5)
     for tile in prange(tiles):
-        r0 = (tile // across) * _TILE_ROWS
-        c0 = (tile % across) * _TILE_COLS
-        h = min(_TILE_ROWS, rows - r0)
-        w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        r0 = (tile // across) * TILE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        h = min(TILE_ROWS, rows - r0)
+        w = min(TILE_COLS, cols - c0)
+        levels = np.empty((cells.depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)
         body = np.empty((2, h, w), np.float32)
         window = np.empty((4, h + 2 * reach, w + 2 * reach + LANES), np.float32)
-        _load(mean, r0 - reach, c0 - reach, window[0])
-        _load(variance, r0 - reach, c0 - reach, window[1])
-        _spread(window[0], window[1], window[2], window[3])
+        datum = datum_of(mean, middle, r0, c0, h, w)
+        load_window(mean, middle, datum, r0 - reach, c0 - reach, window[0])
+        load_variance(variance, r0 - reach, c0 - reach, window[1])
+        spread_bounds(window[0], window[1], window[2], window[3])
         for n in range(2):
             levels[0] = window[2 + n]
-            _double(levels)
-            _over_runs(levels, leg_runs, reach, leg[n])
-            _over_runs(levels, body_runs, reach, body[n])
+            double(levels)
+            over_runs(levels, cells.leg_windows, reach, leg[n])
+            over_runs(levels, cells.body_windows, reach, body[n])
             _turn(window[2 + n], levels[0])
-            _double(levels)
-            _over_runs(levels, leg_runs, reach, foot[n])
+            double(levels)
+            over_runs(levels, cells.leg_windows, reach, foot[n])
         for i in range(h):
             for j in range(w):
                 r = r0 + i

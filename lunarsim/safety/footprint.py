@@ -11,25 +11,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety._kernels import FAR
 
 IntArray = NDArray[np.int64]
 
-
+MOST_CELLS = 256  # from the lander's centre to a leg
 BLOCK = 4  # side of the blocks of cells that the exact test opens or skips, cells
 
 
-@dataclass(frozen=True)
-class Supports:
-    """Triangles of legs on which the lander may stand, for every heading.
+class Cells(NamedTuple):
+    """A footprint as kernels take it; see `Footprint` for what has the same name there.
 
     Attributes
     ----------
+    legs, pad_windows, stand_windows, leg_windows, body_windows, depth, reach
+        As there.
+    pad_reach
+        Largest offset of a cell under a pad, cells.
     inverse
         For plane s on diagonal d the inverse of the matrix of the triangle's edges
         (headings, planes, diagonals, 4), cells.
@@ -37,12 +42,19 @@ class Supports:
         Row and column of the triangle's first leg (headings, planes, diagonals, 2), cells.
     """
 
+    legs: IntArray
+    pad_windows: IntArray
+    stand_windows: IntArray
+    leg_windows: IntArray
+    body_windows: IntArray
+    depth: int
+    reach: int
+    pad_reach: int
     inverse: NDArray[np.float32]
     place: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Covers:
+class Covers(NamedTuple):
     """Square blocks of cells that cover the polygon of every heading.
 
     Attributes
@@ -51,17 +63,23 @@ class Covers:
         South-west cells (row, column) of the blocks (n, 2), heading by heading.
     centres
         Column and row of their centres, one after the other (2 n,).
+    first
+        Where each heading's blocks begin (headings + 1,); multiples of four.
     allowed
         0 for each cell of a block that the polygon holds, else far below any ground
         (n block block,).
-    first
-        Where each heading's blocks begin (headings + 1,); multiples of four.
+    distinct
+        The different corners (m, 2): headings share many blocks.
+    which
+        Index of each block's corner among them (n,).
     """
 
     corners: IntArray
     centres: NDArray[np.float32]
-    allowed: NDArray[np.float32]
     first: IntArray
+    allowed: NDArray[np.float32]
+    distinct: IntArray
+    which: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +94,10 @@ class Footprint:
         Cells of the legs, counter-clockwise, for every distinct heading (headings, legs, 2).
     pad
         Cells under one pad (n, 2).
-    pad_windows, leg_windows, body_windows
-        One pad, the set L (all that any pad touches) and the set U (all that any polygon
-        covers) as unions of windows ``(row, level, first column, first column)`` (n, 4): two
-        windows of 2**level columns each; n is a multiple of four.
+    pad_windows, stand_windows, leg_windows, body_windows
+        One pad, the cells of all legs, the set L (all that any pad touches) and the set U (all
+        that any polygon covers) as unions of windows ``(row, level, first column, first column)``
+        (n, 4): two windows of 2**level columns each; n is a multiple of four.
     depth
         Number of window levels.
     least_height
@@ -91,6 +109,7 @@ class Footprint:
     legs: IntArray
     pad: IntArray
     pad_windows: IntArray
+    stand_windows: IntArray
     leg_windows: IntArray
     body_windows: IntArray
     depth: int
@@ -116,11 +135,11 @@ class Footprint:
 
         Raises
         ------
-        ValueError
+        InputError
             If the side is not positive.
         """
         if not (np.isfinite(side) and side > 0.0):
-            raise ValueError(f"block_side = {side}: must be a positive length in metres")
+            raise InputError("block_side", side, "a positive length in metres")
         return max(1, min(round(side / posting), self.reach))
 
     def one_heading(self, index: int) -> Footprint:
@@ -128,9 +147,21 @@ class Footprint:
         return replace(self, legs=self.legs[index : index + 1])
 
     @cached_property
-    def supports(self) -> Supports:
-        """Triangles of legs of every heading."""
-        return _supports(self.legs)
+    def cells(self) -> Cells:
+        """What kernels take of it."""
+        inverse, place = _supports(self.legs)
+        return Cells(
+            self.legs,
+            self.pad_windows,
+            self.stand_windows,
+            self.leg_windows,
+            self.body_windows,
+            self.depth,
+            self.reach,
+            int(self.pad.max()),
+            inverse,
+            place,
+        )
 
     def covers(self, block: int) -> Covers:
         """Return blocks that cover the polygons; `block` is their side in cells."""
@@ -193,7 +224,8 @@ def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
 _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
 
 
-def _supports(legs: IntArray) -> Supports:
+def _supports(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return `inverse` and `place` of `Cells`."""
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))
     inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
@@ -204,7 +236,7 @@ def _supports(legs: IntArray) -> Supports:
             edges = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1]), axis=-1)
             inverse[:, s, d] = edges / determinant[:, None]
             place[:, s, d] = legs[:, a]
-    return Supports(inverse.astype(np.float32), place.astype(np.float32))
+    return inverse.astype(np.float32), place.astype(np.float32)
 
 
 @lru_cache(maxsize=64)
@@ -234,8 +266,16 @@ def _covers(footprint: Footprint, block: int) -> Covers:
         first.append(len(corners))
     south_west = np.array(corners, dtype=np.int64)
     centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
+    distinct, which = np.unique(south_west, axis=0, return_inverse=True)
     marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
-    return Covers(south_west, centres.ravel(), marks, np.array(first))
+    return Covers(
+        south_west,
+        centres.ravel(),
+        np.array(first),
+        marks,
+        distinct,
+        which.ravel().astype(np.int64),
+    )
 
 
 def _triangle_height(points: NDArray[np.float64]) -> float:
@@ -249,8 +289,12 @@ def _triangle_height(points: NDArray[np.float64]) -> float:
 def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
     radius = leg_radius / posting
     if radius < 1.0:
-        raise ValueError(
-            f"posting = {posting} m: must be finer than the leg radius of {leg_radius} m"
+        raise InputError("grid.posting", posting, f"finer than the leg radius of {leg_radius} m")
+    if radius > MOST_CELLS:
+        raise InputError(
+            "vehicle.leg_radius",
+            leg_radius,
+            f"at most {MOST_CELLS} cells of {posting} m: a coarser posting or a smaller lander",
         )
     cells = _distinct_headings(legs, radius)
     n = int(np.floor(pad_radius / posting + 1e-9))
@@ -260,10 +304,12 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
 
     reach = int(np.abs(cells).max()) + n
     side = 2 * reach + 1
+    stand_mask = np.zeros((side, side), np.bool_)
     leg_mask = np.zeros((side, side), np.bool_)
     body_mask = np.zeros((side, side), np.bool_)
     for polygon in cells:
         for leg in polygon:
+            stand_mask[leg[0] + reach, leg[1] + reach] = True
             spots = leg + pad + reach
             leg_mask[spots[:, 0], spots[:, 1]] = True
         for row, col, length in _polygon_runs(polygon):
@@ -274,13 +320,17 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         for triple in combinations(range(legs), 3)
     )
     pad_windows = _windows(disc, -n, -n)
+    stand_windows = _windows(stand_mask, -reach, -reach)
     leg_windows = _windows(leg_mask, -reach, -reach)
     body_windows = _windows(body_mask, -reach, -reach)
-    deepest = max(int(w[:, 1].max()) for w in (pad_windows, leg_windows, body_windows))
+    deepest = max(
+        int(w[:, 1].max()) for w in (pad_windows, stand_windows, leg_windows, body_windows)
+    )
     return Footprint(
         legs=cells,
         pad=pad,
         pad_windows=pad_windows,
+        stand_windows=stand_windows,
         leg_windows=leg_windows,
         body_windows=body_windows,
         depth=1 + deepest,
@@ -294,10 +344,11 @@ def footprint_of(lander: Lander, posting: float) -> Footprint:
 
     Raises
     ------
-    ValueError
-        If the posting is too coarse for the legs to fall in different cells.
+    InputError
+        If the posting is too coarse for the legs to fall in different cells, or so fine that the
+        footprint has over 256 cells from its centre to a leg: work and memory grow with the cube.
     """
     footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
     if footprint.least_height <= 0.0:
-        raise ValueError(f"posting = {posting} m: too coarse, three legs fall on one line")
+        raise InputError("grid.posting", posting, "finer: three legs fall on one line")
     return footprint
