@@ -50,35 +50,37 @@ from lunarsim.safety._plane_kernels import (
 from lunarsim.safety.footprint import BLOCK
 
 SQUARE = 8  # side of the squares of cells whose gradients the lids follow
-NEAR = 2  # squares to each side whose median the lids follow
 HALF = np.float32(0.5 * (BLOCK - 1))
 
 
 @kernel()
-def _slopes(z, out):
+def _slopes(z, inside, arm, out):
     """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m a cell.
 
-    The median of height differences over half a square, then the median over a square and the
-    nearest ones: that follows domes and ridges, and does not mind rocks.
+    Of the ground at large: the median over a square of height differences over an `arm` to either
+    side, then that over the squares about it. It follows domes and ridges and does not mind rocks
+    and ripples. Heights are taken `inside` (first and last row, first and last column) alone.
     """
-    half = SQUARE // 2
     _, rows, cols = out.shape
+    bottom, top, left, right = inside
     raw = np.empty(out.shape, np.float32)
-    some = np.empty((2, SQUARE, half), np.float32)
+    some = np.empty((2, SQUARE, SQUARE // 2), np.float32)
     for i in range(rows):
         for j in range(cols):
             for r in range(SQUARE):
-                for c in range(half):
-                    y, x = i * SQUARE + r, j * SQUARE + c
-                    some[0, r, c] = z[y, x + half] - z[y, x]
-                    y, x = i * SQUARE + c, j * SQUARE + r
-                    some[1, r, c] = z[y + half, x] - z[y, x]
+                for c in range(SQUARE // 2):
+                    y = min(max(i * SQUARE + r, bottom), top)
+                    x = min(max(j * SQUARE + 2 * c, left), right)
+                    a, b = max(x - arm, left), min(x + arm, right)
+                    some[0, r, c] = (z[y, b] - z[y, a]) / np.float32(max(b - a, 1))
+                    a, b = max(y - arm, bottom), min(y + arm, top)
+                    some[1, r, c] = (z[b, x] - z[a, x]) / np.float32(max(b - a, 1))
             for axis in range(2):
-                raw[axis, i, j] = np.median(some[axis]) / np.float32(half)
+                raw[axis, i, j] = np.median(some[axis])
     for axis in range(2):
         for i in range(rows):
             for j in range(cols):
-                near = raw[axis, max(i - NEAR, 0) : i + NEAR + 1, max(j - NEAR, 0) : j + NEAR + 1]
+                near = raw[axis, max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
                 out[axis, i, j] = np.median(near)
 
 
@@ -311,7 +313,14 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
     stand(levels, ground[0], cells, ground[1])
     ground[2:] = np.float32(0.0)
     slopes = np.empty((2, tall // SQUARE, wide // SQUARE), np.float32)
-    _slopes(ground[0], slopes)
+    rows, cols = z.shape
+    inside = (
+        max(reach - r0, 0),
+        min(h + 2 * reach, rows - r0 + reach) - 1,
+        max(reach - c0, 0),
+        min(w + 2 * reach, cols - c0 + reach) - 1,
+    )
+    _slopes(ground[0], inside, max(reach // 2, 1), slopes)
     flat = ground.reshape(5, tall * wide)
     _lids(ground[0], slopes, flat[2], flat[3], flat[4])
 
