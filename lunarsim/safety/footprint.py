@@ -189,7 +189,7 @@ def _distinct_headings(legs: int, radius: float) -> IntArray:
     return np.unique(cells, axis=0)
 
 
-def _polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
+def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
     """Return the runs (row, first column, length) of the cells in or on a convex polygon."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rows, cols = np.meshgrid(
@@ -246,7 +246,7 @@ def _covers(footprint: Footprint, block: int) -> Covers:
     first = [0]
     across = np.arange(block)
     for polygon in footprint.legs:
-        spans = {row: (col, col + length) for row, col, length in _polygon_runs(polygon)}
+        spans = {row: (col, col + length) for row, col, length in polygon_runs(polygon)}
         lowest, highest = min(spans), max(spans)
         for start in range(lowest, highest + 1, block):
             # The last band ends at the last row, so that no block leaves the footprint.
@@ -312,7 +312,7 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
             stand_mask[leg[0] + reach, leg[1] + reach] = True
             spots = leg + pad + reach
             leg_mask[spots[:, 0], spots[:, 1]] = True
-        for row, col, length in _polygon_runs(polygon):
+        for row, col, length in polygon_runs(polygon):
             body_mask[row + reach, col + reach : col + reach + length] = True
     least = min(
         _triangle_height(polygon[list(triple)].astype(np.float64))
