@@ -33,7 +33,8 @@ from lunarsim.safety._kernels import (
     FAR,
     TILE_COLS,
     datum_of,
-    double,
+    fill,
+    levels_of,
     load_window,
     over_runs,
     tiles_of,
@@ -298,14 +299,14 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
     reach = cells.reach
     _, tall, wide = ground.shape
     h, w = size.shape
-    levels = np.empty((cells.depth, tall, wide), np.float32)
+    levels = levels_of(cells, tall, wide)
     datum = datum_of(z, middle, r0, c0, h, w)
     load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
     levels[0] = np.abs(ground[0])
-    double(levels)
-    over_runs(levels, cells.leg_windows, reach, size)
+    fill(levels, cells)
+    over_runs(levels, cells.depth, cells.leg_windows, reach, size)
     body = np.empty((h, w), np.float32)
-    over_runs(levels, cells.body_windows, reach, body)
+    over_runs(levels, cells.depth, cells.body_windows, reach, body)
     for i in range(h):
         for j in range(w):
             size[i, j] = max(size[i, j], body[i, j])

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from lunarsim._jit import kernel, prange
-from lunarsim._lanes import LANES, larger, load, spread, store
+from lunarsim._lanes import LANES, item, larger, load, spread, store
 
 FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any terrain
 MOST_RELIEF = 30_000.0  # from the middle of a map, m: what lies further off is no ground
@@ -112,10 +112,16 @@ def _turn(source, out):
             out[i, j] = -z if z < FAR else FAR
 
 
+@kernel()
+def levels_of(cells, tall, wide):
+    """Return room for the levels of windows: depth along rows, then height - 1 along columns."""
+    return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
+
+
 @kernel(finite=True)
-def double(levels):
-    """Fill levels[k] with maxima over windows of 2**k cells, from levels[0]."""
-    depth, rows, cols = levels.shape
+def double(levels, depth):
+    """Fill levels[k], k < depth, with maxima over windows of 2**k columns, from levels[0]."""
+    _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
         for i in range(rows):
@@ -128,12 +134,34 @@ def double(levels):
                 out[j] = levels[k - 1, i, j]
 
 
-@kernel()
-def over_runs(levels, runs, reach, out):
-    """Write the maximum over a set of runs around each cell of the tile.
+@kernel(finite=True)
+def double_up(levels, depth):
+    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows, from levels[0]."""
+    deep, rows, cols = levels.shape
+    for k in range(1, deep - depth + 1):
+        before = levels[depth - 2 + k] if k > 1 else levels[0]
+        here = levels[depth - 1 + k]
+        for i in range(rows):
+            a = before[i]
+            b = before[min(i + (1 << (k - 1)), rows - 1)]
+            out = here[i]
+            for j in range(cols):
+                out[j] = max(a[j], b[j])
 
-    A row of `runs` is (row offset, level, first window, second window); their number is a
-    multiple of four. A row of the tile has LANES columns to spare behind its surroundings.
+
+@kernel()
+def fill(levels, cells):
+    """Fill all levels from levels[0]."""
+    double(levels, cells.depth)
+    double_up(levels, cells.depth)
+
+
+@kernel()
+def over_runs(levels, depth, runs, reach, out):
+    """Write the maximum over a set of windows around each cell of the tile.
+
+    A row of `runs` is as in `footprint.Footprint`; their number is a multiple of four. A row of the
+    tile has LANES columns to spare behind its surroundings.
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
@@ -141,30 +169,64 @@ def over_runs(levels, runs, reach, out):
     first = np.empty(len(runs), np.int64)
     second = np.empty(len(runs), np.int64)
     for n in range(len(runs)):
-        start = (runs[n, 1] * tall + reach + runs[n, 0]) * wide + reach
-        first[n] = start + runs[n, 2]
-        second[n] = start + runs[n, 3]
-    best = np.empty(LANES, np.float32)
+        level = runs[n, 0] if runs[n, 0] >= 0 else depth - 1 - runs[n, 0]
+        start = (level * tall + reach) * wide + reach
+        first[n] = start + runs[n, 1] * wide + runs[n, 2]
+        second[n] = start + runs[n, 3] * wide + runs[n, 4]
+    best = np.empty(8 * LANES, np.float32)
     for i in range(rows):
-        for j in range(0, cols, LANES):
-            store(best, 0, _best(flat, first, second, i * wide + j))
-            for k in range(min(LANES, cols - j)):
+        j = 0
+        while j < cols:
+            at = i * wide + j
+            # Many sites at a time, so that what one window loads serves the next.
+            if cols - j > 7 * LANES:
+                _best_of(flat, first, second, at, best, 0)
+                _best_of(flat, first, second, at + 4 * LANES, best, 4 * LANES)
+                count = 8 * LANES
+            elif cols - j > 3 * LANES:
+                _best_of(flat, first, second, at, best, 0)
+                count = 4 * LANES
+            else:
+                _best(flat, first, second, at, best)
+                count = LANES
+            for k in range(min(count, cols - j)):
                 out[i, j + k] = best[k]
+            j += count
 
 
 @kernel(inline=True)
-def _best(flat, first, second, at):
-    """Return the maximum over the windows of all runs."""
+def _best(flat, first, second, at, best):
+    """Write the maximum over the windows of all runs around sixteen sites."""
+    a = spread(-FAR)
+    b = a
+    for n in range(len(first)):
+        a = larger(a, load(flat, at + item(first, n)))
+        b = larger(b, load(flat, at + item(second, n)))
+    store(best, 0, larger(a, b))
+
+
+@kernel(inline=True)
+def _best_of(flat, first, second, at, best, place):
+    """Do the same for four times sixteen sites side by side, written from `place` on."""
     a = spread(-FAR)
     b = a
     c = a
     d = a
-    for n in range(0, len(first), 4):
-        a = larger(a, larger(load(flat, at + first[n]), load(flat, at + second[n])))
-        b = larger(b, larger(load(flat, at + first[n + 1]), load(flat, at + second[n + 1])))
-        c = larger(c, larger(load(flat, at + first[n + 2]), load(flat, at + second[n + 2])))
-        d = larger(d, larger(load(flat, at + first[n + 3]), load(flat, at + second[n + 3])))
-    return larger(larger(a, b), larger(c, d))
+    for n in range(len(first)):
+        m = at + item(first, n)
+        a = larger(a, load(flat, m))
+        b = larger(b, load(flat, m + LANES))
+        c = larger(c, load(flat, m + 2 * LANES))
+        d = larger(d, load(flat, m + 3 * LANES))
+        m = at + item(second, n)
+        a = larger(a, load(flat, m))
+        b = larger(b, load(flat, m + LANES))
+        c = larger(c, load(flat, m + 2 * LANES))
+        d = larger(d, load(flat, m + 3 * LANES))
+    store(best, place, a)
+    store(best, place + LANES, b)
+    store(best, place + 2 * LANES, c)
+    store(best, place + 3 * LANES, d)
 
 
 @kernel()
@@ -172,14 +234,6 @@ def tiles_of(rows, cols, tall):
     """Return how many tiles stand side by side, and how many there are."""
     across = (cols + TILE_COLS - 1) // TILE_COLS
     return across, across * ((rows + tall - 1) // tall)
-
-
-@kernel()
-def over_cells(levels, window, runs, reach, out):
-    """Write the maximum of a window over a set of runs around each cell of the tile in it."""
-    levels[0] = window
-    double(levels)
-    over_runs(levels, runs, reach, out)
 
 
 @kernel(parallel=True)
@@ -196,17 +250,19 @@ def extremes(z, middle, cells, span, rise):
         c0 = (tile % across) * TILE_COLS
         h = min(TILE_ROWS, rows - r0)
         w = min(TILE_COLS, cols - c0)
-        levels = np.empty((cells.depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
         window = np.empty(levels.shape[1:], np.float32)
         leg = np.empty((2, h, w), np.float32)
         body = np.empty((h, w), np.float32)
         datum = datum_of(z, middle, r0, c0, h, w)
         load_window(z, middle, datum, r0 - reach, c0 - reach, window)
-        over_cells(levels, window, cells.leg_windows, reach, leg[0])
-        over_runs(levels, cells.body_windows, reach, body)
+        levels[0] = window
+        fill(levels, cells)
+        over_runs(levels, cells.depth, cells.leg_windows, reach, leg[0])
+        over_runs(levels, cells.depth, cells.body_windows, reach, body)
         _turn(window, levels[0])
-        double(levels)
-        over_runs(levels, cells.leg_windows, reach, leg[1])
+        fill(levels, cells)
+        over_runs(levels, cells.depth, cells.leg_windows, reach, leg[1])
         _differ(leg, body, span[r0 : r0 + h, c0 : c0 + w], rise[r0 : r0 + h, c0 : c0 + w])
 
 
@@ -223,21 +279,42 @@ def _differ(leg, body, span, rise):
 # The normal distribution between +-6.5 sigma: linear between, it errs by less than 4e-7.
 _STEPS = 4096
 _NORMAL = ndtr(np.linspace(-6.5, 6.5, _STEPS + 1)).astype(np.float32)
+_NORMAL[0] = 0.0
 
 
-@kernel()
+@kernel(inline=True)
 def _normal_cdf(d, s):
     """Return P(x < d) for x ~ N(0, s^2); a step where s is 0."""
-    if s <= np.float32(0.0):
-        return np.float32(1.0) if d > np.float32(0.0) else np.float32(0.0)
-    x = (d / s + np.float32(6.5)) * np.float32(_STEPS / 13.0)
-    if x >= _STEPS:
-        return np.float32(1.0)
-    if x <= 0:
-        return np.float32(0.0)
-    n = int(x)
+    far = np.float32(7.0) if d > np.float32(0.0) else np.float32(-7.0)
+    ratio = d / s if s > np.float32(0.0) else far
+    x = (ratio + np.float32(6.5)) * np.float32(_STEPS / 13.0)
+    x = min(max(x, np.float32(0.0)), np.float32(_STEPS))
+    n = min(np.int32(x), np.int32(_STEPS - 1))
     low = _NORMAL[n]
     return low + (x - np.float32(n)) * (_NORMAL[n + 1] - low)
+
+
+@kernel(finite=True)
+def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed):
+    """Write Eq. 17 from maxima of the upper and the lower bounds: of z, of -z, of z over U."""
+    sixth, half = np.float32(1.0 / 6.0), np.float32(0.5)
+    for i in range(p_slope.shape[0]):
+        for j in range(p_slope.shape[1]):
+            known = (leg[0, i, j] < FAR) & (body[0, i, j] < FAR)
+            top_sd = (leg[0, i, j] - leg[1, i, j]) * sixth
+            low_sd = (foot[1, i, j] - foot[0, i, j]) * sixth
+            peak_sd = (body[0, i, j] - body[1, i, j]) * sixth
+            low = -half * (foot[0, i, j] + foot[1, i, j])
+            span = half * (leg[0, i, j] + leg[1, i, j]) - low
+            rise = half * (body[0, i, j] + body[1, i, j]) - low
+            s1 = np.sqrt(top_sd * top_sd + low_sd * low_sd)
+            s2 = np.sqrt(peak_sd * peak_sd + low_sd * low_sd)
+            a = _normal_cdf(slope_margin - span, s1) if known else np.float32(0.0)
+            b = _normal_cdf(roughness_limit - rise, s2) if known else np.float32(0.0)
+            p_slope[i, j] = a
+            p_rough[i, j] = b
+            p_safe[i, j] = a * b
+            observed[i, j] = known
 
 
 @kernel(parallel=True)
@@ -249,13 +326,12 @@ def stochastic(
     rows, cols = mean.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
-    six, half = np.float32(6.0), np.float32(0.5)
     for tile in prange(tiles):
         r0 = (tile // across) * TILE_ROWS
         c0 = (tile % across) * TILE_COLS
         h = min(TILE_ROWS, rows - r0)
         w = min(TILE_COLS, cols - c0)
-        levels = np.empty((cells.depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)
         body = np.empty((2, h, w), np.float32)
@@ -266,33 +342,14 @@ def stochastic(
         spread_bounds(window[0], window[1], window[2], window[3])
         for n in range(2):
             levels[0] = window[2 + n]
-            double(levels)
-            over_runs(levels, cells.leg_windows, reach, leg[n])
-            over_runs(levels, cells.body_windows, reach, body[n])
+            fill(levels, cells)
+            over_runs(levels, cells.depth, cells.leg_windows, reach, leg[n])
+            over_runs(levels, cells.depth, cells.body_windows, reach, body[n])
             _turn(window[2 + n], levels[0])
-            double(levels)
-            over_runs(levels, cells.leg_windows, reach, foot[n])
-        for i in range(h):
-            for j in range(w):
-                r = r0 + i
-                c = c0 + j
-                if leg[0, i, j] >= FAR or body[0, i, j] >= FAR:
-                    p_slope[r, c] = 0.0
-                    p_rough[r, c] = 0.0
-                    p_safe[r, c] = 0.0
-                    observed[r, c] = False
-                    continue
-                top_sd = (leg[0, i, j] - leg[1, i, j]) / six
-                low_sd = (foot[1, i, j] - foot[0, i, j]) / six
-                peak_sd = (body[0, i, j] - body[1, i, j]) / six
-                low = -half * (foot[0, i, j] + foot[1, i, j])
-                span = half * (leg[0, i, j] + leg[1, i, j]) - low
-                rise = half * (body[0, i, j] + body[1, i, j]) - low
-                s1 = np.sqrt(top_sd * top_sd + low_sd * low_sd)
-                s2 = np.sqrt(peak_sd * peak_sd + low_sd * low_sd)
-                a = _normal_cdf(slope_margin - span, s1)
-                b = _normal_cdf(roughness_limit - rise, s2)
-                p_slope[r, c] = a
-                p_rough[r, c] = b
-                p_safe[r, c] = a * b
-                observed[r, c] = True
+            fill(levels, cells)
+            over_runs(levels, cells.depth, cells.leg_windows, reach, foot[n])
+        r1, c1 = r0 + h, c0 + w
+        _judge(
+            leg, foot, body, slope_margin, roughness_limit, p_slope[r0:r1, c0:c1],
+            p_rough[r0:r1, c0:c1], p_safe[r0:r1, c0:c1], observed[r0:r1, c0:c1],
+        )  # fmt: skip

@@ -26,6 +26,7 @@ from lunarsim.safety._kernels import (
     TILE_COLS,
     datum_of,
     double,
+    levels_of,
     load_variance,
     load_window,
     over_runs,
@@ -142,8 +143,8 @@ def stand(levels, window, cells, feet):
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
     levels[0] = window
-    double(levels)
-    over_runs(levels, cells.pad_windows, n, feet[n : tall - n, n : wide - LANES - n])
+    double(levels, cells.depth)
+    over_runs(levels, cells.depth, cells.pad_windows, n, feet[n : tall - n, n : wide - LANES - n])
 
 
 @kernel()
@@ -233,7 +234,7 @@ def bounded(z, middle, cells, covers, block, posting, slope_out, rough_out):
         r1 = min(r0 + PLANE_ROWS, rows)
         c1 = min(c0 + TILE_COLS, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
-        levels = np.empty((cells.depth, tall, wide), np.float32)
+        levels = levels_of(cells, tall, wide)
         ground = np.empty((3, tall, wide), np.float32)
         datum = datum_of(z, middle, r0, c0, r1 - r0, c1 - c0)
         load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
@@ -273,7 +274,7 @@ def stochastic_planes(
         r1 = min(r0 + PLANE_ROWS, rows)
         c1 = min(c0 + TILE_COLS, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
-        levels = np.empty((cells.depth, tall, wide), np.float32)
+        levels = levels_of(cells, tall, wide)
         g = np.empty((8, tall, wide), np.float32)
         datum = datum_of(mean, middle, r0, c0, r1 - r0, c1 - c0)
         load_window(mean, middle, datum, r0 - reach, c0 - reach, g[0])
@@ -291,5 +292,5 @@ def stochastic_planes(
                 slope_out[r0:r1, c0:c1], out[r0:r1, c0:c1],
             )  # fmt: skip
         levels[0] = g[1]
-        double(levels)
-        over_runs(levels, cells.stand_windows, reach, leg_sigma[r0:r1, c0:c1])
+        double(levels, cells.depth)
+        over_runs(levels, cells.depth, cells.stand_windows, reach, leg_sigma[r0:r1, c0:c1])

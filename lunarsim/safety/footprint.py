@@ -31,7 +31,7 @@ class Cells(NamedTuple):
 
     Attributes
     ----------
-    legs, pad_windows, stand_windows, leg_windows, body_windows, depth, reach
+    legs, pad_windows, stand_windows, leg_windows, body_windows, depth, height, reach
         As there.
     pad_reach
         Largest offset of a cell under a pad, cells.
@@ -48,6 +48,7 @@ class Cells(NamedTuple):
     leg_windows: IntArray
     body_windows: IntArray
     depth: int
+    height: int
     reach: int
     pad_reach: int
     inverse: NDArray[np.float32]
@@ -96,10 +97,11 @@ class Footprint:
         Cells under one pad (n, 2).
     pad_windows, stand_windows, leg_windows, body_windows
         One pad, the cells of all legs, the set L (all that any pad touches) and the set U (all
-        that any polygon covers) as unions of windows ``(row, level, first column, first column)``
-        (n, 4): two windows of 2**level columns each; n is a multiple of four.
-    depth
-        Number of window levels.
+        that any polygon covers) as unions of windows ``(level, row, column, row, column)`` (n, 5):
+        two windows each that begin there, of 2**level columns, or of 2**-level rows if the level
+        is negative; n is a multiple of four.
+    depth, height
+        Number of window levels along rows, and of those along columns.
     least_height
         h0: least height of any triangle of legs, m.
     reach
@@ -113,6 +115,7 @@ class Footprint:
     leg_windows: IntArray
     body_windows: IntArray
     depth: int
+    height: int
     least_height: float
     reach: int
 
@@ -157,6 +160,7 @@ class Footprint:
             self.leg_windows,
             self.body_windows,
             self.depth,
+            self.height,
             self.reach,
             int(self.pad.max()),
             inverse,
@@ -210,14 +214,31 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
     return runs
 
 
-def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
-    """Return a set of cells as windows whose widths are powers of two."""
-    windows = []
+def _lines(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
+    """Return a set of cells as pairs of windows along rows, (level, row, col, row, col)."""
+    windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
         level = int(length).bit_length() - 1
-        windows.append((row, level, col, col + length - 2**level))
-    windows += [windows[-1]] * (-len(windows) % 4)
-    return np.array(windows, dtype=np.int64)
+        windows.append((level, row, col, row, col + length - 2**level))
+    return windows
+
+
+def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = False) -> IntArray:
+    """Return a set of cells as windows whose lengths are powers of two.
+
+    With `columns` the rows next to the middle one are taken column by column, as many of them as
+    saves most: a ring's sides are a few long columns, but many short rows.
+    """
+    best = _lines(mask, row0, col0)
+    rows = np.abs(np.arange(row0, row0 + len(mask)))
+    for most in range(1, int(rows.max()) + 2) if columns else ():
+        caps = np.where((rows >= most)[:, None], mask, False)
+        sides = np.where((rows < most)[:, None], mask, False)
+        found = _lines(caps, row0, col0)
+        found += [(-level, a, b, c, d) for level, b, a, d, c in _lines(sides.T, col0, row0)]
+        best = min(best, found, key=len)
+    best += [best[-1]] * (-len(best) % 4)
+    return np.array(best, dtype=np.int64)
 
 
 # The legs of plane s on diagonal d: s = 0 stands on a b c or a b d, s = 1 on a c d or b c d.
@@ -321,11 +342,9 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
     )
     pad_windows = _windows(disc, -n, -n)
     stand_windows = _windows(stand_mask, -reach, -reach)
-    leg_windows = _windows(leg_mask, -reach, -reach)
-    body_windows = _windows(body_mask, -reach, -reach)
-    deepest = max(
-        int(w[:, 1].max()) for w in (pad_windows, stand_windows, leg_windows, body_windows)
-    )
+    leg_windows = _windows(leg_mask, -reach, -reach, columns=True)
+    body_windows = _windows(body_mask, -reach, -reach, columns=True)
+    levels = np.concatenate((pad_windows, stand_windows, leg_windows, body_windows))[:, 0]
     return Footprint(
         legs=cells,
         pad=pad,
@@ -333,7 +352,8 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         stand_windows=stand_windows,
         leg_windows=leg_windows,
         body_windows=body_windows,
-        depth=1 + deepest,
+        depth=1 + int(levels.max()),
+        height=1 - int(levels.min()),
         least_height=least * posting,
         reach=reach,
     )
