@@ -11,16 +11,49 @@ import numpy as np
 from scipy.special import ndtr
 
 from lunarsim._jit import kernel, prange
-from lunarsim._lanes import LANES, larger, load, spread, store
+from lunarsim._lanes import LANES, item, larger, load, spread, store
 
 FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any terrain
-_TILE_ROWS = 64
-_TILE_COLS = 128
+MOST_RELIEF = 30_000.0  # from the middle of a map, m: what lies further off is no ground
+TILE_ROWS = 64
+TILE_COLS = 128
+
+
+@kernel()
+def known(z, middle):
+    """Tell whether a height is ground: NaN, infinities and what no map can hold are not."""
+    return abs(np.float64(z) - middle) <= MOST_RELIEF
+
+
+@kernel()
+def datum_of(z, middle, r0, c0, rows, cols):
+    """Return the lower median of nine heights of a tile, those known: one of its own heights.
+
+    Where none of the nine is known it is the first known one, where there is none at all `middle`.
+    """
+    found = np.empty(9)
+    count = 0
+    for a in range(1, 6, 2):
+        for b in range(1, 6, 2):
+            here = z[r0 + a * rows // 6, c0 + b * cols // 6]
+            if known(here, middle):
+                found[count] = here
+                count += 1
+    if count > 0:
+        return np.sort(found[:count])[(count - 1) // 2]
+    for i in range(r0, r0 + rows):
+        for j in range(c0, c0 + cols):
+            if known(z[i, j], middle):
+                return np.float64(z[i, j])
+    return np.float64(middle)
 
 
 @kernel(fast=True)
-def _load(z, r0, c0, out):
-    """Copy a window whose corner is (r0, c0) into `out`; FAR off the raster and where unknown."""
+def load_window(z, middle, datum, r0, c0, out):
+    """Copy a window whose corner is (r0, c0) into `out`, above `datum`, as float32.
+
+    FAR off the raster and where unknown. The difference is taken before it is rounded.
+    """
     rows, cols = z.shape
     tall, wide = out.shape
     first = min(max(-c0, 0), wide)
@@ -36,11 +69,30 @@ def _load(z, r0, c0, out):
         here = z[r, c0 + first : c0 + last]
         there = line[first:last]
         for j in range(last - first):
-            there[j] = here[j] if abs(here[j]) < FAR else FAR
+            height = np.float64(here[j])
+            there[j] = np.float32(height - datum) if abs(height - middle) <= MOST_RELIEF else FAR
+
+
+@kernel(fast=True)
+def load_variance(variance, r0, c0, out):
+    """Copy a window of variances as `load_window` does; NaN and infinity are unknown."""
+    rows, cols = variance.shape
+    tall, wide = out.shape
+    first = min(max(-c0, 0), wide)
+    last = max(min(cols - c0, wide), first)
+    for i in range(tall):
+        line = out[i]
+        r = r0 + i
+        line[:] = FAR
+        if r >= 0 and r < rows:
+            here = variance[r, c0 + first : c0 + last]
+            there = line[first:last]
+            for j in range(last - first):
+                there[j] = here[j] if here[j] < FAR else FAR
 
 
 @kernel(finite=True)
-def _spread(middle, wide, high, low):
+def spread_bounds(middle, wide, high, low):
     """Write middle +- 3 sigma where known, from the variance in `wide`; FAR where not."""
     for i in range(middle.shape[0]):
         for j in range(middle.shape[1]):
@@ -60,10 +112,16 @@ def _turn(source, out):
             out[i, j] = -z if z < FAR else FAR
 
 
+@kernel()
+def levels_of(cells, tall, wide):
+    """Return room for the levels of windows: depth along rows, then height - 1 along columns."""
+    return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
+
+
 @kernel(finite=True)
-def _double(levels):
-    """Fill levels[k] with maxima over windows of 2**k cells, from levels[0]."""
-    depth, rows, cols = levels.shape
+def double(levels, depth):
+    """Fill levels[k], k < depth, with maxima over windows of 2**k columns, from levels[0]."""
+    _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
         for i in range(rows):
@@ -76,12 +134,34 @@ def _double(levels):
                 out[j] = levels[k - 1, i, j]
 
 
-@kernel()
-def _over_runs(levels, runs, reach, out):
-    """Write the maximum over a set of runs around each cell of the tile.
+@kernel(finite=True)
+def double_up(levels, depth):
+    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows, from levels[0]."""
+    deep, rows, cols = levels.shape
+    for k in range(1, deep - depth + 1):
+        before = levels[depth - 2 + k] if k > 1 else levels[0]
+        here = levels[depth - 1 + k]
+        for i in range(rows):
+            a = before[i]
+            b = before[min(i + (1 << (k - 1)), rows - 1)]
+            out = here[i]
+            for j in range(cols):
+                out[j] = max(a[j], b[j])
 
-    A row of `runs` is (row offset, level, first window, second window); their number is a
-    multiple of four. A row of the tile has LANES columns to spare behind its surroundings.
+
+@kernel()
+def fill(levels, cells):
+    """Fill all levels from levels[0]."""
+    double(levels, cells.depth)
+    double_up(levels, cells.depth)
+
+
+@kernel()
+def over_runs(levels, depth, runs, reach, out):
+    """Write the maximum over a set of windows around each cell of the tile.
+
+    A row of `runs` is as in `footprint.Footprint`; their number is a multiple of four. A row of the
+    tile has LANES columns to spare behind its surroundings.
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
@@ -89,153 +169,187 @@ def _over_runs(levels, runs, reach, out):
     first = np.empty(len(runs), np.int64)
     second = np.empty(len(runs), np.int64)
     for n in range(len(runs)):
-        start = (runs[n, 1] * tall + reach + runs[n, 0]) * wide + reach
-        first[n] = start + runs[n, 2]
-        second[n] = start + runs[n, 3]
-    best = np.empty(LANES, np.float32)
+        level = runs[n, 0] if runs[n, 0] >= 0 else depth - 1 - runs[n, 0]
+        start = (level * tall + reach) * wide + reach
+        first[n] = start + runs[n, 1] * wide + runs[n, 2]
+        second[n] = start + runs[n, 3] * wide + runs[n, 4]
+    best = np.empty(8 * LANES, np.float32)
     for i in range(rows):
-        for j in range(0, cols, LANES):
-            store(best, 0, _best(flat, first, second, i * wide + j))
-            for k in range(min(LANES, cols - j)):
+        j = 0
+        while j < cols:
+            at = i * wide + j
+            # Many sites at a time, so that what one window loads serves the next.
+            if cols - j > 7 * LANES:
+                _best_of(flat, first, second, at, best, 0)
+                _best_of(flat, first, second, at + 4 * LANES, best, 4 * LANES)
+                count = 8 * LANES
+            elif cols - j > 3 * LANES:
+                _best_of(flat, first, second, at, best, 0)
+                count = 4 * LANES
+            else:
+                _best(flat, first, second, at, best)
+                count = LANES
+            for k in range(min(count, cols - j)):
                 out[i, j + k] = best[k]
+            j += count
 
 
 @kernel(inline=True)
-def _best(flat, first, second, at):
-    """Return the maximum over the windows of all runs."""
+def _best(flat, first, second, at, best):
+    """Write the maximum over the windows of all runs around sixteen sites."""
+    a = spread(-FAR)
+    b = a
+    for n in range(len(first)):
+        a = larger(a, load(flat, at + item(first, n)))
+        b = larger(b, load(flat, at + item(second, n)))
+    store(best, 0, larger(a, b))
+
+
+@kernel(inline=True)
+def _best_of(flat, first, second, at, best, place):
+    """Do the same for four times sixteen sites side by side, written from `place` on."""
     a = spread(-FAR)
     b = a
     c = a
     d = a
-    for n in range(0, len(first), 4):
-        a = larger(a, larger(load(flat, at + first[n]), load(flat, at + second[n])))
-        b = larger(b, larger(load(flat, at + first[n + 1]), load(flat, at + second[n + 1])))
-        c = larger(c, larger(load(flat, at + first[n + 2]), load(flat, at + second[n + 2])))
-        d = larger(d, larger(load(flat, at + first[n + 3]), load(flat, at + second[n + 3])))
-    return larger(larger(a, b), larger(c, d))
+    for n in range(len(first)):
+        m = at + item(first, n)
+        a = larger(a, load(flat, m))
+        b = larger(b, load(flat, m + LANES))
+        c = larger(c, load(flat, m + 2 * LANES))
+        d = larger(d, load(flat, m + 3 * LANES))
+        m = at + item(second, n)
+        a = larger(a, load(flat, m))
+        b = larger(b, load(flat, m + LANES))
+        c = larger(c, load(flat, m + 2 * LANES))
+        d = larger(d, load(flat, m + 3 * LANES))
+    store(best, place, a)
+    store(best, place + LANES, b)
+    store(best, place + 2 * LANES, c)
+    store(best, place + 3 * LANES, d)
 
 
 @kernel()
-def _tiles(rows, cols):
-    across = (cols + _TILE_COLS - 1) // _TILE_COLS
-    return across, across * ((rows + _TILE_ROWS - 1) // _TILE_ROWS)
+def tiles_of(rows, cols, tall):
+    """Return how many tiles stand side by side, and how many there are."""
+    across = (cols + TILE_COLS - 1) // TILE_COLS
+    return across, across * ((rows + tall - 1) // tall)
 
 
 @kernel(parallel=True)
-def maximum(z, runs, depth, reach, out):
-    """Write the maximum of z over a set of runs around each cell; FAR where unknown."""
-    rows, cols = z.shape
-    across, tiles = _tiles(rows, cols)
-    for tile in prange(tiles):
-        r0 = (tile // across) * _TILE_ROWS
-        c0 = (tile % across) * _TILE_COLS
-        h = min(_TILE_ROWS, rows - r0)
-        w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
-        _load(z, r0 - reach, c0 - reach, levels[0])
-        _double(levels)
-        _over_runs(levels, runs, reach, out[r0 : r0 + h, c0 : c0 + w])
+def extremes(z, middle, cells, span, rise):
+    """Write max over L less min over L, and max over U less min over L (Eq. 10).
 
-
-@kernel(parallel=True)
-def extremes(z, leg_runs, body_runs, depth, reach, leg_max, leg_min, body_max):
-    """Write max over L, min over L and max over U (Eq. 10) around each cell.
-
-    Where L or U holds unknown ground or leaves the raster the maximum concerned is FAR.
+    FAR where L or U holds unknown ground or leaves the raster.
     """
     rows, cols = z.shape
-    across, tiles = _tiles(rows, cols)
+    reach = cells.reach
+    across, tiles = tiles_of(rows, cols, TILE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * _TILE_ROWS
-        c0 = (tile % across) * _TILE_COLS
-        h = min(_TILE_ROWS, rows - r0)
-        w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        r0 = (tile // across) * TILE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        h = min(TILE_ROWS, rows - r0)
+        w = min(TILE_COLS, cols - c0)
+        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
         window = np.empty(levels.shape[1:], np.float32)
-        _load(z, r0 - reach, c0 - reach, window)
+        leg = np.empty((2, h, w), np.float32)
+        body = np.empty((h, w), np.float32)
+        datum = datum_of(z, middle, r0, c0, h, w)
+        load_window(z, middle, datum, r0 - reach, c0 - reach, window)
         levels[0] = window
-        _double(levels)
-        _over_runs(levels, leg_runs, reach, leg_max[r0 : r0 + h, c0 : c0 + w])
-        _over_runs(levels, body_runs, reach, body_max[r0 : r0 + h, c0 : c0 + w])
+        fill(levels, cells)
+        over_runs(levels, cells.depth, cells.leg_windows, reach, leg[0])
+        over_runs(levels, cells.depth, cells.body_windows, reach, body)
         _turn(window, levels[0])
-        _double(levels)
-        _over_runs(levels, leg_runs, reach, leg_min[r0 : r0 + h, c0 : c0 + w])
-        for i in range(r0, r0 + h):
-            for j in range(c0, c0 + w):
-                leg_min[i, j] = -leg_min[i, j]
+        fill(levels, cells)
+        over_runs(levels, cells.depth, cells.leg_windows, reach, leg[1])
+        _differ(leg, body, span[r0 : r0 + h, c0 : c0 + w], rise[r0 : r0 + h, c0 : c0 + w])
+
+
+@kernel(finite=True)
+def _differ(leg, body, span, rise):
+    """Write highest and body's highest less lowest, out of maxima of z and of -z."""
+    for i in range(span.shape[0]):
+        for j in range(span.shape[1]):
+            known = (leg[0, i, j] < FAR) & (body[i, j] < FAR)
+            span[i, j] = leg[0, i, j] + leg[1, i, j] if known else FAR
+            rise[i, j] = body[i, j] + leg[1, i, j] if known else FAR
 
 
 # The normal distribution between +-6.5 sigma: linear between, it errs by less than 4e-7.
 _STEPS = 4096
 _NORMAL = ndtr(np.linspace(-6.5, 6.5, _STEPS + 1)).astype(np.float32)
+_NORMAL[0] = 0.0
 
 
-@kernel()
+@kernel(inline=True)
 def _normal_cdf(d, s):
     """Return P(x < d) for x ~ N(0, s^2); a step where s is 0."""
-    if s <= np.float32(0.0):
-        return np.float32(1.0) if d > np.float32(0.0) else np.float32(0.0)
-    x = (d / s + np.float32(6.5)) * np.float32(_STEPS / 13.0)
-    if x >= _STEPS:
-        return np.float32(1.0)
-    if x <= 0:
-        return np.float32(0.0)
-    n = int(x)
+    far = np.float32(7.0) if d > np.float32(0.0) else np.float32(-7.0)
+    ratio = d / s if s > np.float32(0.0) else far
+    x = (ratio + np.float32(6.5)) * np.float32(_STEPS / 13.0)
+    x = min(max(x, np.float32(0.0)), np.float32(_STEPS))
+    n = min(np.int32(x), np.int32(_STEPS - 1))
     low = _NORMAL[n]
     return low + (x - np.float32(n)) * (_NORMAL[n + 1] - low)
 
 
+@kernel(finite=True)
+def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed):
+    """Write Eq. 17 from maxima of the upper and the lower bounds: of z, of -z, of z over U."""
+    sixth, half = np.float32(1.0 / 6.0), np.float32(0.5)
+    for i in range(p_slope.shape[0]):
+        for j in range(p_slope.shape[1]):
+            known = (leg[0, i, j] < FAR) & (body[0, i, j] < FAR)
+            top_sd = (leg[0, i, j] - leg[1, i, j]) * sixth
+            low_sd = (foot[1, i, j] - foot[0, i, j]) * sixth
+            peak_sd = (body[0, i, j] - body[1, i, j]) * sixth
+            low = -half * (foot[0, i, j] + foot[1, i, j])
+            span = half * (leg[0, i, j] + leg[1, i, j]) - low
+            rise = half * (body[0, i, j] + body[1, i, j]) - low
+            s1 = np.sqrt(top_sd * top_sd + low_sd * low_sd)
+            s2 = np.sqrt(peak_sd * peak_sd + low_sd * low_sd)
+            a = _normal_cdf(slope_margin - span, s1) if known else np.float32(0.0)
+            b = _normal_cdf(roughness_limit - rise, s2) if known else np.float32(0.0)
+            p_slope[i, j] = a
+            p_rough[i, j] = b
+            p_safe[i, j] = a * b
+            observed[i, j] = known
+
+
 @kernel(parallel=True)
 def stochastic(
-    mean, variance, leg_runs, body_runs, depth, reach, slope_margin, roughness_limit, p_slope,
-    p_rough, p_safe, observed,
+    mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
+    observed,
 ):  # fmt: skip
     """Write Eqs. 15 to 17 around each cell; observed is False where ground is unknown."""
     rows, cols = mean.shape
-    across, tiles = _tiles(rows, cols)
-    six, half = np.float32(6.0), np.float32(0.5)
+    reach = cells.reach
+    across, tiles = tiles_of(rows, cols, TILE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * _TILE_ROWS
-        c0 = (tile % across) * _TILE_COLS
-        h = min(_TILE_ROWS, rows - r0)
-        w = min(_TILE_COLS, cols - c0)
-        levels = np.empty((depth, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        r0 = (tile // across) * TILE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        h = min(TILE_ROWS, rows - r0)
+        w = min(TILE_COLS, cols - c0)
+        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)
         body = np.empty((2, h, w), np.float32)
         window = np.empty((4, h + 2 * reach, w + 2 * reach + LANES), np.float32)
-        _load(mean, r0 - reach, c0 - reach, window[0])
-        _load(variance, r0 - reach, c0 - reach, window[1])
-        _spread(window[0], window[1], window[2], window[3])
+        datum = datum_of(mean, middle, r0, c0, h, w)
+        load_window(mean, middle, datum, r0 - reach, c0 - reach, window[0])
+        load_variance(variance, r0 - reach, c0 - reach, window[1])
+        spread_bounds(window[0], window[1], window[2], window[3])
         for n in range(2):
             levels[0] = window[2 + n]
-            _double(levels)
-            _over_runs(levels, leg_runs, reach, leg[n])
-            _over_runs(levels, body_runs, reach, body[n])
+            fill(levels, cells)
+            over_runs(levels, cells.depth, cells.leg_windows, reach, leg[n])
+            over_runs(levels, cells.depth, cells.body_windows, reach, body[n])
             _turn(window[2 + n], levels[0])
-            _double(levels)
-            _over_runs(levels, leg_runs, reach, foot[n])
-        for i in range(h):
-            for j in range(w):
-                r = r0 + i
-                c = c0 + j
-                if leg[0, i, j] >= FAR or body[0, i, j] >= FAR:
-                    p_slope[r, c] = 0.0
-                    p_rough[r, c] = 0.0
-                    p_safe[r, c] = 0.0
-                    observed[r, c] = False
-                    continue
-                top_sd = (leg[0, i, j] - leg[1, i, j]) / six
-                low_sd = (foot[1, i, j] - foot[0, i, j]) / six
-                peak_sd = (body[0, i, j] - body[1, i, j]) / six
-                low = -half * (foot[0, i, j] + foot[1, i, j])
-                span = half * (leg[0, i, j] + leg[1, i, j]) - low
-                rise = half * (body[0, i, j] + body[1, i, j]) - low
-                s1 = np.sqrt(top_sd * top_sd + low_sd * low_sd)
-                s2 = np.sqrt(peak_sd * peak_sd + low_sd * low_sd)
-                a = _normal_cdf(slope_margin - span, s1)
-                b = _normal_cdf(roughness_limit - rise, s2)
-                p_slope[r, c] = a
-                p_rough[r, c] = b
-                p_safe[r, c] = a * b
-                observed[r, c] = True
+            fill(levels, cells)
+            over_runs(levels, cells.depth, cells.leg_windows, reach, foot[n])
+        r1, c1 = r0 + h, c0 + w
+        _judge(
+            leg, foot, body, slope_margin, roughness_limit, p_slope[r0:r1, c0:c1],
+            p_rough[r0:r1, c0:c1], p_safe[r0:r1, c0:c1], observed[r0:r1, c0:c1],
+        )  # fmt: skip

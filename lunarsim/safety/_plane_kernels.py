@@ -1,19 +1,17 @@
-"""Compiled kernels that go through the support planes of every heading: exact and bounded.
+"""Compiled kernels that go through the support planes of every heading, with bounds of roughness.
 
-Rasters are flat (rows * cols + LANES,), float32, without NaN; sixteen neighbouring sites of a row
-are taken at a time. Lanes beyond the last site read what follows and are dropped.
+They work tile by tile. The windows of a tile are flat, float32, without NaN, and end in rows that
+may be read but are not meant; sixteen neighbouring sites of a row are taken at a time. Lanes beyond
+the last site read what follows and are dropped.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from lunarsim._jit import kernel, prange
 from lunarsim._lanes import (
     LANES,
-    any_above,
     item,
     larger,
     load,
@@ -23,12 +21,22 @@ from lunarsim._lanes import (
     store,
     where_above,
 )
-from lunarsim.safety._kernels import FAR
-from lunarsim.safety.footprint import BLOCK
+from lunarsim.safety._kernels import (
+    FAR,
+    TILE_COLS,
+    datum_of,
+    double,
+    levels_of,
+    load_variance,
+    load_window,
+    over_runs,
+    spread_bounds,
+    tiles_of,
+)
 
 
 @kernel(inline=True)
-def _plane(feet, here, legs, inverse, place, h, s):
+def plane(feet, here, legs, inverse, place, h, s):
     """Return gradient (a cell) and height at the centre of plane `s` of heading `h`.
 
     `feet` holds the ground under a pad; `here` is the index of the first site.
@@ -67,7 +75,7 @@ def _plane(feet, here, legs, inverse, place, h, s):
 
 
 @kernel(inline=True)
-def _squared_tangent(gx, gy, posting):
+def squared_tangent(gx, gy, posting):
     tx = gx / posting
     ty = gy / posting
     return tx * tx + ty * ty
@@ -97,208 +105,192 @@ def _highest(four):
 
 
 @kernel(inline=True)
-def _open(z, here, cols, corners, allowed, n, gx, gy):
-    """Return the highest of the cells that a polygon holds of block `n`, above a plane.
-
-    `allowed` is 0 for these cells and -FAR for the others; a test for each would cost more.
-    """
-    south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
+def _highest_risen(tops, here, blocks, centres, start, stop, gx, gy):
+    """Return the highest of the tops of blocks above a plane; their number divides by four."""
     top = spread(-FAR)
-    for r in range(BLOCK):
-        at = here + (south + r) * cols + west
-        line = spread(-FAR)
-        for c in range(BLOCK):
-            level = load(z, at + c) + item(allowed, (n * BLOCK + r) * BLOCK + c)
-            line = larger(line, level - np.float32(c) * gx)
-        top = larger(top, line - np.float32(r) * gy)
-    return top - np.float32(west) * gx - np.float32(south) * gy
-
-
-@kernel(inline=True)
-def _steepest(feet, here, legs, inverse, place, planes, posting):
-    """Return the largest tan(slope)^2 over headings and planes."""
-    steepest = spread(0.0)
-    for h in range(legs.shape[0]):
-        for s in range(planes):
-            gx, gy, _ = _plane(feet, here, legs, inverse, place, h, s)
-            steepest = larger(steepest, _squared_tangent(gx, gy, posting))
-    return steepest
-
-
-@kernel(inline=True)
-def _mark(todo, i, first, cols, reach, lanes):
-    """Set `lanes` to 0 at the sites to do, else FAR; return whether there are any."""
-    found = False
-    for k in range(LANES):
-        j = first + k
-        wanted = j < cols - reach and todo[i, j]
-        lanes[k] = np.float32(0.0) if wanted else FAR
-        found |= wanted
-    return found
-
-
-@kernel(inline=True)
-def _drop_steep(steepest, limit, lanes):
-    """Set `lanes` to FAR where the slope is at its limit; return whether any is left."""
-    left = False
-    for k in range(LANES):
-        if np.sqrt(steepest[k]) >= limit:
-            lanes[k] = FAR
-        left |= lanes[k] < FAR
-    return left
-
-
-@kernel(inline=True)
-def _open_four(z, here, cols, corners, allowed, n, gx, gy, risen, need):
-    """Return what `_open` does for those of blocks `n` to n + 3 that rise above what is needed."""
-    q0, q1, q2, q3 = risen
-    top = spread(-FAR)
-    if any_above(q0, need):
-        top = _open(z, here, cols, corners, allowed, n, gx, gy)
-    if any_above(q1, need):
-        top = larger(top, _open(z, here, cols, corners, allowed, n + 1, gx, gy))
-    if any_above(q2, need):
-        top = larger(top, _open(z, here, cols, corners, allowed, n + 2, gx, gy))
-    if any_above(q3, need):
-        top = larger(top, _open(z, here, cols, corners, allowed, n + 3, gx, gy))
+    for n in range(start, stop, 4):
+        a = _risen(tops, here, blocks, centres, n, gx, gy)
+        b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
+        c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
+        d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+        top = larger(top, larger(larger(a, b), larger(c, d)))
     return top
 
 
+AHEAD = 8  # rows that may be read beyond a tile's surroundings
+PLANE_ROWS = 32  # of a tile of the kernels that go through planes
+
+
+@kernel()
+def window_shape(cells, h, w):
+    """Return rows and columns of the window of a tile of h x w sites."""
+    return h + 2 * cells.reach + AHEAD, w + 2 * cells.reach + LANES
+
+
+@kernel()
+def clear(window):
+    """Put unknown ground at the datum: footprints that hold it are unobserved."""
+    for i in range(window.shape[0]):
+        for j in range(window.shape[1]):
+            if window[i, j] >= FAR:
+                window[i, j] = np.float32(0.0)
+
+
+@kernel()
+def stand(levels, window, cells, feet):
+    """Write the highest ground under a pad centred on each cell of a window, 0 near its edge."""
+    n = cells.pad_reach
+    tall, wide = window.shape
+    feet[:] = np.float32(0.0)
+    levels[0] = window
+    double(levels, cells.depth)
+    over_runs(levels, cells.depth, cells.pad_windows, n, feet[n : tall - n, n : wide - LANES - n])
+
+
+@kernel()
+def block_tops(window, block, out):
+    """Write the highest ground in block x block cells to the north-east of each cell."""
+    rows, cols = window.shape
+    line = np.empty(cols, np.float32)
+    for i in range(rows):
+        line[:] = window[i]
+        for r in range(i + 1, min(i + block, rows)):
+            for j in range(cols):
+                line[j] = max(line[j], window[r, j])
+        out[i] = line
+        for c in range(1, min(block, cols)):
+            for j in range(cols - c):
+                out[i, j] = max(out[i, j], line[j + c])
+
+
+@kernel()
+def flat_offsets(cells, wide):
+    """Return row times `wide` plus column of (..., 2) cells."""
+    return cells[..., 0] * wide + cells[..., 1]
+
+
 @kernel(inline=True)
-def _stride(headings):
-    """Return by how much to go on so that every heading gets its turn, those far apart first.
+def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first, span, posting,
+                 upright):  # fmt: skip
+    """Return the largest tan(slope)^2 of sixteen sites and a bound of their roughness."""
+    steepest = spread(0.0)
+    worst = spread(0.0)
+    for h in range(legs.shape[0]):
+        for s in range(inverse.shape[1]):
+            gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+            top = _highest_risen(
+                tops, here, blocks, centres, item(first, h), item(first, h + 1), gx, gy
+            )
+            # A block's top may stand at its corner where the plane is lowest.
+            rise = top + span * (magnitude(gx) + magnitude(gy)) - base
+            square = squared_tangent(gx, gy, posting)
+            steepest = larger(steepest, square)
+            if not upright:
+                rise = rise / root(square + np.float32(1.0))
+            worst = larger(worst, rise)
+    return steepest, worst
 
-    They soon show about how rough a site is, which spares the others.
+
+@kernel()
+def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, rough_out):
+    """Write tan(slope), exact, and a bound of the roughness of the sites of a tile.
+
+    With `upright` heights are taken along the vertical, not along the plane's normal.
     """
-    stride = max(1, round(0.382 * headings))
-    while math.gcd(stride, headings) > 1:
-        stride += 1
-    return stride
-
-
-@kernel(inline=True)
-def _write_sites(lanes, todo, i, first, beyond, least, slope_out, rough_out):
-    """Write the sites to do out of lanes of slopes and roughnesses, none of which is `beyond`."""
-    for k in range(min(LANES, beyond - first)):
-        if todo[i, first + k]:
-            slope_out[i, first + k] = lanes[1, k]
-            rough_out[i, first + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
-
-
-@kernel(parallel=True)
-def exact(
-    z, feet, tops, todo, legs, inverse, place, blocks, centres, corners, allowed, first,
-    posting, reach, margin, limit_slope, limit_rough, decide, slope_out, rough_out,
-):  # fmt: skip
-    """Write tan(slope) and roughness, the worst over headings and admissible planes.
-
-    `tops` holds the highest ground in each block of cells. The blocks first[h] to first[h + 1]
-    cover the polygon of heading h; one is opened only if its top, put at the corner where the
-    plane is lowest, rises above the plane of some site by more than that site's worst roughness so
-    far, less a `margin` for rounding. With `decide` a site is left as soon as a limit is passed:
-    only the comparison with the limits is then meant.
-    """
-    rows, cols = todo.shape
-    headings = legs.shape[0]
-    planes = inverse.shape[1]
-    stride = _stride(headings)
-    span = np.float32(0.5 * (BLOCK - 1))
-    for i in prange(reach, rows - reach):
-        lanes = np.empty((3, LANES), np.float32)
-        start = 0
-        for j in range(reach, cols - reach, LANES):
-            if not _mark(todo, i, j, cols, reach, lanes[0]):
-                continue
-            here = i * cols + j
-            steepest = spread(0.0)
-            # Less is rounding, and no roughness.
-            least = np.float32(2.0) * margin
-            if decide:
-                steepest = _steepest(feet, here, legs, inverse, place, planes, posting)
-                store(lanes[1], 0, steepest)
-                least = limit_rough
-            going = not decide or _drop_steep(lanes[1], limit_slope, lanes[0])
-            out = load(lanes[0], 0)
-            worst = spread(least)
-            last_raised = start
-            for turn in range(headings if going else 0):
-                h = (start + turn * stride) % headings
-                for s in range(planes):
-                    gx, gy, base = _plane(feet, here, legs, inverse, place, h, s)
-                    square = _squared_tangent(gx, gy, posting)
-                    steepest = larger(steepest, square)
-                    stretch = root(square + np.float32(1.0))
-                    lowest = base + out - span * (magnitude(gx) + magnitude(gy)) - margin
-                    need = lowest + worst * stretch
-                    for n in range(item(first, h), item(first, h + 1), 4):
-                        q = _four_risen(tops, here, blocks, centres, n, gx, gy)
-                        if any_above(_highest(q), need):
-                            top = _open_four(z, here, cols, corners, allowed, n, gx, gy, q, need)
-                            worst = larger(worst, (top - base) / stretch)
-                            need = lowest + worst * stretch
-                            last_raised = h
-                if decide:
-                    out = where_above(spread(limit_rough), worst, out, spread(FAR))
-                    if not any_above(spread(np.float32(0.5) * FAR), out):
-                        break
-            # The heading that was worst here is likely to be so next door, and spares the others.
-            start = last_raised
-            store(lanes[1], 0, root(steepest))
-            store(lanes[2], 0, worst)
-            _write_sites(lanes, todo, i, j, cols - reach, least, slope_out, rough_out)
-
-
-@kernel(parallel=True)
-def bounded(tops, shape, feet, legs, inverse, place, blocks, centres, first, block, reach, posting,
-            slope_out, rough_out):  # fmt: skip
-    """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
-
-    The number of blocks of each heading is a multiple of four.
-    """
-    rows, cols = shape
-    planes = inverse.shape[1]
+    rows, cols = slope_out.shape
+    wide = feet.shape[1]
+    legs = flat_offsets(cells.legs, wide)
+    blocks = flat_offsets(covers.corners, wide)
+    inverse, place, centres, first = cells.inverse, cells.place, covers.centres, covers.first
+    ground, below = tops.reshape(tops.size), feet.reshape(feet.size)
     span = np.float32(0.5 * (block - 1))
-    for i in prange(reach, rows - reach):
-        lanes = np.empty((2, LANES), np.float32)
-        for j in range(reach, cols - reach, LANES):
-            here = i * cols + j
-            steepest = spread(0.0)
-            worst = spread(0.0)
-            for h in range(legs.shape[0]):
-                for s in range(planes):
-                    gx, gy, base = _plane(feet, here, legs, inverse, place, h, s)
-                    top = spread(-FAR)
-                    for n in range(item(first, h), item(first, h + 1), 4):
-                        four = _four_risen(tops, here, blocks, centres, n, gx, gy)
-                        top = larger(top, _highest(four))
-                    # A block's top may stand at its corner where the plane is lowest.
-                    top = top + span * (magnitude(gx) + magnitude(gy))
-                    square = _squared_tangent(gx, gy, posting)
-                    steepest = larger(steepest, square)
-                    worst = larger(worst, (top - base) / root(square + np.float32(1.0)))
+    lanes = np.empty((2, LANES), np.float32)
+    for i in range(rows):
+        for j in range(0, cols, LANES):
+            here = (i + cells.reach) * wide + cells.reach + j
+            steepest, worst = _bound_sites(
+                ground, below, here, legs, inverse, place, blocks, centres, first, span, posting,
+                upright,
+            )  # fmt: skip
             store(lanes[0], 0, root(steepest))
             store(lanes[1], 0, worst)
-            for k in range(min(LANES, cols - reach - j)):
+            for k in range(min(LANES, cols - j)):
                 slope_out[i, j + k] = lanes[0, k]
                 rough_out[i, j + k] = lanes[1, k]
 
 
 @kernel(parallel=True)
-def block_tops(z, block, out):
-    """Write the highest ground in block x block cells to the north-east of each cell.
+def bounded(z, middle, cells, covers, block, posting, slope_out, rough_out):
+    """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
 
-    z (rows, cols); out flat, see above.
+    Neither is meant where a footprint holds unknown ground or leaves the raster.
     """
     rows, cols = z.shape
-    for i in prange(rows):
-        line = np.empty(cols, np.float32)
-        for j in range(cols):
-            line[j] = z[i, j]
-        for r in range(i + 1, min(i + block, rows)):
-            for j in range(cols):
-                line[j] = max(line[j], z[r, j])
-        for j in range(cols):
-            best = line[j]
-            for c in range(j + 1, min(j + block, cols)):
-                best = max(best, line[c])
-            out[i * cols + j] = best
+    reach = cells.reach
+    across, tiles = tiles_of(rows, cols, PLANE_ROWS)
+    for tile in prange(tiles):
+        r0 = (tile // across) * PLANE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        r1 = min(r0 + PLANE_ROWS, rows)
+        c1 = min(c0 + TILE_COLS, cols)
+        tall, wide = window_shape(cells, r1 - r0, c1 - c0)
+        levels = levels_of(cells, tall, wide)
+        ground = np.empty((3, tall, wide), np.float32)
+        datum = datum_of(z, middle, r0, c0, r1 - r0, c1 - c0)
+        load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
+        clear(ground[0])
+        stand(levels, ground[0], cells, ground[1])
+        block_tops(ground[0], block, ground[2])
+        _bound_tile(
+            ground[2], ground[1], cells, covers, block, posting, False,
+            slope_out[r0:r1, c0:c1], rough_out[r0:r1, c0:c1],
+        )  # fmt: skip
+
+
+@kernel()
+def _average(high, low, middle, sigma):
+    """Write mean and standard deviation of Gaussians with these 3-sigma bounds (Eqs. 15, 16)."""
+    for i in range(high.shape[0]):
+        for j in range(high.shape[1]):
+            middle[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
+            sigma[i, j] = (high[i, j] - low[i, j]) / np.float32(6.0)
+
+
+@kernel(parallel=True)
+def stochastic_planes(
+    mean, middle, variance, cells, covers, block, posting, slope_out, nominal, raised, leg_sigma
+):
+    """Write what `planes.plane_stochastic_safety` needs of each site, lengths along the vertical.
+
+    tan(slope) and bound of the roughness on the means of legs and obstacles, the bound with all
+    obstacles raised by 3 sigma, and the largest standard deviation of a leg.
+    """
+    rows, cols = mean.shape
+    reach = cells.reach
+    across, tiles = tiles_of(rows, cols, PLANE_ROWS)
+    for tile in prange(tiles):
+        r0 = (tile // across) * PLANE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        r1 = min(r0 + PLANE_ROWS, rows)
+        c1 = min(c0 + TILE_COLS, cols)
+        tall, wide = window_shape(cells, r1 - r0, c1 - c0)
+        levels = levels_of(cells, tall, wide)
+        g = np.empty((8, tall, wide), np.float32)
+        datum = datum_of(mean, middle, r0, c0, r1 - r0, c1 - c0)
+        load_window(mean, middle, datum, r0 - reach, c0 - reach, g[0])
+        load_variance(variance, r0 - reach, c0 - reach, g[1])
+        spread_bounds(g[0], g[1], g[2], g[3])
+        for n in range(2, 4):
+            clear(g[n])
+            stand(levels, g[n], cells, g[n + 2])
+            block_tops(g[n], block, g[n + 4])
+        _average(g[4], g[5], g[0], g[1])  # feet
+        _average(g[6], g[7], g[2], g[3])  # obstacles
+        for top, out in ((g[2], nominal), (g[6], raised)):
+            _bound_tile(
+                top, g[0], cells, covers, block, posting, True,
+                slope_out[r0:r1, c0:c1], out[r0:r1, c0:c1],
+            )  # fmt: skip
+        levels[0] = g[1]
+        double(levels, cells.depth)
+        over_runs(levels, cells.depth, cells.stand_windows, reach, leg_sigma[r0:r1, c0:c1])

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety.conservative import StochasticSafety
@@ -32,11 +33,11 @@ def alhat_safety(
 
     Raises
     ------
-    ValueError
+    InputError
         As `exact_safety`, and if `sigma` is not positive.
     """
     if not (np.isfinite(sigma) and sigma > 0.0):
-        raise ValueError(f"sigma = {sigma}: must be a positive length in metres")
+        raise InputError("sigma", sigma, "a positive length in metres")
     exact = exact_safety(elevation, grid, lander)
     with np.errstate(invalid="ignore"):
         p_slope = (exact.slope < lander.slope_limit).astype(np.float32)

@@ -8,16 +8,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import _kernels as k
-from lunarsim.safety.exact import (
-    SafetyMap,
-    check_raster,
-    check_variance,
-    footprint_extremes,
-)
-from lunarsim.safety.footprint import footprint_of
+from lunarsim.safety.exact import SafetyMap, differences
+from lunarsim.safety.footprint import Footprint, footprint_of
+from lunarsim.safety.raster import ground, variances
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
@@ -55,19 +52,21 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
     Parameters and errors are those of `exact_safety`.
     """
     footprint = footprint_of(lander, grid.posting)
-    z = check_raster("elevation", elevation, grid, footprint)
-    leg_max, leg_min, body_max = footprint_extremes(z, footprint)
-    observed = (leg_max < k.FAR) & (body_max < k.FAR)
-    sine = (leg_max - leg_min) / np.float32(footprint.least_height)
-    # The theorem needs a height difference under h0; steeper ground is simply unsafe.
-    slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
-    slope = slope.astype(np.float32)
-    roughness = body_max - leg_min
+    span, roughness = differences(ground("elevation", elevation, grid, footprint), footprint)
+    observed = roughness < k.FAR
+    slope = level_slope(span, footprint)
     slope[~observed] = np.nan
     roughness[~observed] = np.nan
-    with np.errstate(invalid="ignore"):
-        safe = (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
-    return SafetyMap(grid, slope, roughness, safe & observed, observed)
+    safe = (slope < lander.slope_limit) & (roughness < lander.roughness_limit)
+    return SafetyMap(grid, slope, roughness, safe, observed)
+
+
+def level_slope(span: FloatMap, footprint: Footprint) -> FloatMap:
+    """Return the bound of the slope (rad) by Eq. 11 from max less min over L (m)."""
+    sine = span / np.float32(footprint.least_height)
+    # The theorem needs a height difference under h0; steeper ground is simply unsafe.
+    slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
+    return slope.astype(np.float32)
 
 
 def stochastic_safety(
@@ -86,7 +85,8 @@ def stochastic_safety(
     Parameters
     ----------
     mean, variance
-        Elevation (rows, cols), m and m^2; NaN for unknown.
+        Elevation (rows, cols), m and m^2. Unknown is what `exact_safety` takes so, and where the
+        variance is NaN, infinite or masked.
     grid, lander
         As in `exact_safety`.
     slope_bound
@@ -94,22 +94,22 @@ def stochastic_safety(
 
     Raises
     ------
-    ValueError
-        If shapes differ, the grid is smaller than the footprint, or a variance is negative.
+    InputError
+        As `exact_safety`, and if a variance is negative or `slope_bound` is another word.
     """
+    if slope_bound not in ("sin", "tan"):
+        raise InputError("slope_bound", slope_bound, "'sin' or 'tan'")
     footprint = footprint_of(lander, grid.posting)
-    z = check_raster("mean", mean, grid, footprint)
-    spread = check_variance(variance, grid, footprint)
+    height = ground("mean", mean, grid, footprint)
+    spread = variances(variance, grid, footprint)
     p_slope, p_rough, p_safe = (np.empty(grid.shape, np.float32) for _ in range(3))
     observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
     k.stochastic(
-        z,
+        height.z,
+        height.middle,
         spread,
-        footprint.leg_windows,
-        footprint.body_windows,
-        footprint.depth,
-        footprint.reach,
+        footprint.cells,
         np.float32(footprint.least_height * ratio),
         np.float32(lander.roughness_limit),
         p_slope,

@@ -11,25 +11,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety._kernels import FAR
 
 IntArray = NDArray[np.int64]
 
-
+MOST_CELLS = 256  # from the lander's centre to a leg
 BLOCK = 4  # side of the blocks of cells that the exact test opens or skips, cells
 
 
-@dataclass(frozen=True)
-class Supports:
-    """Triangles of legs on which the lander may stand, for every heading.
+class Cells(NamedTuple):
+    """A footprint as kernels take it; see `Footprint` for what has the same name there.
 
     Attributes
     ----------
+    legs, pad_windows, stand_windows, leg_windows, body_windows, depth, height, reach
+        As there.
+    pad_reach
+        Largest offset of a cell under a pad, cells.
     inverse
         For plane s on diagonal d the inverse of the matrix of the triangle's edges
         (headings, planes, diagonals, 4), cells.
@@ -37,12 +42,20 @@ class Supports:
         Row and column of the triangle's first leg (headings, planes, diagonals, 2), cells.
     """
 
+    legs: IntArray
+    pad_windows: IntArray
+    stand_windows: IntArray
+    leg_windows: IntArray
+    body_windows: IntArray
+    depth: int
+    height: int
+    reach: int
+    pad_reach: int
     inverse: NDArray[np.float32]
     place: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Covers:
+class Covers(NamedTuple):
     """Square blocks of cells that cover the polygon of every heading.
 
     Attributes
@@ -51,17 +64,23 @@ class Covers:
         South-west cells (row, column) of the blocks (n, 2), heading by heading.
     centres
         Column and row of their centres, one after the other (2 n,).
+    first
+        Where each heading's blocks begin (headings + 1,); multiples of four.
     allowed
         0 for each cell of a block that the polygon holds, else far below any ground
         (n block block,).
-    first
-        Where each heading's blocks begin (headings + 1,); multiples of four.
+    distinct
+        The different corners (m, 2): headings share many blocks.
+    which
+        Index of each block's corner among them (n,).
     """
 
     corners: IntArray
     centres: NDArray[np.float32]
-    allowed: NDArray[np.float32]
     first: IntArray
+    allowed: NDArray[np.float32]
+    distinct: IntArray
+    which: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +95,13 @@ class Footprint:
         Cells of the legs, counter-clockwise, for every distinct heading (headings, legs, 2).
     pad
         Cells under one pad (n, 2).
-    pad_windows, leg_windows, body_windows
-        One pad, the set L (all that any pad touches) and the set U (all that any polygon
-        covers) as unions of windows ``(row, level, first column, first column)`` (n, 4): two
-        windows of 2**level columns each; n is a multiple of four.
-    depth
-        Number of window levels.
+    pad_windows, stand_windows, leg_windows, body_windows
+        One pad, the cells of all legs, the set L (all that any pad touches) and the set U (all
+        that any polygon covers) as unions of windows ``(level, row, column, row, column)`` (n, 5):
+        two windows each that begin there, of 2**level columns, or of 2**-level rows if the level
+        is negative; n is a multiple of four.
+    depth, height
+        Number of window levels along rows, and of those along columns.
     least_height
         h0: least height of any triangle of legs, m.
     reach
@@ -91,9 +111,11 @@ class Footprint:
     legs: IntArray
     pad: IntArray
     pad_windows: IntArray
+    stand_windows: IntArray
     leg_windows: IntArray
     body_windows: IntArray
     depth: int
+    height: int
     least_height: float
     reach: int
 
@@ -116,11 +138,11 @@ class Footprint:
 
         Raises
         ------
-        ValueError
+        InputError
             If the side is not positive.
         """
         if not (np.isfinite(side) and side > 0.0):
-            raise ValueError(f"block_side = {side}: must be a positive length in metres")
+            raise InputError("block_side", side, "a positive length in metres")
         return max(1, min(round(side / posting), self.reach))
 
     def one_heading(self, index: int) -> Footprint:
@@ -128,9 +150,22 @@ class Footprint:
         return replace(self, legs=self.legs[index : index + 1])
 
     @cached_property
-    def supports(self) -> Supports:
-        """Triangles of legs of every heading."""
-        return _supports(self.legs)
+    def cells(self) -> Cells:
+        """What kernels take of it."""
+        inverse, place = _supports(self.legs)
+        return Cells(
+            self.legs,
+            self.pad_windows,
+            self.stand_windows,
+            self.leg_windows,
+            self.body_windows,
+            self.depth,
+            self.height,
+            self.reach,
+            int(self.pad.max()),
+            inverse,
+            place,
+        )
 
     def covers(self, block: int) -> Covers:
         """Return blocks that cover the polygons; `block` is their side in cells."""
@@ -158,7 +193,7 @@ def _distinct_headings(legs: int, radius: float) -> IntArray:
     return np.unique(cells, axis=0)
 
 
-def _polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
+def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
     """Return the runs (row, first column, length) of the cells in or on a convex polygon."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rows, cols = np.meshgrid(
@@ -179,21 +214,39 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
     return runs
 
 
-def _windows(mask: NDArray[np.bool_], row0: int, col0: int) -> IntArray:
-    """Return a set of cells as windows whose widths are powers of two."""
-    windows = []
+def _lines(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
+    """Return a set of cells as pairs of windows along rows, (level, row, col, row, col)."""
+    windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
         level = int(length).bit_length() - 1
-        windows.append((row, level, col, col + length - 2**level))
-    windows += [windows[-1]] * (-len(windows) % 4)
-    return np.array(windows, dtype=np.int64)
+        windows.append((level, row, col, row, col + length - 2**level))
+    return windows
+
+
+def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = False) -> IntArray:
+    """Return a set of cells as windows whose lengths are powers of two.
+
+    With `columns` the rows next to the middle one are taken column by column, as many of them as
+    saves most: a ring's sides are a few long columns, but many short rows.
+    """
+    best = _lines(mask, row0, col0)
+    rows = np.abs(np.arange(row0, row0 + len(mask)))
+    for most in range(1, int(rows.max()) + 2) if columns else ():
+        caps = np.where((rows >= most)[:, None], mask, False)
+        sides = np.where((rows < most)[:, None], mask, False)
+        found = _lines(caps, row0, col0)
+        found += [(-level, a, b, c, d) for level, b, a, d, c in _lines(sides.T, col0, row0)]
+        best = min(best, found, key=len)
+    best += [best[-1]] * (-len(best) % 4)
+    return np.array(best, dtype=np.int64)
 
 
 # The legs of plane s on diagonal d: s = 0 stands on a b c or a b d, s = 1 on a c d or b c d.
 _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
 
 
-def _supports(legs: IntArray) -> Supports:
+def _supports(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return `inverse` and `place` of `Cells`."""
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))
     inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
@@ -204,7 +257,7 @@ def _supports(legs: IntArray) -> Supports:
             edges = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1]), axis=-1)
             inverse[:, s, d] = edges / determinant[:, None]
             place[:, s, d] = legs[:, a]
-    return Supports(inverse.astype(np.float32), place.astype(np.float32))
+    return inverse.astype(np.float32), place.astype(np.float32)
 
 
 @lru_cache(maxsize=64)
@@ -214,7 +267,7 @@ def _covers(footprint: Footprint, block: int) -> Covers:
     first = [0]
     across = np.arange(block)
     for polygon in footprint.legs:
-        spans = {row: (col, col + length) for row, col, length in _polygon_runs(polygon)}
+        spans = {row: (col, col + length) for row, col, length in polygon_runs(polygon)}
         lowest, highest = min(spans), max(spans)
         for start in range(lowest, highest + 1, block):
             # The last band ends at the last row, so that no block leaves the footprint.
@@ -234,8 +287,16 @@ def _covers(footprint: Footprint, block: int) -> Covers:
         first.append(len(corners))
     south_west = np.array(corners, dtype=np.int64)
     centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
+    distinct, which = np.unique(south_west, axis=0, return_inverse=True)
     marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
-    return Covers(south_west, centres.ravel(), marks, np.array(first))
+    return Covers(
+        south_west,
+        centres.ravel(),
+        np.array(first),
+        marks,
+        distinct,
+        which.ravel().astype(np.int64),
+    )
 
 
 def _triangle_height(points: NDArray[np.float64]) -> float:
@@ -249,8 +310,12 @@ def _triangle_height(points: NDArray[np.float64]) -> float:
 def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
     radius = leg_radius / posting
     if radius < 1.0:
-        raise ValueError(
-            f"posting = {posting} m: must be finer than the leg radius of {leg_radius} m"
+        raise InputError("grid.posting", posting, f"finer than the leg radius of {leg_radius} m")
+    if radius > MOST_CELLS:
+        raise InputError(
+            "vehicle.leg_radius",
+            leg_radius,
+            f"at most {MOST_CELLS} cells of {posting} m: a coarser posting or a smaller lander",
         )
     cells = _distinct_headings(legs, radius)
     n = int(np.floor(pad_radius / posting + 1e-9))
@@ -260,13 +325,15 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
 
     reach = int(np.abs(cells).max()) + n
     side = 2 * reach + 1
+    stand_mask = np.zeros((side, side), np.bool_)
     leg_mask = np.zeros((side, side), np.bool_)
     body_mask = np.zeros((side, side), np.bool_)
     for polygon in cells:
         for leg in polygon:
+            stand_mask[leg[0] + reach, leg[1] + reach] = True
             spots = leg + pad + reach
             leg_mask[spots[:, 0], spots[:, 1]] = True
-        for row, col, length in _polygon_runs(polygon):
+        for row, col, length in polygon_runs(polygon):
             body_mask[row + reach, col + reach : col + reach + length] = True
     least = min(
         _triangle_height(polygon[list(triple)].astype(np.float64))
@@ -274,16 +341,19 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         for triple in combinations(range(legs), 3)
     )
     pad_windows = _windows(disc, -n, -n)
-    leg_windows = _windows(leg_mask, -reach, -reach)
-    body_windows = _windows(body_mask, -reach, -reach)
-    deepest = max(int(w[:, 1].max()) for w in (pad_windows, leg_windows, body_windows))
+    stand_windows = _windows(stand_mask, -reach, -reach)
+    leg_windows = _windows(leg_mask, -reach, -reach, columns=True)
+    body_windows = _windows(body_mask, -reach, -reach, columns=True)
+    levels = np.concatenate((pad_windows, stand_windows, leg_windows, body_windows))[:, 0]
     return Footprint(
         legs=cells,
         pad=pad,
         pad_windows=pad_windows,
+        stand_windows=stand_windows,
         leg_windows=leg_windows,
         body_windows=body_windows,
-        depth=1 + deepest,
+        depth=1 + int(levels.max()),
+        height=1 - int(levels.min()),
         least_height=least * posting,
         reach=reach,
     )
@@ -294,10 +364,11 @@ def footprint_of(lander: Lander, posting: float) -> Footprint:
 
     Raises
     ------
-    ValueError
-        If the posting is too coarse for the legs to fall in different cells.
+    InputError
+        If the posting is too coarse for the legs to fall in different cells, or so fine that the
+        footprint has over 256 cells from its centre to a leg: work and memory grow with the cube.
     """
     footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
     if footprint.least_height <= 0.0:
-        raise ValueError(f"posting = {posting} m: too coarse, three legs fall on one line")
+        raise InputError("grid.posting", posting, "finer: three legs fall on one line")
     return footprint

@@ -9,6 +9,7 @@ def gaussian_dem() -> None:
     """65,536 returns from 500 m straight above to a safety map, against Qhull and ALHAT."""
     import numpy as np
 
+    from bench_parts.brute_safety import compare
     from lunarsim.models.lander import Lander
     from lunarsim.sensors.lidar import FlashLidar
 
@@ -19,6 +20,7 @@ def gaussian_dem() -> None:
     qhull = _triangulations(points, shape)
     _safety_maps(points, shape, lidar.noise_ratio * 500.0, lander, qhull)
     _safety_tests(terrain, lander)
+    compare(lander)
 
 
 def _plane_with_rocks():

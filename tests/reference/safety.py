@@ -103,3 +103,73 @@ def extremes(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int):
     over_legs = [float(z[row + r, col + c]) for r, c in legs]
     over_body = [float(z[row + r, col + c]) for r, c in body]
     return max(over_legs), min(over_legs), max(over_body), least
+
+
+def below(margin: float, sigma: float) -> float:
+    """P(x < margin) for x ~ N(0, sigma^2); a step where sigma is 0."""
+    if sigma == 0.0:
+        return 1.0 if margin > 0.0 else 0.0
+    return 0.5 * math.erfc(-margin / (sigma * math.sqrt(2.0)))
+
+
+def highest(values: list[tuple[float, float]]) -> tuple[float, float]:
+    """Mean and deviation of the maximum of Gaussians (mean, deviation): Eqs. 15 and 16."""
+    top = max(m + 3.0 * s for m, s in values)
+    bottom = max(m - 3.0 * s for m, s in values)
+    return 0.5 * (top + bottom), (top - bottom) / 6.0
+
+
+def lowest(values: list[tuple[float, float]]) -> tuple[float, float]:
+    """Mean and deviation of the minimum of Gaussians."""
+    top = min(m + 3.0 * s for m, s in values)
+    bottom = min(m - 3.0 * s for m, s in values)
+    return 0.5 * (top + bottom), (top - bottom) / 6.0
+
+
+def stochastic(mean, variance, grid, lander, row, col, bound=math.sin) -> tuple[float, float]:
+    """Probabilities of slope and roughness of a lander centred on one cell: Eq. 17."""
+    pads = pad_cells(lander, grid.posting)
+    legs, body = set(), set()
+    for corners in leg_cells(lander, grid.posting, 4000):
+        body.update(polygon_cells(corners))
+        legs.update((r + a, c + b) for r, c in corners for a, b in pads)
+    *_, least = extremes(mean, grid, lander, row, col)
+
+    def gaussians(cells):
+        return [
+            (float(mean[row + r, col + c]), math.sqrt(float(variance[row + r, col + c])))
+            for r, c in cells
+        ]
+
+    top, top_sd = highest(gaussians(legs))
+    low, low_sd = lowest(gaussians(legs))
+    peak, peak_sd = highest(gaussians(body))
+    slope = below(least * bound(lander.slope_limit) - (top - low), math.hypot(top_sd, low_sd))
+    rough = below(lander.roughness_limit - (peak - low), math.hypot(peak_sd, low_sd))
+    return slope, rough
+
+
+def real_planes(mean, variance, grid, lander, row, col) -> tuple[float, float]:
+    """Probabilities of slope and roughness through the support planes, cell by cell, upright."""
+    p = grid.posting
+    pads = pad_cells(lander, p)
+    steepest = nominal = raised = worst_sd = 0.0
+    for corners in leg_cells(lander, p, 4000):
+        legs = []
+        for r, c in corners:
+            under = [(row + r + a, col + c + b) for a, b in pads]
+            z, sd = highest([(float(mean[i]), math.sqrt(float(variance[i]))) for i in under])
+            legs.append((c * p, r * p, z))
+            worst_sd = max(worst_sd, sd)
+        for z0, gx, gy in standing_planes(np.array(legs)):
+            steepest = max(steepest, math.hypot(gx, gy))
+            for r, c in polygon_cells(corners):
+                rise = float(mean[row + r, col + c]) - (z0 + gx * c * p + gy * r * p)
+                nominal = max(nominal, rise)
+                rise += 3.0 * math.sqrt(float(variance[row + r, col + c]))
+                raised = max(raised, rise)
+    *_, least = extremes(mean, grid, lander, row, col)
+    slope_sd = math.sqrt(2.0) * worst_sd / least
+    slope = below(math.tan(lander.slope_limit) - steepest, slope_sd)
+    rough_sd = math.hypot((raised - nominal) / 3.0, worst_sd)
+    return slope, below(lander.roughness_limit - nominal, rough_sd)

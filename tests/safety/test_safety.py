@@ -58,6 +58,47 @@ def test_exact_safety_agrees_with_the_plain_reference(lander, seed):
         assert ours.roughness[row, col] == pytest.approx(roughness, abs=2e-5)
 
 
+def grounds(grid: Grid) -> dict:
+    """Ground that pruning goes by: smooth and sloping, stepped, with rocks, with a spike."""
+    rng = np.random.default_rng(2)
+    x, y = np.meshgrid(grid.x, grid.y)
+    flat = np.zeros(grid.shape)
+    spike = 0.1 * x
+    spike[20, 30] = 1e3
+    return {
+        "tilt": np.tan(np.deg2rad(12.0)) * x - 0.1 * y,
+        "dome": -(x**2 + y**2) / 40.0,
+        "saddle": 0.3 * x + (x**2 - y**2) / 20.0,
+        "ripples": 0.05 * np.cos(4.0 * x + y),
+        "terraces": 0.1 * np.floor(2.0 * x),
+        "rocks on a dome": -(x**2) / 30.0 + np.where(rng.random(grid.shape) < 0.03, 0.3, 0.0),
+        "cliff": np.where(x > 0.3, 40.0, 0.0),
+        "spike": spike,
+        "level": flat + 2.0e-4 * rng.standard_normal(grid.shape),
+    }
+
+
+@pytest.mark.parametrize("legs", [3, 4])
+@pytest.mark.parametrize("name", list(grounds(Grid.centred((0.0, 0.0), 4.0, 0.1))))
+def test_no_ground_is_passed_over(name, legs):
+    """What is skipped would not have counted, whatever the ground's shape."""
+    grid = Grid.centred((0.0, 0.0), 5.2, 0.1, 4.4)
+    z = grounds(grid)[name]
+    lander = Lander(leg_radius=0.9, pad_diameter=0.3, legs=legs)
+    ours = exact_safety(z, grid, lander)
+    single = bounded_safety(z, grid, lander, block_side=1e-3)
+    rise = conservative_safety(z, grid, lander).roughness
+    seen = ours.observed
+    scale = 1e-5 + 1e-5 * np.abs(z).max()
+    # Blocks of one cell go through every cell; the level bound may lie lower by rounding alone.
+    assert np.allclose(ours.roughness[seen], single.roughness[seen], rtol=1e-5, atol=scale)
+    assert np.all(ours.roughness[seen] <= rise[seen] + scale)
+    for row, col in np.random.default_rng(0).permutation(np.argwhere(seen))[:2]:
+        slope, roughness = reference.exact(z, grid, lander, row, col)
+        assert ours.slope[row, col] == pytest.approx(slope, abs=2e-5)
+        assert ours.roughness[row, col] == pytest.approx(roughness, rel=1e-5, abs=2e-5)
+
+
 @pytest.mark.parametrize("lander", [SMALL, THREE], ids=["four", "three"])
 def test_conservative_bounds_agree_with_the_plain_reference(lander):
     z, grid = terrain(5, 0.05)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 
 FloatMap = NDArray[np.float32]
@@ -78,9 +79,16 @@ class HazardMap:
         The touchdown error is Gaussian with standard deviation `sigma` (m) an axis: p_safe is
         averaged with that weight, as the ALHAT programme does. Unobserved ground counts as
         unsafe.
+
+        Raises
+        ------
+        InputError
+            If `sigma` is not finite or negative.
         """
+        if not (np.isfinite(sigma) and sigma >= 0.0):
+            raise InputError("sigma", sigma, "0 or a positive length in metres")
         p = np.where(self.observed, self.p_safe, np.float32(0.0))
-        if sigma <= 0.0:
+        if sigma == 0.0:
             return p
         smooth = ndimage.gaussian_filter(
             p, sigma / self.grid.posting, mode="constant", cval=0.0, truncate=3.0

@@ -1,0 +1,391 @@
+"""Compiled kernel of the exact map: every heading, every plane, every cell that could matter.
+
+A lid is a plane that lies on a block of cells and touches the highest of them above it. Of a lid
+with gradient a and height t at the block's centre c no cell of the block rises above
+``t + a (x - c)``; above a support plane of gradient g and height b at the site's centre they
+rise by at most ``t - g c - b + s (|ax - gx| + |ay - gy|)``, where s is half the distance of the
+outermost cells. With the ground's gradient e at the site the last term is at most ``s`` times
+``|ax - ex| + |ay - ey| + |ex - gx| + |ey - gy|``: the first half is added once a site to the lids'
+heights, the second once a plane. Lids follow the ground where it is smooth, so that few blocks
+are opened however it slopes and curves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+from lunarsim._lanes import (
+    LANES,
+    any_above,
+    item,
+    larger,
+    load,
+    magnitude,
+    root,
+    spread,
+    store,
+    where_above,
+)
+from lunarsim.safety._kernels import (
+    FAR,
+    TILE_COLS,
+    datum_of,
+    fill,
+    levels_of,
+    load_window,
+    over_runs,
+    tiles_of,
+)
+from lunarsim.safety._plane_kernels import (
+    PLANE_ROWS,
+    clear,
+    flat_offsets,
+    plane,
+    squared_tangent,
+    stand,
+    window_shape,
+)
+from lunarsim.safety.footprint import BLOCK
+
+SQUARE = 8  # side of the squares of cells whose gradients the lids follow
+HALF = np.float32(0.5 * (BLOCK - 1))
+
+
+@kernel()
+def _slopes(z, inside, arm, out):
+    """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m a cell.
+
+    Of the ground at large: the median over a square of height differences over an `arm` to either
+    side, then that over the squares about it. It follows domes and ridges and does not mind rocks
+    and ripples. Heights are taken `inside` (first and last row, first and last column) alone.
+    """
+    _, rows, cols = out.shape
+    bottom, top, left, right = inside
+    raw = np.empty(out.shape, np.float32)
+    some = np.empty((2, SQUARE, SQUARE // 2), np.float32)
+    for i in range(rows):
+        for j in range(cols):
+            for r in range(SQUARE):
+                for c in range(SQUARE // 2):
+                    y = min(max(i * SQUARE + r, bottom), top)
+                    x = min(max(j * SQUARE + 2 * c, left), right)
+                    a, b = max(x - arm, left), min(x + arm, right)
+                    some[0, r, c] = (z[y, b] - z[y, a]) / np.float32(max(b - a, 1))
+                    a, b = max(y - arm, bottom), min(y + arm, top)
+                    some[1, r, c] = (z[b, x] - z[a, x]) / np.float32(max(b - a, 1))
+            for axis in range(2):
+                raw[axis, i, j] = np.median(some[axis])
+    for axis in range(2):
+        for i in range(rows):
+            for j in range(cols):
+                near = raw[axis, max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
+                out[axis, i, j] = np.median(near)
+
+
+@kernel(fast=True)
+def _between(slopes, out):
+    """Write what holds at the centre of the block to the north-east of each cell, bilinear."""
+    rows, cols = slopes.shape
+    tall, wide = out.shape
+    shift = np.float32(0.5 * BLOCK / SQUARE - 0.5)
+    step = np.float32(1.0 / SQUARE)
+    lines = np.empty((rows, wide), np.float32)
+    for j in range(wide):
+        v = min(max(np.float32(j) * step + shift, np.float32(0.0)), np.float32(cols - 1))
+        n = min(int(v), max(cols - 2, 0))
+        m = min(n + 1, cols - 1)
+        for k in range(rows):
+            lines[k, j] = slopes[k, n] + (v - np.float32(n)) * (slopes[k, m] - slopes[k, n])
+    for i in range(tall):
+        u = min(max(np.float32(i) * step + shift, np.float32(0.0)), np.float32(rows - 1))
+        n = min(int(u), max(rows - 2, 0))
+        w = u - np.float32(n)
+        low, high, line = lines[n], lines[min(n + 1, rows - 1)], out[i]
+        for j in range(wide):
+            line[j] = low[j] + w * (high[j] - low[j])
+
+
+@kernel()
+def _lids(z, slopes, height, east, north):
+    """Write the lids of the blocks to the north-east of each cell: height at centre, gradient."""
+    tall, wide = z.shape
+    flat = z.reshape(z.size)
+    _between(slopes[0], east.reshape(tall, wide))
+    _between(slopes[1], north.reshape(tall, wide))
+    for at in range(0, z.size - (BLOCK - 1) * wide - BLOCK - LANES, LANES):
+        gx = load(east, at)
+        gy = load(north, at)
+        top = spread(-FAR)
+        for r in range(BLOCK):
+            line = at + r * wide
+            best = load(flat, line)
+            for c in range(1, BLOCK):
+                best = larger(best, load(flat, line + c) - np.float32(c) * gx)
+            top = larger(top, best - np.float32(r) * gy)
+        store(height, at, top + HALF * gx + HALF * gy)
+
+
+@kernel()
+def _lift_lids(ground, here, corners, lids):
+    """Write the lids' heights of all blocks of sixteen sites, with what their slant may add.
+
+    Returns nothing; block n of site k is lids[LANES n + k].
+    """
+    height, east, north = ground[2], ground[3], ground[4]
+    gx, gy = load(east, here), load(north, here)
+    for n in range(len(corners)):
+        at = here + item(corners, n)
+        slant = magnitude(load(east, at) - gx) + magnitude(load(north, at) - gy)
+        store(lids, n * LANES, load(height, at) + HALF * slant)
+
+
+@kernel(inline=True)
+def _risen(lids, blocks, centres, n, gx, gy):
+    """Return the lid of block `n`, at the block's centre, above a plane through the site."""
+    lid = load(lids, item(blocks, n) * LANES)
+    return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
+
+
+@kernel(inline=True)
+def _open(z, here, wide, covers, n, gx, gy):
+    """Return the highest of the cells that a polygon holds of block `n`, above a plane.
+
+    `allowed` is 0 for these cells and -FAR for the others; a test for each would cost more.
+    """
+    corners, allowed = covers
+    south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
+    top = spread(-FAR)
+    for r in range(BLOCK):
+        at = here + (south + r) * wide + west
+        line = spread(-FAR)
+        for c in range(BLOCK):
+            level = load(z, at + c) + item(allowed, (n * BLOCK + r) * BLOCK + c)
+            line = larger(line, level - np.float32(c) * gx)
+        top = larger(top, line - np.float32(r) * gy)
+    return top - np.float32(west) * gx - np.float32(south) * gy
+
+
+@kernel(inline=True)
+def _open_four(z, here, wide, covers, n, gx, gy, risen, need):
+    """Return what `_open` does for those of blocks `n` to n + 3 that rise above what is needed."""
+    a, b, c, d = risen
+    top = spread(-FAR)
+    if any_above(a, need):
+        top = _open(z, here, wide, covers, n, gx, gy)
+    if any_above(b, need):
+        top = larger(top, _open(z, here, wide, covers, n + 1, gx, gy))
+    if any_above(c, need):
+        top = larger(top, _open(z, here, wide, covers, n + 2, gx, gy))
+    if any_above(d, need):
+        top = larger(top, _open(z, here, wide, covers, n + 3, gx, gy))
+    return top
+
+
+@kernel(inline=True)
+def _stride(headings):
+    """Return by how much to go on so that every heading gets its turn, those far apart first.
+
+    They soon show about how rough a site is, which spares the others.
+    """
+    stride = max(1, round(0.382 * headings))
+    while math.gcd(stride, headings) > 1:
+        stride += 1
+    return stride
+
+
+@kernel()
+def _steepest(feet, here, legs, cells, posting, out):
+    """Write the largest tan(slope) over headings and planes."""
+    inverse, place = cells.inverse, cells.place
+    steepest = spread(0.0)
+    for h in range(legs.shape[0]):
+        for s in range(inverse.shape[1]):
+            gx, gy, _ = plane(feet, here, legs, inverse, place, h, s)
+            steepest = larger(steepest, squared_tangent(gx, gy, posting))
+    store(out, 0, root(steepest))
+
+
+@kernel()
+def _drop_steep(tangent, limit, lanes):
+    """Set `lanes` to FAR where the slope is at its limit; return whether any is left."""
+    left = False
+    for k in range(LANES):
+        if tangent[k] >= limit:
+            lanes[k] = FAR
+        left |= lanes[k] < FAR
+    return left
+
+
+@kernel()
+def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes,
+           lids):  # fmt: skip
+    """Raise lanes[1] to tan(slope), write the roughness of sixteen sites to lanes[2].
+
+    lanes[0] is FAR where nothing is wanted, lanes[3] the margin for rounding; `lids` is from
+    `_lift_lids`. Returns the heading that raised the roughness last; `start` is the one to begin
+    with.
+    """
+    z, feet = ground[0], ground[1]
+    ex, ey = load(ground[3], here), load(ground[4], here)
+    inverse, place = cells.inverse, cells.place
+    blocks, centres, first = covers.which, covers.centres, covers.first
+    polygon = (covers.corners.reshape(covers.corners.size), covers.allowed)
+    headings = legs.shape[0]
+    stride = _stride(headings)
+    out, margin = load(lanes[0], 0), load(lanes[3], 0)
+    steepest = spread(0.0)
+    # Less is rounding, and no roughness.
+    worst = spread(limit_rough) if decide else margin + margin
+    last_raised = start
+    for turn in range(headings):
+        h = (start + turn * stride) % headings
+        for s in range(inverse.shape[1]):
+            gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+            square = squared_tangent(gx, gy, posting)
+            steepest = larger(steepest, square)
+            stretch = root(square + np.float32(1.0))
+            slant = magnitude(ex - gx) + magnitude(ey - gy)
+            lowest = base + out - HALF * slant - margin
+            need = lowest + worst * stretch
+            for n in range(item(first, h), item(first, h + 1), 4):
+                a = _risen(lids, blocks, centres, n, gx, gy)
+                b = _risen(lids, blocks, centres, n + 1, gx, gy)
+                c = _risen(lids, blocks, centres, n + 2, gx, gy)
+                d = _risen(lids, blocks, centres, n + 3, gx, gy)
+                if any_above(larger(larger(a, b), larger(c, d)), need):
+                    top = _open_four(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
+                    worst = larger(worst, (top - base) / stretch)
+                    need = lowest + worst * stretch
+                    last_raised = h
+        if decide:
+            out = where_above(spread(limit_rough), worst, out, spread(FAR))
+            if not any_above(spread(np.float32(0.5) * FAR), out):
+                break
+    store(lanes[1], 0, larger(root(steepest), load(lanes[1], 0)))
+    store(lanes[2], 0, worst)
+    return last_raised
+
+
+# Of the heights' size: what a few float32 operations may lose.
+_ROUNDING = np.float32(2e-6)
+
+
+@kernel()
+def _mark(todo, size, i, first, lanes):
+    """Set lanes[0] to 0 at the sites to do, else FAR, lanes[3] to margins; tell if there are any.
+
+    A site's margin is for the heights of its own footprint, FAR of which are unknown.
+    """
+    found = False
+    for k in range(LANES):
+        j = first + k
+        wanted = j < todo.shape[1] and todo[i, j] and size[i, j] < FAR
+        lanes[0, k] = np.float32(0.0) if wanted else FAR
+        lanes[3, k] = _ROUNDING * size[i, j] if wanted else np.float32(0.0)
+        found |= wanted
+    return found
+
+
+@kernel()
+def _prepare(z, middle, cells, r0, c0, ground, size):
+    """Fill the windows of a tile and the largest height of each site's footprint.
+
+    `ground` (5, rows, cols) becomes elevation, ground under pads, heights and gradients of lids;
+    `size` is FAR where a footprint holds unknown ground or leaves the raster.
+    """
+    reach = cells.reach
+    _, tall, wide = ground.shape
+    h, w = size.shape
+    levels = levels_of(cells, tall, wide)
+    datum = datum_of(z, middle, r0, c0, h, w)
+    load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
+    levels[0] = np.abs(ground[0])
+    fill(levels, cells)
+    over_runs(levels, cells.depth, cells.leg_windows, reach, size)
+    body = np.empty((h, w), np.float32)
+    over_runs(levels, cells.depth, cells.body_windows, reach, body)
+    for i in range(h):
+        for j in range(w):
+            size[i, j] = max(size[i, j], body[i, j])
+    clear(ground[0])
+    stand(levels, ground[0], cells, ground[1])
+    ground[2:] = np.float32(0.0)
+    slopes = np.empty((2, tall // SQUARE, wide // SQUARE), np.float32)
+    rows, cols = z.shape
+    inside = (
+        max(reach - r0, 0),
+        min(h + 2 * reach, rows - r0 + reach) - 1,
+        max(reach - c0, 0),
+        min(w + 2 * reach, cols - c0 + reach) - 1,
+    )
+    _slopes(ground[0], inside, max(reach // 2, 1), slopes)
+    flat = ground.reshape(5, tall * wide)
+    _lids(ground[0], slopes, flat[2], flat[3], flat[4])
+
+
+@kernel()
+def _exact_tile(
+    ground, size, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out,
+    rough_out,
+):  # fmt: skip
+    """Write tan(slope) and roughness of the sites to do of a tile."""
+    wide = ground.shape[2]
+    flat = ground.reshape(5, ground.shape[1] * wide)
+    legs = flat_offsets(cells.legs, wide)
+    corners = flat_offsets(covers.distinct, wide)
+    lanes = np.zeros((4, LANES), np.float32)
+    lids = np.empty(len(corners) * LANES, np.float32)
+    start = 0
+    for i in range(todo.shape[0]):
+        for j in range(0, todo.shape[1], LANES):
+            if not _mark(todo, size, i, j, lanes):
+                continue
+            here = (i + cells.reach) * wide + cells.reach + j
+            lanes[1:3] = np.float32(0.0)
+            if decide:
+                _steepest(flat[1], here, legs, cells, posting, lanes[1])
+            if not decide or _drop_steep(lanes[1], limit_slope, lanes[0]):
+                # The heading that was worst here is likely to be so next door, and spares others.
+                _lift_lids(flat, here, corners, lids)
+                start = _rough(
+                    flat, here, wide, legs, cells, covers, posting, limit_rough, decide, start,
+                    lanes, lids,
+                )  # fmt: skip
+            for k in range(min(LANES, todo.shape[1] - j)):
+                if todo[i, j + k] and size[i, j + k] < FAR:
+                    least = limit_rough if decide else np.float32(2.0) * lanes[3, k]
+                    slope_out[i, j + k] = lanes[1, k]
+                    rough_out[i, j + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
+
+
+@kernel(parallel=True)
+def exact(
+    z, middle, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out, rough_out
+):
+    """Write tan(slope) and roughness, the worst over headings and admissible planes.
+
+    Only the sites to do whose footprints are known are written. A block is opened only if its lid
+    rises above the plane of some site by more than that site's worst roughness so far, less a
+    margin for rounding. With `decide` a site is left as soon as a limit is passed: only the
+    comparison with the limits is then meant.
+    """
+    rows, cols = todo.shape
+    across, tiles = tiles_of(rows, cols, PLANE_ROWS)
+    for tile in prange(tiles):
+        r0 = (tile // across) * PLANE_ROWS
+        c0 = (tile % across) * TILE_COLS
+        r1 = min(r0 + PLANE_ROWS, rows)
+        c1 = min(c0 + TILE_COLS, cols)
+        if not todo[r0:r1, c0:c1].any():
+            continue
+        tall, wide = window_shape(cells, r1 - r0, c1 - c0)
+        ground = np.empty((5, tall, wide), np.float32)
+        size = np.empty((r1 - r0, c1 - c0), np.float32)
+        _prepare(z, middle, cells, r0, c0, ground, size)
+        _exact_tile(
+            ground, size, todo[r0:r1, c0:c1], cells, covers, posting, limit_slope, limit_rough,
+            decide, slope_out[r0:r1, c0:c1], rough_out[r0:r1, c0:c1],
+        )  # fmt: skip

@@ -1,0 +1,129 @@
+"""The exact map without any bound: every cell of every polygon above every plane."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench_parts.common import median_ms
+from lunarsim._jit import kernel, prange
+from lunarsim._lanes import LANES, item, larger, load, root, spread, store
+from lunarsim.safety import footprint_of
+from lunarsim.safety._plane_kernels import flat_offsets, plane, squared_tangent
+from lunarsim.safety.exact import exact_safety
+from lunarsim.safety.footprint import polygon_runs
+
+
+@kernel(inline=True)
+def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
+    top = spread(-1e30)
+    for n in range(begin, beyond):
+        row, col = item(runs, 3 * n), item(runs, 3 * n + 1)
+        at = here + row * wide + col
+        line = load(z, at)
+        for c in range(1, item(runs, 3 * n + 2)):
+            line = larger(line, load(z, at + c) - np.float32(c) * gx)
+        top = larger(top, line - np.float32(row) * gy - np.float32(col) * gx)
+    return top
+
+
+@kernel(parallel=True)
+def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness):
+    inverse, place, reach = cells.inverse, cells.place, cells.reach
+    rows, cols = shape
+    for i in prange(reach, rows - reach):
+        for j in range(reach, cols - reach - LANES + 1, LANES):
+            here = i * cols + j
+            steepest = spread(0.0)
+            worst = spread(0.0)
+            for h in range(legs.shape[0]):
+                for s in range(inverse.shape[1]):
+                    gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+                    square = squared_tangent(gx, gy, posting)
+                    top = _over_polygon(z, here, cols, runs, first[h], first[h + 1], gx, gy)
+                    steepest = larger(steepest, square)
+                    worst = larger(worst, (top - base) / root(square + np.float32(1.0)))
+            store(tangent, here, root(steepest))
+            store(roughness, here, worst)
+
+
+def brute(z, grid, lander):
+    """Return tan(slope) and roughness (rows, cols), 0 near the edge."""
+    footprint = footprint_of(lander, grid.posting)
+    lines = [polygon_runs(polygon) for polygon in footprint.legs]
+    first = np.cumsum([0] + [len(line) for line in lines])
+    runs = np.array([run for line in lines for run in line], dtype=np.int64).ravel()
+    z = np.asarray(z, dtype=np.float32)
+    feet = z.copy()
+    for row, col in footprint.pad:
+        np.maximum(feet, np.roll(z, (-row, -col), (0, 1)), out=feet)
+    out = np.zeros((2, z.size + LANES), np.float32)
+    legs = flat_offsets(footprint.legs, grid.cols)
+    _brute(
+        z.ravel(), feet.ravel(), grid.shape, footprint.cells, legs, runs, first,
+        np.float32(grid.posting), out[0], out[1],
+    )  # fmt: skip
+    return out[:, : z.size].reshape(2, *grid.shape)
+
+
+def grounds(grid):
+    """Return ground by name: rocks, relief and whatever the exact map was found to be slow on."""
+    from lunarsim.world.terrain import fractal_relief
+
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(grid.x, grid.y)
+
+    def stones(density, radius):
+        z = np.zeros(grid.shape)
+        half = 0.5 * grid.cols * grid.posting
+        for east, north in rng.uniform(-half, half, (round(density * 4.0 * half**2), 2)):
+            rows = np.abs(grid.y - north) < radius
+            cols = np.abs(grid.x - east) < radius
+            apart = (x[np.ix_(rows, cols)] - east) ** 2 + (y[np.ix_(rows, cols)] - north) ** 2
+            cap = np.sqrt(np.maximum(radius**2 - apart, 0.0))
+            z[np.ix_(rows, cols)] = np.maximum(z[np.ix_(rows, cols)], cap)
+        return z
+
+    tilt = np.tan(np.deg2rad(10.0)) * x
+    found = {
+        "level": np.zeros(grid.shape),
+        "10 deg": tilt,
+        "rocks": stones(0.4, 0.5),
+        "small rocks": stones(7.0, 0.15),
+        "rocks, 10 deg": stones(2.0, 0.15) + tilt,
+        "ridge of 40 m": -(x**2) / 80.0,
+        "ripples": 0.02 * (np.cos(2.0 * np.pi * x / 2.0) + np.cos(2.0 * np.pi * y / 2.0)),
+        "terraces": 0.05 * np.floor(x),
+        "saw": 0.1 * ((x / 0.8) % 1.0),
+    }
+    for radius in (40, 100, 1000):
+        found[f"dome of {radius} m"] = -(x**2 + y**2) / (2.0 * radius)
+    found["rough dome"] = found["dome of 100 m"] + 0.01 * rng.standard_normal(grid.shape)
+    for hurst in (0.2, 0.5, 0.85, 0.99):
+        relief = fractal_relief(
+            grid, np.random.default_rng(1), hurst=hurst, rms_slope=np.deg2rad(8.0)
+        )
+        found[f"relief, H {hurst}"] = relief.z
+    return found
+
+
+def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
+    """Print the exact map's time a cell and thread, and its ratio to that of brute force."""
+    import numba
+
+    from lunarsim.grid import Grid
+
+    grid = Grid.centred((0.0, 0.0), width, posting)
+    reach = footprint_of(lander, posting).reach
+    inner = slice(reach, -reach - LANES)
+    sites = (grid.rows - 2 * reach) * (grid.cols - 2 * reach)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    plain = 1e3 * median_ms(lambda: brute(np.zeros(grid.shape), grid, lander), 3) / sites
+    print(f"  exact map at {posting} m, one thread: us a site; ratio to brute force's {plain:.2f}")
+    for name, z in grounds(grid).items():
+        ours = 1e3 * median_ms(lambda z=z: exact_safety(z, grid, lander), 3) / sites
+        print(f"    {name:16s} {ours:5.2f}  {ours / plain:.2f}")
+        rough = exact_safety(z, grid, lander).roughness - brute(z, grid, lander)[1]
+        if np.abs(rough[inner, inner]).max() > 1e-4:
+            raise AssertionError(f"the exact map of {name} is not that of brute force")
+    numba.set_num_threads(threads)
