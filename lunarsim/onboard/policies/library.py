@@ -143,7 +143,7 @@ class ScoreboardChoice:
 
     The choice of the quadtree paper (section 4): sites within slope, roughness and interest limits,
     ranked by Eq. 9; fuel is looked at for ranked sites alone. A site out of reach is left out, and
-    of sites of one score the cheapest wins; the paper says no more of how fuel counts, so `weight_fuel`
+    of sites of one score the cheapest wins; the paper says no more of how fuel counts: its weight
     is nought unless it is given one. The fuel is that of the trajectory that would be flown (Eq. 10
     minimised over the time-to-go), not of the least time within limits on jerk and snap.
 

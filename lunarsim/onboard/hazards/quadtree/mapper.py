@@ -87,6 +87,7 @@ class QuadtreeMapping:
             # Without a map to find there is nothing to wait for: an error of place is shared.
             hold_sigma=np.inf if briefing.prior_map is None else self.hold_sigma,
             interval=self.interval,
+            gravity=briefing.weight,
         )
 
 
@@ -113,6 +114,8 @@ class QuadtreeMapper(HazardMapper):
         what was seen before the first lock is smeared by the drift, as in the paper.
     interval
         Least time between two selections of sites while flying, s.
+    gravity
+        m/s^2, for what an error of attitude has done to the way since a scan that waits.
     """
 
     def __init__(
@@ -127,6 +130,7 @@ class QuadtreeMapper(HazardMapper):
         model: Logistic | None = None,
         hold_sigma: float = 0.5,
         interval: float = 1.0,
+        gravity: float = 0.0,
     ) -> None:
         self._quadtree = (least, split_count)
         self._settings = settings
@@ -137,6 +141,7 @@ class QuadtreeMapper(HazardMapper):
         self._hold_sigma = hold_sigma
         self._held: list[_Held] = []
         self._interval = interval
+        self._gravity = gravity
         self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = self._nothing(grid)
@@ -183,14 +188,18 @@ class QuadtreeMapper(HazardMapper):
         self.map.insert(_returns(measurement, estimate.position, estimate.attitude))
 
     def correct(self, before: Estimate, after: Estimate) -> None:
-        """Move the scans held by what navigation has just learnt of pose and velocity."""
+        """Move the scans held by what navigation has just learnt of pose and velocity.
+
+        The way since a scan is the velocity now carried back, and what the specific force has done
+        to it in between. That was turned by the error of attitude, the velocity was not.
+        """
         turn = quat_multiply(after.attitude, quat_conjugate(before.attitude))
-        faster = after.velocity - before.velocity
         for held in self._held:
+            since = before.time - held.time
+            fallen = np.array([0.0, 0.0, 0.5 * self._gravity * since**2])
+            by_force = held.position - before.position + before.velocity * since + fallen
             held.position = (
-                after.position
-                + quat_rotate(turn, held.position - before.position)
-                - faster * (before.time - held.time)
+                after.position - after.velocity * since + quat_rotate(turn, by_force) - fallen
             )
             held.attitude = quat_multiply(turn, held.attitude)
 

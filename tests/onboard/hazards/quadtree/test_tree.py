@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.quadtree import QuadtreeMap
+from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 from tests.reference import quadtree as reference
 
 
@@ -167,3 +167,58 @@ def test_impossible_maps_are_refused(arguments, field):
         QuadtreeMap(**({"centre": (0.0, 0.0), "side": 10.0} | arguments))
     with pytest.raises(InputError, match=r"quadtree\.points"):
         QuadtreeMap((0.0, 0.0), 10.0).insert(np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((3, 2)),
+        np.zeros(3),
+        np.zeros((2, 3, 3)),
+        [[0.0, 0.0, np.inf]],
+        [[-np.inf, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, 0.0, 1j]],
+        # Counted from the Moon's middle.
+        np.array([[0.0, 0.0, 1_737_400.0], [1.0, 1.0, 1_737_400.0]]),
+    ],
+    ids=["two columns", "one row", "three axes", "infinite", "infinite east", "complex", "datum"],
+)
+def test_points_that_cannot_be_are_refused(points):
+    quadtree = QuadtreeMap((0.0, 0.0), 10.0)
+    quadtree.insert([[1.0, 1.0, 0.0]])
+    with pytest.raises(InputError, match=r"quadtree\.points"):
+        quadtree.insert(points)
+    assert quadtree.count == 1
+
+
+def test_masked_points_are_left_out():
+    points = np.ma.masked_greater(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 9e9]]), 1e6)
+    quadtree = QuadtreeMap((0.0, 0.0), 10.0)
+    done = quadtree.insert(points)
+    assert (done.added, done.missing) == (1, 1)
+
+
+def test_ground_at_any_height_is_mapped_about_its_own_elevation():
+    rng = np.random.default_rng(8)
+    points = cloud(rng, 500, 2.0)
+    low, high = (QuadtreeMap((0.0, 0.0, h), 10.0) for h in (0.0, 1_737_400.0))
+    low.insert(points)
+    high.insert(points + [0.0, 0.0, 1_737_400.0])
+    a, b = low.band(0.3, 2.0), high.band(0.3, 2.0)
+    assert np.array_equal(a, b)
+    lifted = high.elevation(b) - 1_737_400.0
+    assert lifted == pytest.approx(low.elevation(a), abs=1e-5, nan_ok=True)
+
+
+def test_memory_is_some_bytes_a_point():
+    rng = np.random.default_rng(9)
+    quadtree = QuadtreeMap((0.0, 0.0), 20.0)
+    selector = SiteSelector(quadtree)
+    for _ in range(40):
+        xy = rng.uniform(-2.0, 2.0, (5000, 2)) + rng.uniform(-8.0, 8.0, 2)
+        quadtree.insert(np.column_stack((xy, 0.1 * rng.random(5000))))
+    selector.update()
+    t = quadtree.tree
+    held = sum(a.nbytes for a in t if isinstance(a, np.ndarray)) + selector.nbytes
+    assert quadtree.nbytes < held
+    assert held / quadtree.count < 80.0
