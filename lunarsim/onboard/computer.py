@@ -173,6 +173,7 @@ class OnboardComputer:
             aim = hazard_map.dispersed(self.decisions.touchdown_sigma)
             self._aim = (hazard_map.p_safe, aim)
         aim = self._aim[1]
+        scoreboard = mapper.scoreboard(self.site)
         self.candidates = candidate_sites(
             hazard_map,
             aim,
@@ -180,6 +181,8 @@ class OnboardComputer:
             self.cost_of,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
+            mapper=self.decisions_map,
+            scoreboard=scoreboard,
         )
         row, col = (int(v) for v in hazard_map.grid.cell(self.site[:2]))
         inside = bool(hazard_map.grid.contains(self.site[:2]))
@@ -194,6 +197,9 @@ class OnboardComputer:
             site_propellant=float(self.cost_of(self.site[None, :]).propellant[0]),
             time_to_go=self.time_to_go,
             propellant=self.mass - self.lander.dry_mass,
+            site_eligible=bool(hazard_map.eligible_at(self.site[:2])),
+            site_value=float(hazard_map.value_at(self.site[:2])),
+            scoreboard=scoreboard,
         )
 
     # --- a cycle --------------------------------------------------------------------------

@@ -99,6 +99,7 @@ CONTRACTS: dict[str, Contract] = {
             "safest": "lunarsim.onboard.policies.library:Safest",
             "nearest-safe": "lunarsim.onboard.policies.library:NearestSafe",
             "fuel-aware": "lunarsim.onboard.policies.library:FuelAware",
+            "scoreboard": "lunarsim.onboard.policies.library:ScoreboardChoice",
             "truth-oracle": "lunarsim.simulation.oracle:TruthOracle",
         },
         ("decide", "name"),

@@ -57,7 +57,11 @@ COLUMNS: dict[str, str] = {
 }
 _SCAN_COLUMNS = ("x", "y", "z", "time")
 _CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
-_LAYERS = {"p_safe": "1", "observed": "1", "elevation": "m", "variance": "m2"}
+_LAYERS = {
+    "p_safe": "1", "observed": "1", "elevation": "m", "variance": "m2",
+    "eligible": "1", "value": "1", "in_domain": "1",
+}  # fmt: skip
+_TRUE_OR_FALSE = ("observed", "eligible", "in_domain")
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class MapRecord:
             p_safe=_rounded(m.p_safe),
             elevation=None if m.elevation is None else _rounded(m.elevation),
             variance=None if m.variance is None else _rounded(m.variance),
+            value=None if m.value is None else _rounded(m.value),
         )
         object.__setattr__(self, "hazard_map", rounded)
 
@@ -314,7 +319,11 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     m, grid = record.hazard_map, record.hazard_map.grid
     layers = {
-        layer: (("y", "x"), data.astype(np.int8) if layer == "observed" else data, {"units": unit})
+        layer: (
+            ("y", "x"),
+            data.astype(np.int8) if layer in _TRUE_OR_FALSE else data,
+            {"units": unit},
+        )
         for layer, unit in _LAYERS.items()
         if (data := getattr(m, layer)) is not None
     }
@@ -346,7 +355,9 @@ def _load_map(name: str, folder: Path) -> MapRecord:
         a = data.attrs
         grid = Grid(float(a["x0_m"]), float(a["y0_m"]), float(a["posting_m"]), rows, cols)
         error = np.array(a["navigation_error_m"], dtype=np.float64)
-    layers["observed"] = layers["observed"].astype(np.bool_)
+    for layer in _TRUE_OR_FALSE:
+        if layer in layers:
+            layers[layer] = layers[layer].astype(np.bool_)
     tables = {
         path.name.removeprefix(f"{name}.").removesuffix(".parquet"): _columns(path)
         for path in sorted(folder.glob(f"{name}.*.parquet"))

@@ -116,13 +116,12 @@ def confused(mapper: QuadtreeMapper, ground: Ground) -> tuple[dict[str, float], 
     The estimate is NaN where cells have too few points: the paper's grey.
     """
     fine, hazard = ground.grid, ground.hazard
-    ratios, tree = mapper.selector.ratios, mapper.map
-    square = tree.side / len(ratios)
+    hazards, tree = mapper.selector.hazards, mapper.map
+    square = tree.side / len(hazards)
     corner = tree.centre[:2] - 0.5 * tree.side
     col = np.floor((fine.x - corner[0]) / square).astype(int)
     row = np.floor((fine.y - corner[1]) / square).astype(int)
-    ratio = ratios[np.ix_(row, col)]
-    estimated = np.where(np.isnan(ratio), np.nan, ratio > mapper.selector.settings.exception_limit)
+    estimated = hazards[np.ix_(row, col)].astype(np.float64)
     judged = np.isfinite(estimated) & np.isfinite(hazard)
     quality = MapQuality.of(estimated[judged] == 0.0, hazard[judged] == 0.0)
     area = fine.posting**2

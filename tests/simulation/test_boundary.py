@@ -6,13 +6,14 @@ import pickle
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lunarsim.onboard.policies.library import Safest
+from lunarsim.onboard.policies.library import Safest, ScoreboardChoice
 from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
+from lunarsim.simulation import Flight, Simulation
 from lunarsim.simulation.recorder import Tap
 from tests.conftest import ROOT, SCENARIOS
 
@@ -55,6 +56,18 @@ def sweep() -> Scenario:
     )
 
 
+def sites(folder: Path) -> Scenario:
+    """Return a sweep that is decided upon while it goes on; the mission wants the north alone."""
+    value = np.repeat([0.0, 0.0, 0.0, 1.0, 0.5, 0.5], 6).reshape(6, 6)
+    np.savez(folder / "north.npz", value=value, x0=-25.0, y0=-25.0, posting=10.0)
+    return sweep().changed(
+        start={"position_m": [-220.0, 0.0, 150.0]},
+        start_knowledge={"position_m": 3.0},
+        mappers={"sites": {"interest_path": str(folder / "north.npz")}},
+        decisions={"first_altitude_m": 400.0},
+    )
+
+
 def both() -> Scenario:
     return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
         terrain={"size_m": 120.0},
@@ -75,6 +88,53 @@ def both() -> Scenario:
     )
 
 
+def replayed(tap: Tap, policy: object, folder: Path) -> list:
+    """Return commands and torques of a flight's measurements in a process without a world."""
+    measurements = [inputs for inputs, _, _ in tap.exchanges]
+    source, target = folder / "in", folder / "out"
+    source.write_bytes(pickle.dumps((tap.briefing, policy, measurements)))
+    subprocess.run(
+        [sys.executable, str(ROOT / "tests" / "simulation" / "replay.py"), source, target],
+        check=True, cwd=ROOT,
+    )  # fmt: skip
+    return pickle.loads(target.read_bytes())
+
+
+def assert_the_same(exchanges, again) -> None:
+    assert len(again) == len(exchanges) - 1 > 100
+    for (_, command, torques), (other, torques_again) in zip(exchanges, again, strict=False):
+        assert other.thrust == command.thrust
+        assert other.attitude.tobytes() == command.attitude.tobytes()
+        assert [t.sensor for t in other.tasks] == [t.sensor for t in command.tasks]
+        for a, b in zip(other.tasks, command.tasks, strict=True):
+            assert a.mount.tobytes() == b.mount.tobytes()
+        assert torques_again.tobytes() == torques.tobytes()
+
+
+def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path):
+    tap = Tap()
+    simulation = Simulation(sites(tmp_path), 2, "scoreboard", tap=tap)
+    flight = simulation.run()
+    assert flight.decisions
+    assert {d["reason"] for d in flight.decisions} == {"best of the scoreboard"}
+    observation = simulation.observe()
+    board = observation.scoreboard
+    assert (board.position[:, 1] > 0.0).all()
+    assert observation.hazard_map.value.max() == 1.0
+    ranked = [s for s in observation.candidates.source if s == "sites: ranked"]
+    assert len(ranked) == len(board.score) > 0
+    assert observation.site_eligible
+    assert np.isfinite(board.here)
+    hazard_map = flight.hazard_map
+    assert not hazard_map.eligible[hazard_map.value == 0.0].any()
+    again = Flight.load(flight.save(tmp_path / "flight")).hazard_map
+    for layer in ("eligible", "value"):
+        a, b = getattr(hazard_map, layer), getattr(again, layer)
+        assert a.dtype == b.dtype
+        assert np.array_equal(a, b)
+    assert_the_same(tap.exchanges, replayed(tap, ScoreboardChoice(), tmp_path))
+
+
 @pytest.mark.parametrize("make", [flash, camera, sweep, both], ids=lambda f: f.__name__)
 def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_path):
     tap = Tap()
@@ -83,22 +143,7 @@ def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_
     kinds = {type(m).__name__ for inputs, _, _ in tap.exchanges for _, m in inputs.items}
     assert len(kinds) == {"flash": 3, "camera": 3, "sweep": 2, "both": 4}[make.__name__], kinds
     assert make is sweep or flight.maps
-    measurements = [inputs for inputs, _, _ in tap.exchanges]
-    source, target = tmp_path / "in", tmp_path / "out"
-    source.write_bytes(pickle.dumps((tap.briefing, Safest(), measurements)))
-    subprocess.run(
-        [sys.executable, str(ROOT / "tests" / "simulation" / "replay.py"), source, target],
-        check=True, cwd=ROOT,
-    )  # fmt: skip
-    replayed = pickle.loads(target.read_bytes())
-    assert len(replayed) == len(tap.exchanges) - 1 > 100
-    for (_, command, torques), (again, torques_again) in zip(tap.exchanges, replayed, strict=False):
-        assert again.thrust == command.thrust
-        assert again.attitude.tobytes() == command.attitude.tobytes()
-        assert [t.sensor for t in again.tasks] == [t.sensor for t in command.tasks]
-        for a, b in zip(again.tasks, command.tasks, strict=True):
-            assert a.mount.tobytes() == b.mount.tobytes()
-        assert torques_again.tobytes() == torques.tobytes()
+    assert_the_same(tap.exchanges, replayed(tap, Safest(), tmp_path))
 
 
 def test_the_wall_of_the_replay_stands():

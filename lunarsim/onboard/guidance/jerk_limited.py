@@ -114,8 +114,25 @@ def site_cost(
         Limits, m/s^3 and m/s^4.
     arrival_velocity
         At the site (3,), m/s.
+
+    Raises
+    ------
+    InputError
+        If a site, the estimate or a figure is not finite, or a figure or limit is not positive.
     """
     sites = np.atleast_2d(np.asarray(sites, dtype=np.float64)).reshape(-1, 3)
+    for name, value in (
+        ("sites", sites), ("position", estimate.position), ("velocity", estimate.velocity),
+        ("arrival_velocity", np.asarray(arrival_velocity, dtype=np.float64)),
+    ):  # fmt: skip
+        if not np.isfinite(value).all():
+            raise InputError(f"guidance.{name}", value.tolist(), "finite coordinates")
+    for name, number in (
+        ("gravity", gravity), ("exhaust_velocity", exhaust_velocity),
+        ("mass", estimate.mass),
+    ):  # fmt: skip
+        if not (np.isfinite(number) and number > 0.0):
+            raise InputError(f"guidance.{name}", number, "a positive number")
     times, totals = np.full(len(sites), np.nan), np.full(len(sites), np.inf)
     for n, site in enumerate(sites):
         target = PhaseEnd(site, np.asarray(arrival_velocity, dtype=np.float64))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +33,19 @@ class HazardMap:
         Mean elevation (rows, cols), m; NaN where unknown; None if the mapper knows none.
     variance
         Variance of the elevation (rows, cols), m^2, or None.
+    eligible
+        Where the mission lets the lander land (rows, cols): no word on how safe it is. None:
+        everywhere.
+    value
+        How much the mission wants to land there (rows, cols), in [0, 1]. None: 1 everywhere.
+    in_domain
+        Where `p_safe` is how often such sites are safe (rows, cols); elsewhere it is a bound from
+        below only. None: the mapper does not say.
+
+    Raises
+    ------
+    InputError
+        If `eligible`, `in_domain` or `value` has another shape or type, or a value is NaN or outside [0, 1].
     """
 
     grid: Grid
@@ -39,12 +53,27 @@ class HazardMap:
     observed: BoolMap
     elevation: FloatMap | None = None
     variance: FloatMap | None = None
+    eligible: BoolMap | None = None
+    value: FloatMap | None = None
+    in_domain: BoolMap | None = None
 
     def __post_init__(self) -> None:
         for name in ("p_safe", "observed", "elevation", "variance"):
             layer = getattr(self, name)
             if layer is not None and layer.shape != self.grid.shape:
                 raise ValueError(f"{name} has shape {layer.shape}, the grid {self.grid.shape}")
+        for name, kind in (("eligible", np.bool_), ("value", np.floating), ("in_domain", np.bool_)):
+            layer = getattr(self, name)
+            if layer is None:
+                continue
+            if np.shape(layer) != self.grid.shape:
+                raise InputError(f"map.{name}", np.shape(layer), f"the grid's {self.grid.shape}")
+            if isinstance(layer, np.ma.MaskedArray) or not np.issubdtype(layer.dtype, kind):
+                raise InputError(f"map.{name}", type(layer), f"a plain array of {kind.__name__}")
+        if self.value is not None:
+            wrong = ~((self.value >= 0.0) & (self.value <= 1.0))
+            if wrong.any():
+                raise InputError("map.value", float(self.value[wrong][0]), "numbers from 0 to 1")
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:
@@ -57,13 +86,27 @@ class HazardMap:
             None,
         )
 
+    def eligible_at(self, xy: ArrayLike) -> BoolMap:
+        """Tell whether the cells under points (..., 2) are eligible (...,); off the map none is."""
+        inside = np.asarray(self.grid.contains(xy), dtype=np.bool_)
+        return inside if self.eligible is None else inside & self._under(self.eligible, xy)
+
+    def value_at(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the value (...,) of the cells that hold points (..., 2); 0 off the map."""
+        inside = self.grid.contains(xy)
+        value = 1.0 if self.value is None else self._under(self.value, xy).astype(np.float64)
+        return np.where(inside, value, 0.0)
+
+    def _under(self, layer: NDArray[Any], xy: ArrayLike) -> NDArray[Any]:
+        """Return a layer's entries (...,) under points (..., 2), those of the edge off the map."""
+        row, col = self.grid.cell(xy)
+        g = self.grid
+        return np.asarray(layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
+
     def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return p_safe (...,) of the cells that hold points (..., 2); 0 off the map."""
-        row, col = self.grid.cell(xy)
         inside = self.grid.contains(xy)
-        p = self.p_safe[
-            np.clip(row, 0, self.grid.rows - 1), np.clip(col, 0, self.grid.cols - 1)
-        ].astype(np.float64)
+        p = self._under(self.p_safe, xy).astype(np.float64)
         return np.where(inside, p, 0.0)
 
     def elevation_at(self, xy: ArrayLike) -> float:

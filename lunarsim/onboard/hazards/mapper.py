@@ -13,6 +13,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 
 Array = NDArray[np.float64]
@@ -52,6 +53,16 @@ class HazardMapper(ABC):
 
     def refresh(self, time: float) -> None:  # noqa: B027
         """Do what is due at `time` (s); called once a cycle, after measurements."""
+
+    def scoreboard(self, site: Array) -> Scoreboard | None:
+        """Return the sites that the mapper has ranked itself; None if it ranks none.
+
+        Parameters
+        ----------
+        site
+            The site flown to now (3,), local frame, m.
+        """
+        return None
 
     def tables(self) -> dict[str, dict[str, Array]]:
         """Return what else is worth a record: name to columns (n,), local frame."""

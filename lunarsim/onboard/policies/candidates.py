@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.policies.contract import Candidates
 
 Array = NDArray[np.float64]
@@ -52,11 +53,13 @@ def candidate_sites(
     *,
     count: int,
     separation: float,
+    mapper: str = "",
+    scoreboard: Scoreboard | None = None,
 ) -> Candidates:
     """Return the sites that a policy may choose from, and what each costs to reach.
 
-    They are the `count` safest cells at least `separation` metres apart, and the nearest cell at
-    each of a few levels of safety.
+    They are the `count` safest eligible cells at least `separation` metres apart, the nearest
+    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked.
 
     Parameters
     ----------
@@ -70,25 +73,58 @@ def candidate_sites(
         Returns what it costs to fly to sites (n, 3).
     count, separation
         Number of sites and least distance between them, m.
+    mapper
+        Its name, for the sources: "MAPPER: safest", "MAPPER: nearest at 0.99", "MAPPER: ranked".
+    scoreboard
+        Sites that it has ranked.
     """
     grid = hazard_map.grid
+    if hazard_map.eligible is not None:
+        aim = np.where(hazard_map.eligible, aim, np.float32(0.0))
     distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
-    cells = best_cells(aim, distance, grid.posting, count, separation)
+    cells, source = _proposed(aim, distance, grid.posting, count, separation, mapper)
+    position = _on_ground(hazard_map, cells, site)
+    score = np.full(len(cells), np.nan)
+    if scoreboard is not None:
+        good = hazard_map.eligible_at(scoreboard.position[:, :2])
+        position = np.concatenate((position, scoreboard.position[good]))
+        score = np.concatenate((score, scoreboard.score[good]))
+        source += [f"{mapper}: ranked"] * int(good.sum())
+    row, col = grid.cell(position[:, :2])
+    p_safe = aim[row, col].astype(np.float64)
+    order = np.argsort(-p_safe, kind="stable")
+    position = position[order]
+    return Candidates(
+        position,
+        p_safe[order],
+        np.hypot(*(position[:, :2] - site[:2]).T),
+        cost_of(position).propellant,
+        hazard_map.value_at(position[:, :2]),
+        score[order],
+        tuple(source[i] for i in order),
+    )
+
+
+def _proposed(
+    aim: FloatMap, distance: Array, posting: float, count: int, separation: float, mapper: str
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Return the safest cells and the nearest at each level (n, 2), and who proposed them."""
+    cells = best_cells(aim, distance, posting, count, separation)
+    source = [f"{mapper}: safest"] * len(cells)
     for level in _LEVELS:
         good = aim >= level
         if good.any():
             nearest = np.unravel_index(int(np.argmin(np.where(good, distance, np.inf))), aim.shape)
             if not (cells == nearest).all(axis=1).any():
                 cells = np.concatenate((cells, np.array([nearest], dtype=np.int64)))
-    p_safe = aim[cells[:, 0], cells[:, 1]].astype(np.float64)
-    order = np.argsort(-p_safe, kind="stable")
-    cells, p_safe = cells[order], p_safe[order]
-    xy = grid.centre_of(cells[:, 0], cells[:, 1])
-    if hazard_map.elevation is not None:
-        z = hazard_map.elevation[cells[:, 0], cells[:, 1]].astype(np.float64)
-        z = np.where(np.isfinite(z), z, site[2])
-    else:
-        z = np.full(len(cells), site[2])
-    position = np.column_stack((xy, z))
-    cost = cost_of(position)
-    return Candidates(position, p_safe, distance[cells[:, 0], cells[:, 1]], cost.propellant)
+                source.append(f"{mapper}: nearest at {level}")
+    return cells, source
+
+
+def _on_ground(hazard_map: HazardMap, cells: NDArray[np.int64], site: Array) -> Array:
+    """Return the centres of cells (n, 2) on the mapped ground (n, 3), at the site's height else."""
+    xy = hazard_map.grid.centre_of(cells[:, 0], cells[:, 1])
+    if hazard_map.elevation is None:
+        return np.column_stack((xy, np.full(len(cells), site[2])))
+    z = hazard_map.elevation[cells[:, 0], cells[:, 1]].astype(np.float64)
+    return np.column_stack((xy, np.where(np.isfinite(z), z, site[2])))

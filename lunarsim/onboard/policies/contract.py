@@ -8,7 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -16,7 +18,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Candidates:
-    """Landing sites worth a look, best first; the site flown to now is not among them.
+    """Landing sites worth a look, safest first; the site flown to now is not among them.
+
+    All are eligible by the mission.
 
     Attributes
     ----------
@@ -28,12 +32,46 @@ class Candidates:
         Distance over the ground from the site flown to now (n,), m.
     propellant
         To reach it (n,), kg; inf where it is out of reach.
+    value
+        How much the mission wants to land there (n,), in [0, 1]; left out: 1.
+    score
+        Of the mapper's own ranking, the less the better (n,); NaN for sites that others proposed,
+        as when left out.
+    source
+        Which mapper proposed it by which rule, "MAPPER: RULE" (n,); left out: empty.
+
+    Raises
+    ------
+    InputError
+        If lengths differ, or a probability, distance, cost or value is NaN or impossible.
     """
 
     position: Array
     p_safe: Array
     distance: Array
     propellant: Array
+    value: Array = field(default_factory=lambda: np.zeros(0))
+    score: Array = field(default_factory=lambda: np.zeros(0))
+    source: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.position)
+        for name, fill in (("value", 1.0), ("score", np.nan)):
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(n, fill))
+        if not self.source:
+            object.__setattr__(self, "source", ("",) * n)
+        for name in ("p_safe", "distance", "propellant", "value", "score", "source"):
+            if len(getattr(self, name)) != n:
+                raise InputError(f"candidates.{name}", len(getattr(self, name)), f"{n} of them")
+        for name, most in (("p_safe", 1.0), ("value", 1.0), ("distance", np.inf),
+                           ("propellant", np.inf)):  # fmt: skip
+            given = np.asarray(getattr(self, name), dtype=np.float64)
+            wrong = ~((given >= 0.0) & (given <= most))
+            if wrong.any():
+                raise InputError(
+                    f"candidates.{name}", float(given[wrong][0]), f"numbers from 0 to {most:g}"
+                )
 
     def __len__(self) -> int:
         return len(self.position)
@@ -68,6 +106,15 @@ class Observation:
         To the end of the approach, s.
     propellant
         Left in the tanks, kg.
+    site_eligible, site_value
+        Whether the mission lets the lander land at the site, and how much it wants to, in [0, 1].
+    scoreboard
+        Sites that the mapper has ranked itself; None if it ranks none.
+
+    Raises
+    ------
+    InputError
+        If the cost of the site is NaN.
     """
 
     time: float
@@ -79,6 +126,13 @@ class Observation:
     site_propellant: float
     time_to_go: float
     propellant: float
+    site_eligible: bool = True
+    site_value: float = 1.0
+    scoreboard: Scoreboard | None = None
+
+    def __post_init__(self) -> None:
+        if np.isnan(self.site_propellant):
+            raise InputError("observation.site_propellant", "NaN", "kg, inf where out of reach")
 
 
 @dataclass(frozen=True)

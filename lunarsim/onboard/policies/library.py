@@ -1,4 +1,9 @@
-"""The policies that come with the simulator."""
+"""The policies that come with the simulator.
+
+Candidates are eligible, so none chooses ground that the mission excludes; a site flown to that is
+not eligible counts as unsafe. Policies weigh safety in log-odds, and what the mission wants as so
+many log-odds between ground of value 0 and of value 1.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +24,7 @@ def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
             "p_safe": float(c.p_safe[index]),
             "distance_m": float(c.distance[index]),
             "propellant_kg": float(c.propellant[index]),
+            "value": float(c.value[index]),
         },
     )
 
@@ -43,8 +49,12 @@ class Safest:
     gain
         Least gain in log-odds of safety that is worth a change of site: a second look at the
         same ground must not send the lander to and fro.
+    worth
+        Log-odds of safety between ground that the mission wants (value 1) and ground that it only
+        allows (value 0): less than the least gain, so that value alone sends nobody on.
     """
 
+    worth: float = quantity(0.5, ge=0, help="of a site of value 1 over one of 0, log-odds")
     gain: float = quantity(0.7, ge=0, help="least gain that is worth a change, log-odds")
     name: str = hidden("safest")
 
@@ -54,9 +64,10 @@ class Safest:
         if not c.reachable.any():
             return Decision.keep("no site within reach")
         # Among sites that are safe beyond telling apart the nearest wins.
-        score = np.where(c.reachable, _log_odds(c.p_safe) - 1e-3 * c.distance, -np.inf)
-        best = int(np.argmax(score))
-        if _log_odds(c.p_safe[best]) < _log_odds(observation.site_p_safe) + self.gain:
+        worth = _log_odds(c.p_safe) + self.worth * c.value
+        best = int(np.argmax(np.where(c.reachable, worth - 1e-3 * c.distance, -np.inf)))
+        stay = _log_odds(_safe_to_stay(observation)) + self.worth * observation.site_value
+        if worth[best] < stay + self.gain:
             return Decision.keep("no safer site")
         return _fly_to(observation, best, "safest site")
 
@@ -75,15 +86,17 @@ class NearestSafe:
     name: str = hidden("nearest-safe")
 
     def decide(self, observation: Observation) -> Decision:
-        """Pick the nearest reachable candidate that is safe enough, else the safest."""
-        if observation.site_p_safe >= self.enough:
+        """Pick the nearest reachable candidate that is safe enough, else the safest.
+
+        Of sites equally near the one of the greatest value.
+        """
+        if _safe_to_stay(observation) >= self.enough:
             return Decision.keep("safe enough")
         c = observation.candidates
         good = c.reachable & (c.p_safe >= self.enough)
         if good.any():
-            return _fly_to(
-                observation, int(np.argmin(np.where(good, c.distance, np.inf))), "nearest safe site"
-            )
+            best = np.lexsort((-c.value, np.where(good, c.distance, np.inf)))[0]
+            return _fly_to(observation, int(best), "nearest safe site")
         return Safest().decide(observation)
 
 
@@ -97,8 +110,11 @@ class FuelAware:
         Log-odds of safety that one kilogram of propellant is worth.
     gain
         Least gain of the score that is worth a change of site.
+    worth
+        Log-odds of safety between ground of value 1 and of value 0.
     """
 
+    worth: float = quantity(0.5, ge=0, help="of a site of value 1 over one of 0, log-odds")
     price: float = quantity(0.25, ge=0, help="log-odds that a kilogram is worth")
     gain: float = quantity(0.7, ge=0, help="least gain that is worth a change, log-odds")
     name: str = hidden("fuel-aware")
@@ -109,13 +125,63 @@ class FuelAware:
         if not c.reachable.any():
             return Decision.keep("no site within reach")
         score = np.where(
-            c.reachable, _log_odds(c.p_safe) - self.price * np.minimum(c.propellant, 1e6), -np.inf
+            c.reachable,
+            _log_odds(c.p_safe) + self.worth * c.value - self.price * np.minimum(c.propellant, 1e6),
+            -np.inf,
         )
         best = int(np.argmax(score))
-        stay = _log_odds(observation.site_p_safe) - self.price * observation.site_propellant
+        stay = _log_odds(_safe_to_stay(observation)) + self.worth * observation.site_value
+        stay -= self.price * observation.site_propellant
         if score[best] < stay + self.gain:
             return Decision.keep("not worth the propellant")
         return _fly_to(observation, best, "best value")
+
+
+@dataclass(frozen=True)
+class ScoreboardChoice:
+    """Fly to the best site that the mapper has ranked itself, by its own score.
+
+    The choice of the quadtree paper (section 4): sites within slope, roughness and interest limits,
+    ranked by Eq. 9; fuel is looked at for ranked sites alone. A site out of reach is left out, and
+    of sites of one score the cheapest wins; the paper says no more of how fuel counts: its weight
+    is nought unless it is given one. The fuel is that of the trajectory that would be flown (Eq. 10
+    minimised over the time-to-go), not of the least time within limits on jerk and snap.
+
+    Attributes
+    ----------
+    weight_fuel
+        Score that one kilogram of propellant is worth.
+    gain
+        Least gain of the score that is worth a change of site.
+    """
+
+    weight_fuel: float = quantity(0.0, ge=0, help="score that a kilogram is worth")
+    gain: float = quantity(0.2, ge=0, help="least gain of the score that is worth a change")
+    name: str = hidden("scoreboard")
+
+    def decide(self, observation: Observation) -> Decision:
+        """Pick the reachable ranked site of the least score if it beats the present one."""
+        c = observation.candidates
+        if observation.scoreboard is None:
+            return Decision.keep("the map ranks no sites")
+        good = c.reachable & np.isfinite(c.score)
+        if not good.any():
+            return Decision.keep("no ranked site within reach")
+        cost = np.where(
+            good, c.score + self.weight_fuel * np.where(good, c.propellant, 0.0), np.inf
+        )
+        best = int(np.lexsort((c.propellant, cost))[0])
+        stay = observation.scoreboard.here
+        if np.isfinite(observation.site_propellant):
+            stay += self.weight_fuel * observation.site_propellant
+        if cost[best] > stay - self.gain:
+            return Decision.keep("no better site on the board")
+        return _fly_to(observation, best, "best of the scoreboard")
+
+
+def _safe_to_stay(observation: Observation) -> float:
+    """Return the probability of safety at the site flown to; 0 where the mission excludes it."""
+    return observation.site_p_safe if observation.site_eligible else 0.0
 
 
 def _log_odds(p: np.ndarray | float) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -64,6 +66,32 @@ def test_sites_cost_propellant_by_the_rocket_equation():
     beyond = site_cost(estimate, [[1e7, 0.0, 0.0]], 9.81, 2157.0, jerk=1e-6, snap=1e-6)
     assert np.isinf(beyond.increment[0])
     assert np.isnan(beyond.time_to_go[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"sites": [[np.nan, 0.0, 0.0]]}, "sites"),
+        ({"sites": [[0.0, 0.0, np.inf]]}, "sites"),
+        ({"gravity": np.nan}, "gravity"),
+        ({"exhaust_velocity": np.nan}, "exhaust_velocity"),
+        ({"exhaust_velocity": 0.0}, "exhaust_velocity"),
+        ({"arrival_velocity": (0.0, 0.0, np.nan)}, "arrival_velocity"),
+        ({"jerk": np.nan}, "jerk"),
+    ],
+)
+def test_costs_of_what_is_no_number_are_refused(changes, field):
+    estimate = Estimate(
+        0.0, np.array(R), np.array(V), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1800.0,
+        np.eye(9),
+    )  # fmt: skip
+    given = {"sites": [[0.0, 0.0, 0.0]], "gravity": 9.81, "exhaust_velocity": 2157.0,
+             "jerk": 0.25, "snap": 0.05}  # fmt: skip
+    with pytest.raises(InputError, match=f"guidance.{field}"):
+        site_cost(estimate, **given | changes)
+    lost = replace(estimate, position=np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(InputError, match=r"guidance\.position"):
+        site_cost(lost, **given)
 
 
 @pytest.mark.parametrize(("jerk", "snap"), [(0.0, 1.0), (1.0, -1.0), (np.nan, 1.0)])

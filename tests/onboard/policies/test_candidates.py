@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import best_cells, candidate_sites
 
@@ -56,3 +58,49 @@ def test_candidates_hold_the_nearest_safe_cell():
     assert c.reachable.all()
     nothing = candidate_sites(empty, empty.p_safe, np.zeros(3), cost_of, count=4, separation=3.0)
     assert len(nothing) == 0
+
+
+def test_no_candidate_lies_where_the_mission_forbids_and_each_tells_its_source():
+    rng = np.random.default_rng(4)
+    grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
+    p = rng.uniform(0.3, 1.0, grid.shape).astype(np.float32)
+    eligible = rng.random(grid.shape) < 0.3
+    value = rng.random(grid.shape).astype(np.float32)
+    ones = np.ones(grid.shape, bool)
+    hazard_map = HazardMap(grid, p, ones, eligible=eligible, value=value)
+    inside = np.argwhere(eligible)[[7, 100]]
+    outside = np.argwhere(~eligible)[[7]]
+    cells = np.concatenate((inside, outside))
+    ranked = np.column_stack((grid.centre_of(cells[:, 0], cells[:, 1]), [1.0, 2.0, 3.0]))
+    board = Scoreboard(ranked, np.array([5.0, 6.0, 4.0]))
+
+    def cost_of(sites):
+        return divert_cost(estimate(), Approach().end(sites, LANDER), LANDER, G)
+
+    site = np.array([3.0, 4.0, 0.5])
+    c = candidate_sites(
+        hazard_map, p, site, cost_of, count=6, separation=3.0, mapper="dem", scoreboard=board
+    )
+    row, col = grid.cell(c.position[:, :2])
+    assert eligible[row, col].all()
+    assert np.array_equal(c.value, value[row, col].astype(float))
+    assert np.array_equal(c.p_safe, p[row, col].astype(float))
+    assert set(c.source) <= {"dem: safest", "dem: ranked"} | {
+        f"dem: nearest at {level}" for level in (0.99, 0.95, 0.8, 0.5)
+    }
+    assert c.source.count("dem: safest") == 6
+    safest = [float(v) for v, s in zip(c.p_safe, c.source, strict=True) if s == "dem: safest"]
+    assert max(safest) == p[eligible].max()
+    for i, source in enumerate(c.source):
+        level = float(source.rpartition(" ")[2]) if "nearest" in source else None
+        if level is not None:
+            good = eligible & (p >= np.float32(level))
+            far = np.hypot(grid.x[None, :] - 3.0, grid.y[:, None] - 4.0)
+            assert c.distance[i] == pytest.approx(far[good].min())
+    # Ranked sites keep place, height and score; the one that is not eligible is left out.
+    mine = [i for i, s in enumerate(c.source) if s == "dem: ranked"]
+    assert sorted(c.score[mine]) == [5.0, 6.0]
+    for i in mine:
+        assert np.array_equal(c.position[i], ranked[int(c.score[i]) - 5])
+    others = [i for i in range(len(c)) if i not in mine]
+    assert np.isnan(c.score[others]).all()

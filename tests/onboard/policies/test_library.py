@@ -3,12 +3,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Observation
-from lunarsim.onboard.policies.library import FuelAware, NearestSafe, NoDivert, Safest
+from lunarsim.onboard.policies.library import (
+    FuelAware,
+    NearestSafe,
+    NoDivert,
+    Safest,
+    ScoreboardChoice,
+)
 from lunarsim.parts import CONTRACTS, resolve
 
 G = 1.622
@@ -22,7 +30,9 @@ def estimate(position=(-300.0, 0.0, 300.0), velocity=(20.0, 0.0, -15.0), mass=14
     )  # fmt: skip
 
 
-def observation(p, distance, propellant, here=0.5, here_propellant=20.0) -> Observation:
+def observation(
+    p, distance, propellant, here=0.5, here_propellant=20.0, *, more=None, **site
+) -> Observation:
     n = len(p)
     grid = Grid.centred((0.0, 0.0), 10.0, 1.0)
     position = np.column_stack((distance, np.zeros(n), np.zeros(n)))
@@ -30,12 +40,15 @@ def observation(p, distance, propellant, here=0.5, here_propellant=20.0) -> Obse
         time=1.0,
         estimate=estimate(),
         hazard_map=HazardMap.unobserved(grid),
-        candidates=Candidates(position, np.array(p), np.array(distance), np.array(propellant)),
+        candidates=Candidates(
+            position, np.array(p), np.array(distance), np.array(propellant), **(more or {})
+        ),
         site=np.zeros(3),
         site_p_safe=here,
         site_propellant=here_propellant,
         time_to_go=20.0,
         propellant=300.0,
+        **site,
     )
 
 
@@ -80,3 +93,76 @@ def test_policies_go_by_the_names_of_the_registry():
     """But the one that is told the truth, which lives with the loop."""
     for name, where in CONTRACTS["policy"].kinds.items():
         assert resolve("policy", name)().name == name, where
+
+
+def test_value_decides_between_sites_equally_safe_and_sends_nobody_on():
+    two = [0.999, 0.999], [9.0, 10.0], [20.0, 20.0]
+    value = {"value": np.array([0.1, 0.9])}
+    for policy in (Safest(), FuelAware()):
+        assert policy.decide(observation(*two, here=0.2)).site[0] == 9.0
+        assert policy.decide(observation(*two, here=0.2, more=value)).site[0] == 10.0
+    # Value alone is no gain that is worth a divert, and safety goes first.
+    for policy in (Safest(), FuelAware(price=0.0)):
+        assert policy.decide(observation(*two, here=0.999, more=value, site_value=0.1)).site is None
+        risky = observation([0.97, 0.9], *two[1:], here=0.2, more=value)
+        assert policy.decide(risky).site[0] == 9.0
+    same = [0.99, 0.99], [9.0, 9.0], [20.0, 21.0]
+    o = observation(*same, here=0.2, more=value)
+    assert NearestSafe().decide(o).details["value"] == 0.9
+
+
+@pytest.mark.parametrize("policy", [Safest(), NearestSafe(), FuelAware()], ids=lambda p: p.name)
+def test_ground_that_the_mission_forbids_is_left(policy):
+    o = [0.97], [9.0], [20.0]
+    assert policy.decide(observation(*o, here=0.999)).site is None
+    assert policy.decide(observation(*o, here=0.999, site_eligible=False)).site[0] == 9.0
+
+
+def board(score, here=np.inf, **options):
+    n = len(score)
+    ranked = np.isfinite(score)
+    scores = np.where(ranked, score, 0.0)[ranked]
+    return observation(
+        [0.5] * n, [10.0 * (i + 1) for i in range(n)], options.pop("propellant", [20.0] * n),
+        more={"score": np.array(score)},
+        scoreboard=Scoreboard(np.zeros((len(scores), 3)), scores, here), **options,
+    )  # fmt: skip
+
+
+def test_the_scoreboard_flies_to_the_best_ranked_site_in_reach():
+    choose = ScoreboardChoice().decide
+    assert choose(board([3.0, 2.0, np.nan])).site[0] == 20.0
+    assert choose(board([3.0, 2.0], propellant=[20.0, np.inf])).site[0] == 10.0
+    assert choose(board([2.0, 2.0], propellant=[21.0, 20.0])).site[0] == 20.0
+    # It stays where it is nearly as good, and leaves what is no longer eligible.
+    assert choose(board([2.0], here=2.1)).site is None
+    assert choose(board([2.0], here=2.3)).site[0] == 10.0
+    assert choose(board([2.0], here=np.inf, here_propellant=np.inf)).site[0] == 10.0
+    assert choose(board([np.nan])).site is None
+    assert choose(board([2.0], propellant=[np.inf])).site is None
+    assert choose(observation([0.9], [5.0], [20.0])).reason == "the map ranks no sites"
+
+
+def test_the_scoreboard_weighs_fuel_if_told_to():
+    o = board([2.0, 2.5], propellant=[30.0, 20.0])
+    assert ScoreboardChoice().decide(o).site[0] == 10.0
+    assert ScoreboardChoice(weight_fuel=0.1).decide(o).site[0] == 20.0
+    assert ScoreboardChoice(weight_fuel=0.1).decide(
+        board([2.0], here=2.5, propellant=[30.0], here_propellant=20.0)
+    ).site is None  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["p_safe", "distance", "propellant", "value"])
+@pytest.mark.parametrize("wrong", [np.nan, -1.0])
+def test_costs_that_are_no_costs_are_refused(name, wrong):
+    given = {name: np.array([0.5]) for name in ("p_safe", "distance", "propellant", "value")}
+    Candidates(np.zeros((1, 3)), **given)
+    with pytest.raises(InputError, match=f"candidates.{name}"):
+        Candidates(np.zeros((1, 3)), **given | {name: np.array([wrong])})
+    with pytest.raises(InputError, match=f"candidates.{name}"):
+        Candidates(np.zeros((1, 3)), **given | {name: np.array([0.5, 0.5])})
+
+
+def test_a_site_without_a_cost_is_refused():
+    with pytest.raises(InputError, match="site_propellant"):
+        observation([0.9], [5.0], [20.0], here_propellant=np.nan)

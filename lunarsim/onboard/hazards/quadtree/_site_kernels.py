@@ -10,17 +10,24 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 from lunarsim.onboard.hazards.quadtree._tree_kernels import (
+    NUMBER,
     STACK,
     SUMS,
+    add_leaf,
+    add_point,
     add_shifted,
     cell_centre,
+    empty_sums,
     node_at,
     points_in,
+    sums_of,
     with_room,
 )
 
 # Why a site is not to be landed on; 0: it may be.
 ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
+# What is found of a site, in columns.
+COSINE, ROUGHNESS, RATIO, NEAR, RELIEF, POINTS, FITTED, SIGMA = range(8)
 
 
 @kernel(inline=True)
@@ -35,12 +42,12 @@ def mesh_nodes(tree, nodes, per_area):
     """Tell which cells (n,) each of whose quarters holds enough points to a square metre."""
     good = np.zeros(nodes.size, np.bool_)
     for i in range(nodes.size):
-        good[i] = _evenly_seen(tree, nodes[i], per_area)
+        good[i] = evenly_seen(tree, nodes[i], per_area)
     return good
 
 
 @kernel()
-def _evenly_seen(tree, node, per_area):
+def evenly_seen(tree, node, per_area):
     """Tell whether each quarter of a cell is dense enough; the whole one if it has none."""
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
@@ -114,21 +121,30 @@ def _holds(px, py, a, b, c, x, y):
 
 @kernel()
 def steepest_normal(x, y, mesh, out):
-    """Write the normal (3,) of the steepest triangle that holds a point; tell if there is one.
+    """Write the normal (3,) of the steepest triangle that holds a point; tell which, -1 for none.
 
     On an edge or a vertex several do.
     """
-    px, py, triangles, normal, bucket, wide, start, index = mesh
+    px, py, _, triangles, normal, bucket, wide, start, index = mesh
     s = (y // bucket) * wide + x // bucket
-    found = False
+    found = -1
     for i in range(start[s], start[s + 1]):
         t = index[i]
         a, b, c = triangles[t]
-        if _holds(px, py, a, b, c, x, y) and (not found or normal[t, 2] < out[2]):
+        if _holds(px, py, a, b, c, x, y) and (found < 0 or normal[t, 2] < out[2]):
             for k in range(3):
                 out[k] = normal[t, k]
-            found = True
+            found = t
     return found
+
+
+@kernel()
+def mesh_height(x, y, mesh, t, metre):
+    """Return the height of triangle t at a place in half steps of `metre` m."""
+    px, py, z, triangles, normal = mesh[0], mesh[1], mesh[2], mesh[3], mesh[4]
+    a = triangles[t, 0]
+    east, north = (x - px[a]) * metre, (y - py[a]) * metre
+    return z[a] - (normal[t, 0] * east + normal[t, 1] * north) / normal[t, 2]
 
 
 @kernel()
@@ -137,81 +153,9 @@ def normals_at(x, y, mesh):
     out = np.full((x.size, 3), np.nan)
     normal = np.empty(3)
     for i in range(x.size):
-        if steepest_normal(x[i], y[i], mesh, normal):
+        if steepest_normal(x[i], y[i], mesh, normal) >= 0:
             out[i] = normal
     return out
-
-
-@kernel()
-def _exceptions(tree, node, x, y, z, normal, tolerance, stack):
-    """Count a cell's points farther than `tolerance` from a plane through (x, y, z)."""
-    beyond = 0
-    stack[0] = node
-    top = 1
-    while top > 0:
-        top -= 1
-        m = stack[top]
-        if tree.child[m] >= 0:
-            for q in range(4):
-                if tree.count[tree.child[m] + q] > 0:
-                    stack[top] = tree.child[m] + q
-                    top += 1
-            continue
-        run = tree.head[m]
-        while run >= 0:
-            begin = tree.start[run]
-            for i in range(begin, begin + tree.length[run]):
-                d = (
-                    (tree.xyz[i, 0] - x) * normal[0]
-                    + (tree.xyz[i, 1] - y) * normal[1]
-                    + (tree.xyz[i, 2] - z) * normal[2]
-                )
-                if abs(d) > tolerance:
-                    beyond += 1
-            run = tree.following[run]
-    return beyond
-
-
-@kernel(parallel=True)
-def exception_ratios(tree, nodes, mesh, tolerance, per_area):
-    """Return the share of each cell's points off its plane (n,), NaN where too few or no plane."""
-    out = np.full(nodes.size, np.nan, np.float32)
-    for i in prange(nodes.size):
-        node = nodes[i]
-        normal = np.empty(3)
-        stack = np.empty(STACK, np.int32)
-        hx, hy = half_steps(tree, node)
-        if _evenly_seen(tree, node, per_area) and steepest_normal(hx, hy, mesh, normal):
-            x, y = cell_centre(tree, node)
-            z = tree.sums[node, 2] / tree.count[node]
-            beyond = _exceptions(tree, node, x, y, z, normal, tolerance, stack)
-            out[i] = beyond / tree.count[node]
-    return out
-
-
-@kernel()
-def paint(tree, nodes, ratios, raster, steps):
-    """Write cells' ratios into the squares of a raster (side: `steps` least cells) they cover.
-
-    Returns the squares whose value changed, as row * columns + column.
-    """
-    wide = raster.shape[1]
-    changed = np.empty(nodes.size, np.int64)
-    n = 0
-    for i in range(nodes.size):
-        node = nodes[i]
-        size = (1 << (tree.depths - tree.depth[node])) // steps
-        for row in range(tree.row[node] * size, (tree.row[node] + 1) * size):
-            for col in range(tree.column[node] * size, (tree.column[node] + 1) * size):
-                old = raster[row, col]
-                new = ratios[i]
-                if old == new or (np.isnan(old) and np.isnan(new)):
-                    continue
-                raster[row, col] = new
-                changed = with_room(changed, n)
-                changed[n] = row * wide + col
-                n += 1
-    return changed[:n].copy()
 
 
 @kernel()
@@ -230,51 +174,59 @@ def mark(rectangles, reach, square, wide, marked):
 
 
 @kernel()
-def clear_unseen(tree, marked, raster, smallest, largest):
-    """Set the marked squares without a cell of the band to NaN; return those that changed."""
-    wide = marked.shape[1]
-    step = 2.0 * tree.half / wide
-    changed = np.empty(64, np.int64)
-    n = 0
-    for row in range(wide):
-        for col in range(wide):
-            if not marked[row, col] or np.isnan(raster[row, col]):
-                continue
-            x, y = (col + 0.5) * step - tree.half, (row + 0.5) * step - tree.half
-            if node_at(tree, x, y, smallest, largest) >= 0:
-                continue
-            raster[row, col] = np.nan
-            changed = with_room(changed, n)
-            changed[n] = row * wide + col
-            n += 1
-    return changed[:n].copy()
-
-
-@kernel()
 def marked_nodes(tree, marked, smallest, largest, seen, version):
-    """Return the cells of a band in the marked squares (one square a cell of the smallest size)."""
+    """Return the cells of a band in the marked squares (one square a cell of the smallest size).
+
+    And the outlines (m, 4) in half steps of the marked squares that have none.
+    """
     wide = marked.shape[1]
     step = 2.0 * tree.half / wide
+    square = 2 << (tree.depths - smallest)
     out = np.empty(1024, np.int32)
-    n = 0
+    none = np.empty(64, np.int64)
+    n, m = 0, 0
     for row in range(wide):
         for col in range(wide):
             if not marked[row, col]:
                 continue
-            node = node_at(
-                tree,
-                (col + 0.5) * step - tree.half,
-                (row + 0.5) * step - tree.half,
-                smallest,
-                largest,
-            )
-            if node < 0 or seen[node] == version:
+            x, y = (col + 0.5) * step - tree.half, (row + 0.5) * step - tree.half
+            node = node_at(tree, x, y, smallest, largest)
+            if node < 0:
+                none = with_room(none, m)
+                none[m] = row * wide + col
+                m += 1
                 continue
-            seen[node] = version
-            out = with_room(out, n)
-            out[n] = node
-            n += 1
-    return out[:n].copy()
+            place = place_of(tree, node, smallest)
+            if seen[place] != version:
+                seen[place] = version
+                out = with_room(out, n)
+                out[n] = node
+                n += 1
+    empty = np.empty((m, 4), np.int64)
+    for i in range(m):
+        row, col = none[i] // wide, none[i] % wide
+        empty[i, 0] = col * square
+        empty[i, 1] = (col + 1) * square
+        empty[i, 2] = row * square
+        empty[i, 3] = (row + 1) * square
+    return out[:n].copy(), empty
+
+
+@kernel(inline=True)
+def place_of(tree, node, smallest):
+    """Return a number of a cell among squares of a depth: that of its south-west corner."""
+    more = smallest - tree.depth[node]
+    row, column = np.int64(tree.row[node]) << more, np.int64(tree.column[node]) << more
+    return (row << smallest) + column
+
+
+@kernel()
+def places_of(tree, nodes, smallest):
+    """Return the numbers (n,) of cells among squares of a depth."""
+    out = np.empty(nodes.size, np.int64)
+    for i in range(nodes.size):
+        out[i] = place_of(tree, nodes[i], smallest)
+    return out
 
 
 @kernel()
@@ -293,9 +245,13 @@ def rectangles_of(tree, nodes):
 
 @kernel()
 def _zone_sums(tree, west, east, south, north, cx, cy, stack, s):
-    """Write the sums over the points in a closed rectangle, about (cx, cy); return their number."""
-    s[:] = 0.0
-    n = 0
+    """Write the sums over the points in a rectangle, about (cx, cy).
+
+    Cells that only touch it are left out.
+    """
+    empty_sums(s)
+    # Edges of cells and zones are often the same number but for rounding.
+    edge = 1e-6
     stack[0] = 0
     top = 1
     while top > 0:
@@ -304,43 +260,38 @@ def _zone_sums(tree, west, east, south, north, cx, cy, stack, s):
         if tree.count[m] == 0:
             continue
         x, y = cell_centre(tree, m)
-        reach = tree.half / (1 << tree.depth[m])
+        reach = tree.half / (1 << tree.depth[m]) - edge
         if x - reach > east or x + reach < west or y - reach > north or y + reach < south:
             continue
-        if x - reach >= west and x + reach <= east and y - reach >= south and y + reach <= north:
-            add_shifted(s, tree.sums[m], np.float64(tree.count[m]), x - cx, y - cy)
-            n += tree.count[m]
+        inside = (
+            x - reach >= west and x + reach <= east and y - reach >= south and y + reach <= north
+        )
+        if inside and tree.slot[m] >= 0:
+            add_shifted(s, tree.sums[tree.slot[m]], x - cx, y - cy)
             continue
         if tree.child[m] >= 0:
             for q in range(4):
                 stack[top] = tree.child[m] + q
                 top += 1
             continue
+        if inside:
+            add_leaf(tree, m, cx, cy, s)
+            continue
         run = tree.head[m]
         while run >= 0:
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
                 px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
-                if west <= px <= east and south <= py <= north:
-                    dx, dy, z = px - cx, py - cy, np.float64(tree.xyz[i, 2])
-                    s[0] += dx
-                    s[1] += dy
-                    s[2] += z
-                    s[3] += dx * dx
-                    s[4] += dx * dy
-                    s[5] += dx * z
-                    s[6] += dy * dy
-                    s[7] += dy * z
-                    s[8] += z * z
-                    n += 1
+                if not tree.apart[i] and west <= px <= east and south <= py <= north:
+                    add_point(s, px - cx, py - cy, np.float64(tree.xyz[i, 2]))
             run = tree.following[run]
-    return n
 
 
 @kernel(inline=True)
-def _mean_square(s, n, z0, normal):
-    """Return the mean squared distance of n points to the plane through (0, 0, z0)."""
+def _mean_square(s, z0, normal):
+    """Return the mean squared distance of summed points to the plane through (0, 0, z0)."""
     a, b, c = normal
+    n = s[NUMBER]
     sxz = s[5] - z0 * s[0]
     syz = s[7] - z0 * s[1]
     szz = s[8] - 2.0 * z0 * s[2] + n * z0 * z0
@@ -350,23 +301,46 @@ def _mean_square(s, n, z0, normal):
     return max(total / n, 0.0)
 
 
+@kernel(inline=True)
+def _fitted_slope(s):
+    """Return the slope of the least-squares plane of summed points and its standard error, rad.
+
+    Both NaN where the points do not span a plane. The error is that of the gradient's length where
+    residuals are independent.
+    """
+    n = s[NUMBER]
+    mx, my, mz = s[0] / n, s[1] / n, s[2] / n
+    xx, xy, yy = s[3] / n - mx * mx, s[4] / n - mx * my, s[6] / n - my * my
+    xz, yz, zz = s[5] / n - mx * mz, s[7] / n - my * mz, s[8] / n - mz * mz
+    spread = xx * yy - xy * xy
+    if n < 4 or not spread > 1e-12 * (xx + yy) ** 2:
+        return np.nan, np.nan
+    east, north = (yy * xz - xy * yz) / spread, (xx * yz - xy * xz) / spread
+    left = max(zz - east * xz - north * yz, 0.0) / (n - 3.0)
+    return np.arctan(np.hypot(east, north)), np.sqrt(left * (xx + yy) / spread)
+
+
 @kernel()
 def _root_sum(tree, west, east, south, north, x, y, z, normal):
     """Return sum |d| and the number of the points in a closed rectangle: for Eq. 8 as printed."""
     index = points_in(tree, west, east, south, north)
     total = 0.0
+    n = 0
     for i in index:
+        if tree.apart[i]:
+            continue
+        n += 1
         total += abs(
             (tree.xyz[i, 0] - x) * normal[0]
             + (tree.xyz[i, 1] - y) * normal[1]
             + (tree.xyz[i, 2] - z) * normal[2]
         )
-    return total, index.size
+    return total, n
 
 
 @kernel()
-def _worst_ratio(raster, x, y, reach):
-    """Return the greatest exception ratio over squares that overlap a zone; NaN if one is NaN.
+def _worst(raster, x, y, reach):
+    """Return the greatest value of the squares that overlap a zone; NaN if one is NaN.
 
     Middle and half side of the zone in squares of the raster, as fractions; squares that only touch
     do not count.
@@ -383,10 +357,21 @@ def _worst_ratio(raster, x, y, reach):
 
 
 @kernel()
-def _verdict(interest, cosine, worst, least_cosine, exception):
-    """Return why a site is not to be landed on."""
-    if interest <= 0.0:
-        return NO_INTEREST
+def _worst_seen(raster, x, y, reach):
+    """Return the greatest value of the squares that overlap a zone, whatever is not known; or 0."""
+    worst = np.float32(0.0)
+    reach = reach - 1e-6
+    wide = raster.shape[0]
+    for row in range(max(int(np.floor(y - reach)), 0), min(int(np.ceil(y + reach)), wide)):
+        for col in range(max(int(np.floor(x - reach)), 0), min(int(np.ceil(x + reach)), wide)):
+            if raster[row, col] > worst:  # noqa: PLR1730  (NaN is passed over)
+                worst = raster[row, col]
+    return worst
+
+
+@kernel()
+def _verdict(cosine, worst, least_cosine, exception):
+    """Return why the ground of a site is not to be landed on."""
     if cosine < least_cosine:
         return STEEP
     if np.isnan(worst):
@@ -395,68 +380,77 @@ def _verdict(interest, cosine, worst, least_cosine, exception):
 
 
 @kernel()
-def _roughness(tree, node, zone, normal, printed, stack, s):
-    """Return the roughness of the zone about a cell over its plane."""
+def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
+    """Write what the points of the zone about a cell tell: roughness over its plane, and more."""
     x, y = cell_centre(tree, node)
     west, east, south, north = x - zone, x + zone, y - zone, y + zone
-    z = tree.sums[node, 2] / tree.count[node]
+    sums_of(tree, node, s)
+    z = s[2] / s[NUMBER]
+    _zone_sums(tree, west, east, south, north, x, y, stack, s)
+    out[POINTS] = s[NUMBER]
+    out[FITTED], out[SIGMA] = _fitted_slope(s)
     if printed:
         total, n = _root_sum(tree, west, east, south, north, x, y, z, normal)
-        return total / np.sqrt(n)
-    n = _zone_sums(tree, west, east, south, north, x, y, stack, s)
-    return np.sqrt(_mean_square(s, n, z, normal))
+        out[ROUGHNESS] = total / np.sqrt(n)
+    else:
+        out[ROUGHNESS] = np.sqrt(_mean_square(s, z, normal))
 
 
 @kernel(parallel=True)
-def judge_sites(tree, nodes, mesh, raster, interest, limits, printed, thorough, out):
-    """Judge sites at the centres of cells.
+def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
+    """Judge the ground of sites at the centres of cells.
 
     Parameters
     ----------
-    nodes
-        Cells (n,).
+    nodes, smallest
+        Cells (n,), and the depth of the smallest that are sites.
     mesh
         Ground planes.
-    raster
-        Exception ratios of squares over the whole map; NaN: hazardous for want of points.
-    interest
-        Of each site (n,).
+    rasters
+        Exception ratios and greatest exceptions of squares over the whole map; NaN: hazardous for
+        want of points.
     limits
         Least cosine of the slope, exception tolerance, half sides of the zone and of its middle,
-        m.
+        how far hazards reach from where they were seen, m.
     printed
         Roughness by Eq. 8 as printed, else root mean square.
     thorough
         Find the roughness of rejected sites too, where there are points.
-    out
-        cosine, roughness, ratio, ratio near the middle (N,) and status (N,), one entry a node of
-        the tree.
+    found, status
+        What is found (N, 8) and the verdict (N,), a row a square of the smallest cells.
     """
-    cosine, roughness, ratio, near, status = out
-    least_cosine, exception, zone, middle = limits
-    per_square = 2.0 * tree.half / raster.shape[0]
+    ratios, reliefs = rasters
+    least_cosine, exception, zone, middle, margin = limits
+    per_square = 2.0 * tree.half / ratios.shape[0]
     for i in prange(nodes.size):
         node = nodes[i]
+        place = place_of(tree, node, smallest)
         normal = np.empty(3)
         stack = np.empty(STACK, np.int32)
         s = np.empty(SUMS)
-        cosine[node] = np.nan
-        roughness[node] = np.nan
-        ratio[node] = np.nan
-        near[node] = np.nan
+        out = found[place]
+        out[:] = np.nan
         hx, hy = half_steps(tree, node)
-        if not steepest_normal(hx, hy, mesh, normal):
-            status[node] = NO_PLANE
+        if steepest_normal(hx, hy, mesh, normal) < 0:
+            status[place] = NO_PLANE
             continue
-        cosine[node] = normal[2]
+        out[COSINE] = normal[2]
         x, y = cell_centre(tree, node)
         if max(abs(x), abs(y)) + zone > tree.half:
-            status[node] = OFF_MAP
+            status[place] = OFF_MAP
+            continue
+        sums_of(tree, node, s)
+        if s[NUMBER] == 0.0:
+            status[place] = SPARSE
             continue
         column, row = (x + tree.half) / per_square, (y + tree.half) / per_square
-        worst = _worst_ratio(raster, column, row, zone / per_square)
-        ratio[node] = worst
-        near[node] = _worst_ratio(raster, column, row, middle / per_square)
-        status[node] = _verdict(interest[i], normal[2], worst, least_cosine, exception)
-        if status[node] == ELIGIBLE or (thorough and not np.isnan(worst)):
-            roughness[node] = _roughness(tree, node, zone, normal, printed, stack, s)
+        worst = _worst(ratios, column, row, zone / per_square)
+        if not np.isnan(worst):
+            reach = (zone + margin) / per_square
+            worst = _worst_seen(ratios, column, row, reach)
+            out[RATIO] = worst
+            out[NEAR] = _worst(ratios, column, row, middle / per_square)
+            out[RELIEF] = _worst_seen(reliefs, column, row, reach)
+        status[place] = _verdict(normal[2], worst, least_cosine, exception)
+        if status[place] == ELIGIBLE or (thorough and not np.isnan(worst)):
+            _measure_zone(tree, node, zone, normal, printed, stack, s, out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,12 +13,13 @@ from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import features, measured
-from lunarsim.onboard.hazards.quadtree.sites import Selection, SiteSelector
+from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.safety.logistic import Logistic
@@ -86,6 +87,7 @@ class QuadtreeMapping:
             # Without a map to find there is nothing to wait for: an error of place is shared.
             hold_sigma=np.inf if briefing.prior_map is None else self.hold_sigma,
             interval=self.interval,
+            gravity=briefing.weight,
         )
 
 
@@ -112,6 +114,8 @@ class QuadtreeMapper(HazardMapper):
         what was seen before the first lock is smeared by the drift, as in the paper.
     interval
         Least time between two selections of sites while flying, s.
+    gravity
+        m/s^2, for what an error of attitude has done to the way since a scan that waits.
     """
 
     def __init__(
@@ -126,6 +130,7 @@ class QuadtreeMapper(HazardMapper):
         model: Logistic | None = None,
         hold_sigma: float = 0.5,
         interval: float = 1.0,
+        gravity: float = 0.0,
     ) -> None:
         self._quadtree = (least, split_count)
         self._settings = settings
@@ -136,9 +141,10 @@ class QuadtreeMapper(HazardMapper):
         self._hold_sigma = hold_sigma
         self._held: list[_Held] = []
         self._interval = interval
+        self._gravity = gravity
         self._refreshed = -np.inf
         self._judged = -1
-        self._drawn: HazardMap | None = HazardMap.unobserved(grid)
+        self._drawn: HazardMap | None = self._nothing(grid)
 
     def _lay(self, grid: Grid, elevation: float) -> None:
         """Begin an empty quadtree over a grid."""
@@ -159,7 +165,7 @@ class QuadtreeMapper(HazardMapper):
             self._interest = InterestMap(self._interest.grid.moved(by), self._interest.value)
         self._lay(g, float(centre[2]))
         self.selection, self._judged = None, -1
-        self._drawn = HazardMap.unobserved(g)
+        self._drawn = self._nothing(g)
 
     @property
     def held(self) -> int:
@@ -177,19 +183,23 @@ class QuadtreeMapper(HazardMapper):
             )
             return
         for held in self._held:
-            self.map.insert(held.scan.points(held.position, held.attitude))
+            self.map.insert(_returns(held.scan, held.position, held.attitude))
         self._held.clear()
-        self.map.insert(measurement.points(estimate.position, estimate.attitude))
+        self.map.insert(_returns(measurement, estimate.position, estimate.attitude))
 
     def correct(self, before: Estimate, after: Estimate) -> None:
-        """Move the scans held by what navigation has just learnt of pose and velocity."""
+        """Move the scans held by what navigation has just learnt of pose and velocity.
+
+        The way since a scan is the velocity now carried back, and what the specific force has done
+        to it in between. That was turned by the error of attitude, the velocity was not.
+        """
         turn = quat_multiply(after.attitude, quat_conjugate(before.attitude))
-        faster = after.velocity - before.velocity
         for held in self._held:
+            since = before.time - held.time
+            fallen = np.array([0.0, 0.0, 0.5 * self._gravity * since**2])
+            by_force = held.position - before.position + before.velocity * since + fallen
             held.position = (
-                after.position
-                + quat_rotate(turn, held.position - before.position)
-                - faster * (before.time - held.time)
+                after.position - after.velocity * since + quat_rotate(turn, by_force) - fallen
             )
             held.attitude = quat_multiply(turn, held.attitude)
 
@@ -221,16 +231,31 @@ class QuadtreeMapper(HazardMapper):
             self._drawn = self._draw(self.selection)
         return self._drawn
 
-    def _draw(self, selection: Selection) -> HazardMap:
-        """Return the sites' probabilities on the grid: each cell has that of the site under it.
+    def scoreboard(self, site: Array) -> Scoreboard:
+        """Return the ranked sites as they were when sites were last selected, by Eq. 9."""
+        if self.selection is None:
+            self.select()
+        s = self.selection
+        assert s is not None
+        sizes = self.map.sizes(s.nodes)
+        under = (np.abs(s.position[:, :2] - np.asarray(site)[:2]) <= 0.5 * sizes[:, None]).all(1)
+        return Scoreboard(
+            np.array([one.position for one in s.ranked]).reshape(-1, 3),
+            np.array([one.score for one in s.ranked]),
+            float(s.score[under].min(initial=np.inf)),
+        )
 
-        Where no site passes the limits of the mission all are 0: there is nothing to aim at.
+    def _draw(self, selection: Selection) -> HazardMap:
+        """Return what is known of the sites on the grid: each cell has that of the site under it.
+
+        The probability is the ground's alone; what the limits of the mission and its interest leave
+        is the layer `eligible`.
         """
-        s = self.selector.settings
+        s, g = self.selector.settings, self.grid
+        if len(selection.nodes) == 0:
+            return self._nothing(g)
         known = np.isfinite(selection.roughness)
         p = np.zeros(len(known))
-        if not selection.ranked:
-            return self._on_grid(selection, p, known)
         model = self._model or measured()
         p[known] = model.probability(
             features(
@@ -240,19 +265,31 @@ class QuadtreeMapper(HazardMapper):
                 selection.near[known],
             )
         )
-        return self._on_grid(selection, p, known)
-
-    def _on_grid(self, selection: Selection, p: Array, known: NDArray[np.bool_]) -> HazardMap:
-        """Return probability, whether it is known, and elevation of the sites (n,) as rasters."""
-        g, xy = self.grid, selection.position[:, :2]
-        size = self.map.sizes(selection.nodes)
-        if len(size) == 0:
-            return HazardMap.unobserved(g)
+        xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
+        eligible = rasterised(g, xy, size, selection.status == STATUS.index("eligible"), 0.0) > 0.0
+        value = self._value(g)
         return HazardMap(
             g,
             rasterised(g, xy, size, p, 0.0).astype(np.float32),
             rasterised(g, xy, size, known, 0.0) > 0.0,
             rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
+            eligible=eligible if value is None else eligible & (value > 0.0),
+            value=value,
+        )
+
+    def _nothing(self, grid: Grid) -> HazardMap:
+        """Return the map before anything was seen; what the mission says of it is known."""
+        value = self._value(grid)
+        return replace(
+            HazardMap.unobserved(grid), eligible=np.zeros(grid.shape, np.bool_), value=value
+        )
+
+    def _value(self, grid: Grid) -> FloatMap | None:
+        """Return the mission's interest (rows, cols); None: 1 everywhere."""
+        if self._interest is None:
+            return None
+        return (
+            self._interest.at(grid.centres().reshape(-1, 2)).reshape(grid.shape).astype(np.float32)
         )
 
 
@@ -288,10 +325,16 @@ def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float
     return out
 
 
+def _returns(scan: LidarScan, position: Array, attitude: Array) -> Array:
+    """Return the points (n, 3) of the pixels that got a return, taken at a pose."""
+    points = np.asarray(scan.points(position, attitude)).reshape(-1, 3)
+    return points[np.isfinite(scan.range).ravel()]
+
+
 def ground_sigma(scan: LidarScan, estimate: Estimate) -> float:
     """Return the greatest standard deviation (m) of where the middle of a scan lies."""
-    points = scan.points(estimate.position, estimate.attitude)
-    x, y, z = np.nanmean(points, axis=0) - estimate.position
+    points = _returns(scan, estimate.position, estimate.attitude)
+    x, y, z = points.mean(axis=0) - estimate.position
     # A small turn phi (ENU) moves the point by phi x rho.
     by_turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     jacobian = np.hstack((np.eye(3), by_turn))

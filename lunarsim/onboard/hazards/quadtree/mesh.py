@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
+from lunarsim.onboard.hazards.quadtree._tree_kernels import moments
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 
@@ -58,13 +59,11 @@ class GroundMesh:
         nodes = self._map.band(*self._band)
         nodes = nodes[k.mesh_nodes(tree, nodes, self._density)]
         nodes = np.sort(nodes)
-        z = tree.sums[nodes, 2] / tree.count[nodes]
+        z = np.asarray(moments(tree, nodes)[:, 1])
+        nodes, z = nodes[np.isfinite(z)], z[np.isfinite(z)]
         before = (self.nodes, self.xy, self.z, self.triangles)
         if not np.array_equal(nodes, self.nodes):
-            size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
-            self.xy = np.stack(
-                ((2 * tree.column[nodes] + 1) * size, (2 * tree.row[nodes] + 1) * size), axis=-1
-            )
+            self.xy = self._half_steps(nodes)
             self.triangles = self._triangulate()
             self.nodes = nodes
         self.z = z
@@ -76,10 +75,15 @@ class GroundMesh:
 
     def normals_of(self, nodes: Nodes) -> Array:
         """Return the ground's unit normals (n, 3) at the centres of cells; NaN off the mesh."""
+        x, y = np.ascontiguousarray(self._half_steps(nodes).T)
+        return np.asarray(k.normals_at(x, y, self.arrays))
+
+    def _half_steps(self, nodes: Nodes) -> IntArray:
+        """Return the centres (n, 2) of cells in half sides of the least cells."""
         tree = self._map.tree
         size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
-        x, y = (2 * tree.column[nodes] + 1) * size, (2 * tree.row[nodes] + 1) * size
-        return np.asarray(k.normals_at(x, y, self.arrays))
+        place = np.stack((tree.column[nodes], tree.row[nodes]), axis=-1).astype(np.int64)
+        return np.asarray((2 * place + 1) * size[:, None])
 
     def _triangulate(self) -> IntArray:
         """Triangulate the nodes, in an order that depends on their places alone."""
@@ -92,7 +96,7 @@ class GroundMesh:
         px, py = np.ascontiguousarray(self.xy.T)
         start, index = k.list_triangles(px, py, self.triangles, self._bucket, self._wide)
         self.arrays = (
-            px, py, self.triangles, self.normals, self._bucket, self._wide, start, index,
+            px, py, self.z, self.triangles, self.normals, self._bucket, self._wide, start, index,
         )  # fmt: skip
 
     def _changed(self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray) -> IntArray:

@@ -36,6 +36,8 @@ class SiteSettings:
         lambda_z: half side of the landing zone, m.
     weight_interest, weight_slope, weight_roughness
         alpha of Eq. 9, for (1 - interest), (1 - cosine of the slope) and the roughness in m.
+    margin
+        How much farther a hazard may reach than where it was seen, m: scans are not placed better.
     mesh_band, hazard_band, site_band
         Smallest and largest cells, m, that become nodes of the mesh, are searched for exceptions,
         and are sites.
@@ -58,6 +60,7 @@ class SiteSettings:
     weight_slope: float = quantity(1000.0, ge=0, help="alpha of Eq. 9 for 1 - cos slope")
     weight_roughness: float = quantity(100.0, ge=0, help="alpha of Eq. 9 for the roughness in m")
     mesh_band: tuple[float, float] = quantity((6.4, 12.8), "m", gt=0, help="cells of the mesh")
+    margin: float = quantity(0.3, "m", ge=0, help="farther than seen hazards may reach")
     hazard_band: tuple[float, float] = quantity(
         (1.6, 1.6), "m", gt=0, help="cells searched for exceptions"
     )
@@ -92,7 +95,8 @@ class InterestMap:
     value: Array
 
     def __post_init__(self) -> None:
-        value = np.asarray(self.value, dtype=np.float64)
+        value = np.array(self.value, dtype=np.float64)  # a copy that nobody else can write to
+        value.flags.writeable = False
         object.__setattr__(self, "value", value)
         if value.shape != self.grid.shape:
             raise InputError("interest", value.shape, f"an array of the grid's {self.grid.shape}")

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.quadtree import _hazard_kernels as h
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
 from lunarsim.onboard.hazards.quadtree._tree_kernels import band
 from lunarsim.onboard.hazards.quadtree.mesh import GroundMesh
@@ -57,7 +60,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Selection:
-    """All sites as they stand.
+    """All sites as they stand; its arrays cannot be written to.
 
     Attributes
     ----------
@@ -70,11 +73,20 @@ class Selection:
     slope
         (n,), rad; NaN without a ground plane.
     ratio
-        Greatest exception ratio in the zone (n,); NaN where a cell of it has too few points.
+        Greatest exception ratio in the zone and `margin` around it (n,); NaN where a cell of the
+        zone has too few points.
     near
         The same in the middle of the zone, 0.6 of its width: about what the lander covers (n,).
     roughness
         (n,), m; NaN where not evaluated.
+    relief
+        Greatest distance of an exception in the zone from its ground plane (n,), m; 0 without one,
+        NaN as for `ratio`.
+    points
+        In the zone (n,), without those that stand apart; NaN where not evaluated.
+    fitted, slope_sigma
+        Slope of the least-squares plane over the zone's points, and its standard error (n,), rad;
+        NaN where not evaluated.
     status
         Index into `STATUS` (n,).
     score
@@ -90,9 +102,18 @@ class Selection:
     ratio: Array
     near: Array
     roughness: Array
+    relief: Array
+    points: Array
+    fitted: Array
+    slope_sigma: Array
     status: NDArray[np.int8]
     score: Array
     ranked: tuple[Site, ...]
+
+    def __post_init__(self) -> None:
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
 
 
 class SiteSelector:
@@ -123,26 +144,62 @@ class SiteSelector:
     ) -> None:
         self.map = quadtree
         self.settings = settings or SiteSettings()
-        self.interest = interest
+        self._interest = interest
         self._thorough = thorough
         s = self.settings
         self.mesh = GroundMesh(quadtree, *s.mesh_band, s.density)
         self._hazard = tuple(quadtree.depth_of(size) for size in s.hazard_band)
         self._site = tuple(quadtree.depth_of(size) for size in s.site_band)
-        self.ratios = np.full((1 << self._hazard[0],) * 2, np.nan, np.float32)
+        squares = 1 << min(self._hazard[0] + h.FINER, quadtree.depths)
+        self._ratios, self._reliefs = (
+            np.full((squares, squares), np.nan, np.float32) for _ in range(2)
+        )
         self._version = 0
         self._calls = 0
-        size = len(quadtree.tree.child)
-        self._seen = np.zeros(size, np.int32)
-        self._of_node = (
-            np.full(size, np.nan), np.full(size, np.nan), np.full(size, np.nan),
-            np.full(size, np.nan), np.full(size, k.NO_PLANE, np.int8),
-        )  # fmt: skip
+        # A row a square of the smallest cells; what is never a site takes no memory.
+        self._seen = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
+        self._found = np.zeros((1 << 2 * self._site[0], 8))
+        self._status = np.full(1 << 2 * self._site[0], k.NO_PLANE, np.int8)
+
+    @property
+    def interest(self) -> InterestMap | None:
+        """What the mission is interested in; for another, make another selector."""
+        return self._interest
+
+    @property
+    def ratios(self) -> NDArray[np.float32]:
+        """Share of exceptions by squares over the map (rows, cols), from the south-west; read only.
+
+        NaN where a cell has too few points or no plane.
+        """
+        return _read_only(self._ratios)
+
+    @property
+    def reliefs(self) -> NDArray[np.float32]:
+        """Greatest distance of an exception from its plane by squares, m; as `ratios`."""
+        return _read_only(self._reliefs)
+
+    @property
+    def hazards(self) -> NDArray[np.float32]:
+        """Where hazards may reach, `margin` around where they were seen (rows, cols): 1, else 0.
+
+        Squares as of `ratios`, NaN where those are.
+        """
+        reach = int(np.ceil(self.settings.margin * len(self._ratios) / self.map.side - 1e-6))
+        hazard = (self._ratios > self.settings.exception_limit).astype(np.float32)
+        wider = ndimage.maximum_filter(hazard, 2 * reach + 1, mode="constant")
+        return np.asarray(np.where(np.isnan(self._ratios), np.float32(np.nan), wider))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory at most, bytes; only what is of sites is ever written to."""
+        rasters = self._ratios.nbytes + self._reliefs.nbytes
+        seen = sum(a.nbytes for a in self._seen)
+        return rasters + seen + self._found.nbytes + self._status.nbytes
 
     def update(self) -> Selection:
         """Follow the map and return all sites."""
         if self.map.version > self._version:
-            self._make_room()
             outlines = self.mesh.update(self._version)
             changed = self._update_hazards(outlines)
             self._update_sites(outlines, changed)
@@ -150,18 +207,6 @@ class SiteSelector:
         return self._select()
 
     # --- what changed ---------------------------------------------------------------------
-
-    def _make_room(self) -> None:
-        size = len(self.map.tree.child)
-        if size > len(self._seen):
-            more = size - len(self._seen)
-            self._seen = np.concatenate((self._seen, np.zeros(more, np.int32)))
-            fill = (np.nan, np.nan, np.nan, np.nan, k.NO_PLANE)
-            cosine, roughness, ratio, near, status = (
-                np.concatenate((a, np.full(more, v, a.dtype)))
-                for a, v in zip(self._of_node, fill, strict=True)
-            )
-            self._of_node = (cosine, roughness, ratio, near, status)
 
     def _fresh(self, depth: int) -> IntArray:
         """Return the outlines of cells of a depth, or leaves above it, that got points."""
@@ -173,71 +218,74 @@ class SiteSelector:
         """Return the side of cells of a depth in half sides of the least cells."""
         return 2 << (self.map.depths - depth)
 
-    def _nodes_in(self, marked: NDArray[np.bool_], band: tuple[int, ...]) -> Nodes:
+    def _nodes_in(
+        self, marked: NDArray[np.bool_], band: tuple[int, ...], seen: NDArray[np.int32]
+    ) -> tuple[Nodes, IntArray]:
+        """Return the cells of a band in marked squares, and the outlines of squares without one."""
         self._calls += 1
-        return np.asarray(
-            k.marked_nodes(self.map.tree, marked, band[0], band[1], self._seen, self._calls)
-        )
+        return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._calls)  # type: ignore[no-any-return]
 
     def _update_hazards(self, outlines: IntArray) -> IntArray:
-        """Find exception ratios afresh where points or planes changed; return changed squares.
+        """Search for hazards afresh where points or planes changed.
 
-        Squares are given by their outlines (n, 4) in half steps.
+        Returns the outlines (n, 4), in half steps, of cells where something else was found.
         """
         s, tree = self.settings, self.map.tree
-        wide = len(self.ratios)
+        wide = 1 << self._hazard[0]
         square = self._half_steps(self._hazard[0])
-        marked = np.zeros(self.ratios.shape, np.bool_)
+        marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
         # A cell's points do not reach over its edge: one half step less on each side.
         k.mark(self._fresh(self._hazard[1]), -1, square, wide, marked)
-        nodes = self._nodes_in(marked, self._hazard)
-        ratios = k.exception_ratios(tree, nodes, self.mesh.arrays, s.roughness_limit, s.density)
-        steps = square // 2
-        changed = np.concatenate(
-            (
-                k.clear_unseen(tree, marked, self.ratios, *self._hazard),
-                k.paint(tree, nodes, ratios, self.ratios, steps),
-            )
+        nodes, empty = self._nodes_in(marked, self._hazard, self._seen[0])
+        rasters = (self._ratios, self._reliefs)
+        finer = 2 * (1 << self.map.depths) // len(self._ratios)
+        cleared = h.clear(empty, finer, *rasters)
+        changed = h.judge_cells(
+            tree, nodes, self.mesh.arrays, s.roughness_limit, s.density, *rasters
         )
-        row, col = np.divmod(changed, wide)
-        return np.stack((col, col + 1, row, row + 1), axis=-1) * square
+        return np.concatenate((empty[cleared], k.rectangles_of(tree, nodes[changed])))
 
     def _update_sites(self, outlines: IntArray, changed: IntArray) -> None:
         s, tree = self.settings, self.map.tree
         square = self._half_steps(self._site[0])
         wide = 1 << self._site[0]
-        zone = int(np.ceil(s.zone / (0.5 * self.map.least)))
+        zone = int(np.ceil((s.zone + s.margin) / (0.5 * self.map.least)))
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
         for rectangles in (self._fresh(self._site[1]), changed):
             k.mark(rectangles, zone, square, wide, marked)
-        nodes = self._nodes_in(marked, self._site)
+        nodes, _ = self._nodes_in(marked, self._site, self._seen[1])
         k.judge_sites(
             tree,
             nodes,
+            self._site[0],
             self.mesh.arrays,
-            self.ratios,
-            self._interest_of(nodes),
-            (np.cos(s.slope_limit), s.exception_limit, s.zone, _MIDDLE * s.zone),
+            (self._ratios, self._reliefs),
+            (np.cos(s.slope_limit), s.exception_limit, s.zone, _MIDDLE * s.zone, s.margin),
             s.roughness == "printed",
             self._thorough,
-            self._of_node,
+            self._found,
+            self._status,
         )
 
     def _interest_of(self, nodes: Nodes) -> Array:
-        if self.interest is None:
+        if self._interest is None:
             return np.ones(len(nodes))
-        return self.interest.at(self.map.centres(nodes))
+        return self._interest.at(self.map.centres(nodes))
 
     # --- scores ---------------------------------------------------------------------------
 
     def _select(self) -> Selection:
         s = self.settings
         nodes = self.map.band(*s.site_band)
-        cosine, roughness, ratio, near = (np.asarray(a[nodes], float) for a in self._of_node[:4])
-        status = self._of_node[4][nodes]
+        place = k.places_of(self.map.tree, nodes, self._site[0])
+        found, status = self._found[place], self._status[place]
+        cosine, roughness = found[:, k.COSINE], found[:, k.ROUGHNESS]
         interest = self._interest_of(nodes)
+        # The mission's word comes first, but what is known of the ground stays known.
+        planned = (status != k.NO_PLANE) & (status != k.OFF_MAP)
+        status = np.where(planned & (interest <= 0.0), np.int8(k.NO_INTEREST), status)
         score = (
             s.weight_interest * (1.0 - interest)
             + s.weight_slope * (1.0 - cosine)
@@ -256,13 +304,33 @@ class SiteSelector:
             )
             for i in best_apart(score, position[:, :2], s.count, s.separation)
         )
-        return Selection(
-            nodes, position, interest, slope, ratio, near, roughness, status, score, ranked
+        ratio, near, relief, points, fitted, sigma = (
+            found[:, c].copy() for c in (k.RATIO, k.NEAR, k.RELIEF, k.POINTS, k.FITTED, k.SIGMA)
         )
+        return Selection(
+            nodes, position, interest, slope, ratio, near, roughness.copy(), relief, points, fitted,
+            sigma, status, score, ranked,
+        )  # fmt: skip
+
+
+def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:
-    """Return the places of the least finite scores whose points (n, 2) keep a distance (m)."""
+    """Return the places of the least finite scores whose points (n, 2) keep a distance (m).
+
+    Raises
+    ------
+    InputError
+        If a score is NaN, or there are not as many points as scores.
+    """
+    if np.shape(xy) != (len(score), 2):
+        raise InputError("sites.xy", np.shape(xy), f"places of shape ({len(score)}, 2)")
+    if np.isnan(score).any():
+        raise InputError("sites.score", "NaN", "numbers; inf for what is not to be chosen")
     chosen: list[int] = []
     for i in np.argsort(score, kind="stable"):
         if len(chosen) == count or not np.isfinite(score[i]):

@@ -16,6 +16,10 @@ Nodes = NDArray[np.int32]
 
 # float32 coordinates resolve 1/16,777,216 of the side; deeper trees would fall below it.
 _DEEPEST = 16
+# Farthest height from the map's elevation, m: float32 resolves 1 mm there.
+_HIGHEST = 10_000.0
+# Points sorted at once: what that takes is nothing beside a large map.
+_AT_ONCE = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,8 @@ class Inserted:
     Attributes
     ----------
     added, outside, missing
-        Points taken in, outside the map, and with a coordinate that is no number.
+        Points taken in, off the map (to a side, or by more than 10 km in height), and with a
+        coordinate that is NaN.
     """
 
     added: int
@@ -37,8 +42,10 @@ class QuadtreeMap:
     """A square that divides where measurements are dense.
 
     A cell whose points number `split_count` or more has four children, down to the least size.
-    Count, mean and variance of the elevation are kept at every level, and every cell knows the
-    batch that last reached it, so that users of the map can ask for what has changed.
+    Sums that give mean and variance of the elevation are kept at every level, and every cell knows
+    the batch that last reached it, so that users of the map can ask for what has changed. Points
+    that stand apart in height from all others of their cell (a return off a bird) stay on the map
+    and count, but are in no sum.
 
     Parameters
     ----------
@@ -79,60 +86,88 @@ class QuadtreeMap:
         self.split_count = int(split_count)
         self.version = 0
         self._points = 0
-        self._used = (1, 0)
+        self._used = (1, 0, 0)
         capacity = 1024
         self.tree = k.Tree(
             0.5 * self.side,
             depths,
             np.empty((0, 3), np.float32),
+            np.empty(0, np.bool_),
             np.full(capacity, -1, np.int32),
             np.zeros(capacity, np.int8),
+            np.zeros(capacity, np.uint16),
+            np.zeros(capacity, np.uint16),
             np.zeros(capacity, np.int32),
-            np.zeros(capacity, np.int32),
-            np.zeros(capacity, np.int32),
-            np.zeros((capacity, k.SUMS)),
             np.zeros(capacity, np.int32),
             np.full(capacity, -1, np.int32),
+            np.full(capacity, -1, np.int32),
+            np.empty((capacity, k.SUMS)),
             *(np.empty(capacity, np.int32) for _ in range(3)),
         )
 
     # --- taking in ------------------------------------------------------------------------
 
     def insert(self, points: ArrayLike) -> Inserted:
-        """Add points (n, 3), ENU, m; those off the map or with NaN are counted and left out."""
-        points = np.ascontiguousarray(points, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError("quadtree.points", points.shape, "an array of shape (n, 3)")
-        t = self.tree
-        xyz, key, outside, missing = k.place(points, self.centre, t.half, self.depths)
-        base = self._points
-        if len(xyz):
-            self._make_room(points=base + len(xyz))
-            self.tree.xyz[base : base + len(xyz)] = xyz
-            self._points += len(xyz)
-            at = 0
-            while True:
-                self.version += 1
-                at, *used = k.insert(
-                    self.tree, key, base, at, self._used, self.split_count, self.version
-                )
-                self._used = (used[0], used[1])
-                if at == len(key):
-                    break
-                self._make_room(nodes=2 * len(self.tree.child), runs=2 * len(self.tree.start))
-        return Inserted(len(xyz), int(outside), int(missing))
+        """Add points (n, 3), ENU, m; those off the map or with NaN are counted and left out.
 
-    def _make_room(self, *, points: int = 0, nodes: int = 0, runs: int = 0) -> None:
+        Raises
+        ------
+        InputError
+            If the array has another shape, holds an infinity, or if most of what lies over the map
+            is farther than 10 km from its elevation: then that is wrong.
+        """
+        points = _checked(points)
+        added = outside = missing = high = 0
+        for first in range(0, len(points), _AT_ONCE):
+            xyz, key, *left_out = k.place(
+                points[first : first + _AT_ONCE], self.centre, self.tree.half, self.depths, _HIGHEST
+            )
+            outside, missing, high = (
+                a + b for a, b in zip((outside, missing, high), left_out, strict=True)
+            )
+            if left_out[2] > len(xyz):
+                raise InputError(
+                    "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} points",
+                    f"heights within {_HIGHEST:g} m of the map's elevation of {self.centre[2]:g} m",
+                )  # fmt: skip
+            self._enter(xyz, key)
+            added += len(xyz)
+        return Inserted(added, int(outside + high), int(missing))
+
+    def _enter(self, xyz: NDArray[np.float32], key: NDArray[np.uint32]) -> None:
+        """Insert points (n, 3) sorted by their keys (n,)."""
+        base = self._points
+        if not len(xyz):
+            return
+        self._make_room(points=base + len(xyz))
+        self.tree.xyz[base : base + len(xyz)] = xyz
+        self._points += len(xyz)
+        at = 0
+        while True:
+            self.version += 1
+            at, *used = k.insert(
+                self.tree, key, base, at, self._used, self.split_count, self.version
+            )
+            self._used = (used[0], used[1], used[2])
+            if at == len(key):
+                break
+            self._make_room(
+                nodes=len(self.tree.child) * 3 // 2 + 65_536,
+                runs=len(self.tree.start) * 3 // 2 + 65_536,
+                sums=len(self.tree.sums) * 3 // 2 + 16_384,
+            )
+
+    def _make_room(self, *, points: int = 0, nodes: int = 0, runs: int = 0, sums: int = 0) -> None:
         """Enlarge arrays to hold what is asked for; points grow by half so that few are copied."""
         t = self.tree
         if points > len(t.xyz):
-            grown = np.empty((max(points, len(t.xyz) * 3 // 2), 3), np.float32)
-            grown[: self._points] = t.xyz[: self._points]
-            t = t._replace(xyz=grown)
+            t = _with_room(t, _POINT_ARRAYS, max(points, len(t.xyz) * 3 // 2), self._points)
         if nodes > len(t.child):
             t = _with_room(t, _NODE_ARRAYS, nodes, self._used[0])
         if runs > len(t.start):
             t = _with_room(t, _RUN_ARRAYS, runs, self._used[1])
+        if sums > len(t.sums):
+            t = _with_room(t, ("sums",), sums, self._used[2])
         self.tree = t
 
     # --- size -----------------------------------------------------------------------------
@@ -149,9 +184,15 @@ class QuadtreeMap:
 
     @property
     def nbytes(self) -> int:
-        """Memory in use, bytes; the arrays keep room for up to twice as many."""
-        nodes = sum(int(getattr(self.tree, name)[:1].nbytes) for name in _NODE_ARRAYS)
-        return 12 * self._points + nodes * self._used[0] + 12 * self._used[1]
+        """Memory in use, bytes; the arrays keep room for up to half as much again."""
+        used = zip(
+            (_POINT_ARRAYS, _NODE_ARRAYS, _RUN_ARRAYS, ("sums",)),
+            (self._points, *self._used),
+            strict=True,
+        )
+        return sum(
+            n * int(getattr(self.tree, name)[:1].nbytes) for names, n in used for name in names
+        )
 
     @property
     def points(self) -> Array:
@@ -207,21 +248,45 @@ class QuadtreeMap:
         return np.asarray(self.tree.count[nodes])
 
     def elevation(self, nodes: Nodes) -> Array:
-        """Return the mean elevation of the points in cells (n,), m; NaN in empty ones."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = self.tree.sums[nodes, 2] / self.tree.count[nodes]
-        return np.asarray(mean + self.centre[2])
+        """Return the mean elevation of cells (n,), m, without points that stand apart.
+
+        NaN in empty ones.
+        """
+        return np.asarray(k.moments(self.tree, nodes)[:, 1] + self.centre[2])
 
     def variance(self, nodes: Nodes) -> Array:
-        """Return the variance of the points' elevations in cells (n,), m^2; NaN in empty ones."""
-        count = self.tree.count[nodes]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = self.tree.sums[nodes, 2] / count
-            return np.asarray(np.maximum(self.tree.sums[nodes, 8] / count - mean**2, 0.0))
+        """Return the variance of the elevations in cells (n,), m^2; NaN in empty ones.
+
+        Without points that stand apart.
+        """
+        return np.asarray(k.moments(self.tree, nodes)[:, 2])
+
+    @property
+    def apart(self) -> NDArray[np.bool_]:
+        """Which points stand apart in height from their cell (n,), in the order of `points`."""
+        return np.asarray(self.tree.apart[: self._points].copy())
 
 
-_NODE_ARRAYS = ("child", "depth", "column", "row", "count", "sums", "stamp", "head")
+_POINT_ARRAYS = ("xyz", "apart")
+_NODE_ARRAYS = ("child", "depth", "column", "row", "count", "stamp", "head", "slot")
 _RUN_ARRAYS = ("start", "length", "following")
+
+
+def _checked(points: ArrayLike) -> Array:
+    """Return points as an array (n, 3); raise InputError if they are none, or not finite or NaN."""
+    if np.iscomplexobj(points):
+        raise InputError("quadtree.points", "complex numbers", "real coordinates in metres")
+    if isinstance(points, np.ma.MaskedArray):
+        points = np.ma.filled(points.astype(np.float64), np.nan)
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError("quadtree.points", points.shape, "an array of shape (n, 3)")
+    infinite = np.flatnonzero(np.isinf(points).any(axis=1))
+    if infinite.size:
+        raise InputError(
+            "quadtree.points", points[infinite[0]].tolist(), "finite coordinates, or NaN for none"
+        )
+    return points
 
 
 def _with_room(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:

@@ -46,7 +46,17 @@ def swept(seed=0, n=20_000, side=19.0):
     return quadtree
 
 
-FIELDS = ("nodes", "position", "interest", "slope", "ratio", "near", "roughness", "status", "score")
+FIELDS = (
+    "nodes", "position", "interest", "slope", "ratio", "near", "roughness", "relief", "points",
+    "fitted", "slope_sigma", "status", "score",
+)  # fmt: skip
+
+
+def squares_within(raster, place, reach):
+    """Return the squares of 0.2 m that overlap a zone about a place; those on the map."""
+    first = np.maximum(np.floor((place - reach) / 0.2 + 1e-6).astype(int), 0)
+    last = np.ceil((place + reach) / 0.2 - 1e-6).astype(int)
+    return raster[first[1] : last[1], first[0] : last[0]]
 
 
 def assert_same(a, b):
@@ -114,11 +124,13 @@ def test_sites_follow_the_equations(form):
     corners = mesh.xy[mesh.triangles]
     half = 0.5 * quadtree.least
     corner = quadtree.centre[:2] - 0.5 * quadtree.side
-    # Hazard cells, Eqs. 3 to 5.
+    points = points[~quadtree.apart]
+    # Hazard cells, Eqs. 3 to 5, in squares of a quarter of their side.
     hazard = quadtree.band(*s.hazard_band)
-    truth = {}
+    seen = 0
     for centre, size in zip(quadtree.centres(hazard), quadtree.sizes(hazard), strict=True):
-        normal = reference.steepest_plane(np.rint((centre - corner) / half), corners, mesh.normals)
+        at = np.rint((centre - corner) / half)
+        normal = reference.steepest_plane(at, corners, mesh.normals)
         low, high = centre - 0.5 * size, centre + 0.5 * size
         mine = points[(points[:, :2] >= low).all(1) & (points[:, :2] < high).all(1)]
         quarters = [
@@ -126,15 +138,19 @@ def test_sites_follow_the_equations(form):
             for e in (0, 1)
             for n in (0, 1)
         ]
-        dense = min(quarters) >= s.density * size**2 / 4.0
-        truth[tuple(np.rint((centre - corner) / size - 0.5).astype(int))] = (
-            reference.exception_ratio(mine, centre, normal, s.roughness_limit)
-            if dense and normal is not None
-            else np.nan
-        )
-    for (col, row), ratio in truth.items():
-        assert selector.ratios[row, col] == pytest.approx(ratio, abs=2e-3, nan_ok=True)
-    assert np.nansum(selector.ratios > s.exception_limit) > 5
+        col, row = np.rint((low - corner) / 0.2).astype(int)
+        squares = [a[row : row + 4, col : col + 4] for a in (selector.ratios, selector.reliefs)]
+        if min(quarters) < s.density * size**2 / 4.0 or normal is None:
+            assert np.isnan(squares).all()
+            continue
+        z = mesh.z[mesh.triangles] + quadtree.centre[2]
+        on_mesh = reference.mesh_point(centre, corners * half + corner, z)
+        expected = reference.exceptions(mine, low, size, 4, on_mesh, normal, s.roughness_limit)
+        assert squares[0] == pytest.approx(expected[0], abs=1e-6, nan_ok=True)
+        assert squares[1] == pytest.approx(expected[1], abs=1e-5, nan_ok=True)
+        seen += 1
+    assert seen > 100
+    assert np.nansum(selector.ratios > s.exception_limit) > 20
     # Sites, Eqs. 6 to 9.
     rng = np.random.default_rng(0)
     for i in rng.choice(len(selection.nodes), 150, replace=False):
@@ -148,19 +164,28 @@ def test_sites_follow_the_equations(form):
         if np.any(np.abs(r[:2] - quadtree.centre[:2]) + s.zone > 0.5 * quadtree.side):
             assert status == "zone leaves the map"
             continue
-        first = np.floor((r[:2] - s.zone - corner) / 0.8 + 1e-6).astype(int)
-        last = np.ceil((r[:2] + s.zone - corner) / 0.8 - 1e-6).astype(int)
-        zone = selector.ratios[first[1] : last[1], first[0] : last[0]]
+        zone = squares_within(selector.ratios, r[:2] - corner, s.zone)
+        wider = squares_within(selector.ratios, r[:2] - corner, s.zone + s.margin)
         expected = (
             "too steep" if normal[2] < np.cos(s.slope_limit)
             else "too few points" if np.isnan(zone).any()
-            else "hazard in the zone" if zone.max() > s.exception_limit
+            else "hazard in the zone" if np.nanmax(wider) > s.exception_limit
             else "eligible"
         )  # fmt: skip
         assert status == expected
         if not np.isnan(zone).any():
             rough = reference.roughness(points, r, normal, s.zone, form == "printed")
             assert selection.roughness[i] == pytest.approx(rough, rel=1e-3, abs=1e-5)
+            assert selection.ratio[i] == np.nanmax(wider)
+            tall = squares_within(selector.reliefs, r[:2] - corner, s.zone + s.margin)
+            assert selection.relief[i] == np.nanmax(tall)
+            middle = squares_within(selector.ratios, r[:2] - corner, 0.6 * s.zone)
+            assert selection.near[i] == middle.max()
+            inside = points[(np.abs(points[:, :2] - r[:2]) <= s.zone).all(1)]
+            assert selection.points[i] == pytest.approx(len(inside), abs=2)
+            slope, sigma = reference.fitted_slope(inside)
+            assert selection.fitted[i] == pytest.approx(slope, rel=1e-2, abs=1e-5)
+            assert selection.slope_sigma[i] == pytest.approx(sigma, rel=1e-2)
         if status == "eligible":
             score = 1000.0 * (1.0 - normal[2]) + 100.0 * selection.roughness[i]
             assert selection.score[i] == pytest.approx(score, rel=1e-9)
@@ -175,14 +200,17 @@ def test_on_an_edge_the_steeper_side_counts():
     z = np.array([0.0, 1.0, 0.0, 0.0])
     normals = k.normals(px.astype(float), py.astype(float), z, triangles)
     start, index = k.list_triangles(px, py, triangles, 16, 1)
-    mesh = (px, py, triangles, normals, 16, 1, start, index)
+    mesh = (px, py, z, triangles, normals, 16, 1, start, index)
     out = np.empty(3)
     for x, y in ((4, 4), (0, 0), (8, 8)):
-        assert k.steepest_normal(x, y, mesh, out)
+        assert k.steepest_normal(x, y, mesh, out) == 0
         assert out[2] == normals[0, 2] < normals[1, 2]
-    assert k.steepest_normal(2, 6, mesh, out)
+    assert k.steepest_normal(2, 6, mesh, out) == 1
     assert out[2] == normals[1, 2]
-    assert not k.steepest_normal(9, 1, mesh, out)
+    assert k.steepest_normal(9, 1, mesh, out) == -1
+    # On the first triangle z = (x - y) / 8, on the second it is level.
+    assert k.mesh_height(6, 1, mesh, 0, 1.0) == pytest.approx(5.0 / 8.0)
+    assert k.mesh_height(2, 6, mesh, 1, 1.0) == 0.0
 
 
 def test_the_board_holds_the_best_at_their_distance():

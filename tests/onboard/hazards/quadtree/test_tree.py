@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.quadtree import QuadtreeMap
+from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 from tests.reference import quadtree as reference
 
 
@@ -16,11 +16,13 @@ def cloud(rng, n, spread=5.0):
     return np.column_stack((rng.normal(0.0, spread, (n, 2)), rng.normal(10.0, 1.0, n)))
 
 
-def filled(seed, batches, split_count=6):
+def filled(seed, batches, split_count=6, *, spread=5.0, tall=1.0):
     rng = np.random.default_rng(seed)
     quadtree = QuadtreeMap((0.5, -0.5, 10.0), 20.0, 0.15, split_count=split_count)
     for n in batches:
-        quadtree.insert(cloud(rng, n) + np.array([0.5, -0.5, 0.0]))
+        points = cloud(rng, n, spread)
+        points[:, 2] = 10.0 + tall * (points[:, 2] - 10.0)
+        quadtree.insert(points + np.array([0.5, -0.5, 0.0]))
     return quadtree
 
 
@@ -35,25 +37,36 @@ def plain(quadtree):
     seed=st.integers(0, 10_000),
     batches=st.lists(st.integers(0, 300), min_size=1, max_size=5),
     split_count=st.integers(2, 12),
+    spread=st.sampled_from([0.1, 1.0, 5.0]),
+    tall=st.sampled_from([0.1, 1.0]),
 )
-def test_cells_and_their_means_are_those_of_the_plain_tree(seed, batches, split_count):
-    quadtree = filled(seed, batches, split_count)
+def test_cells_and_their_means_are_those_of_the_plain_tree(
+    seed, batches, split_count, spread, tall
+):
+    quadtree = filled(seed, batches, split_count, spread=spread, tall=tall)
     points, tree = plain(quadtree)
     t = quadtree.tree
     nodes = np.arange(quadtree.cells, dtype=np.int32)
     own = {(int(t.depth[i]), int(t.column[i]), int(t.row[i])): i for i in nodes}
     assert own.keys() == tree.keys()
     elevation, variance = quadtree.elevation(nodes), quadtree.variance(nodes)
+    z = points[:, 2]
+    apart = reference.stand_apart(z, tree, t.half, quadtree.depths, 8)
+    assert np.array_equal(quadtree.apart, apart)
     for key, i in own.items():
-        below = points[tree[key]]
-        assert t.count[i] == len(below)
+        assert t.count[i] == len(tree[key])
+        least = key[0] == quadtree.depths and len(tree[key]) >= 8
+        assert (t.slot[i] >= 0) == (reference.divided(key, tree) or least)
+        below = points[tree[key]][~apart[tree[key]]]
         if len(below):
             assert elevation[i] == pytest.approx(below[:, 2].mean() + 10.0, abs=1e-9)
             assert variance[i] == pytest.approx(below[:, 2].var(), abs=1e-9)
             x, y = quadtree.centres(np.array([i]))[0] - quadtree.centre[:2]
             d = below - np.array([x, y, 0.0])
             sums = [*d.sum(0), *(np.sum(d[:, a] * d[:, b]) for a in range(3) for b in range(a, 3))]
-            assert t.sums[i] == pytest.approx(np.array(sums), abs=1e-7)
+            sums += [len(below), below[:, 2].min(), below[:, 2].max()]
+            if t.slot[i] >= 0:
+                assert t.sums[t.slot[i]] == pytest.approx(np.array(sums), abs=1e-7)
 
 
 @settings(deadline=None, max_examples=25)
@@ -100,7 +113,7 @@ def test_one_batch_or_many_give_the_same_cells():
     a, b = one.band(0.3, 5.0), many.band(0.3, 5.0)
     assert one.cells == many.cells
     assert one.centres(a) == pytest.approx(many.centres(b))
-    assert one.elevation(a) == pytest.approx(many.elevation(b), abs=1e-6)
+    assert one.elevation(a) == pytest.approx(many.elevation(b), abs=1e-6, nan_ok=True)
 
 
 def test_cells_know_when_points_reached_them_last():
@@ -116,9 +129,10 @@ def test_cells_know_when_points_reached_them_last():
 def test_points_that_cannot_be_placed_are_counted_and_left_out():
     quadtree = QuadtreeMap((0.0, 0.0), 10.0, 0.1)
     done = quadtree.insert(
-        np.array([[0, 0, 1], [np.nan, 0, 0], [0, 0, np.inf], [99, 0, 0], [1e30, 0, 0]], float)
-    )
-    assert (done.added, done.outside, done.missing) == (1, 2, 2)
+        np.array([[0, 0, 1], [np.nan, 0, 0], [0, 0, np.nan], [99, 0, 0], [1e30, 0, 0],
+                  [0, 0, 2e4]], float)
+    )  # fmt: skip
+    assert (done.added, done.outside, done.missing) == (1, 3, 2)
     assert quadtree.count == 1
     assert quadtree.insert(np.full((5, 3), np.nan)).missing == 5
     assert quadtree.insert(np.zeros((0, 3))).added == 0
@@ -153,3 +167,58 @@ def test_impossible_maps_are_refused(arguments, field):
         QuadtreeMap(**({"centre": (0.0, 0.0), "side": 10.0} | arguments))
     with pytest.raises(InputError, match=r"quadtree\.points"):
         QuadtreeMap((0.0, 0.0), 10.0).insert(np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((3, 2)),
+        np.zeros(3),
+        np.zeros((2, 3, 3)),
+        [[0.0, 0.0, np.inf]],
+        [[-np.inf, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, 0.0, 1j]],
+        # Counted from the Moon's middle.
+        np.array([[0.0, 0.0, 1_737_400.0], [1.0, 1.0, 1_737_400.0]]),
+    ],
+    ids=["two columns", "one row", "three axes", "infinite", "infinite east", "complex", "datum"],
+)
+def test_points_that_cannot_be_are_refused(points):
+    quadtree = QuadtreeMap((0.0, 0.0), 10.0)
+    quadtree.insert([[1.0, 1.0, 0.0]])
+    with pytest.raises(InputError, match=r"quadtree\.points"):
+        quadtree.insert(points)
+    assert quadtree.count == 1
+
+
+def test_masked_points_are_left_out():
+    points = np.ma.masked_greater(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 9e9]]), 1e6)
+    quadtree = QuadtreeMap((0.0, 0.0), 10.0)
+    done = quadtree.insert(points)
+    assert (done.added, done.missing) == (1, 1)
+
+
+def test_ground_at_any_height_is_mapped_about_its_own_elevation():
+    rng = np.random.default_rng(8)
+    points = cloud(rng, 500, 2.0)
+    low, high = (QuadtreeMap((0.0, 0.0, h), 10.0) for h in (0.0, 1_737_400.0))
+    low.insert(points)
+    high.insert(points + [0.0, 0.0, 1_737_400.0])
+    a, b = low.band(0.3, 2.0), high.band(0.3, 2.0)
+    assert np.array_equal(a, b)
+    lifted = high.elevation(b) - 1_737_400.0
+    assert lifted == pytest.approx(low.elevation(a), abs=1e-5, nan_ok=True)
+
+
+def test_memory_is_some_bytes_a_point():
+    rng = np.random.default_rng(9)
+    quadtree = QuadtreeMap((0.0, 0.0), 20.0)
+    selector = SiteSelector(quadtree)
+    for _ in range(40):
+        xy = rng.uniform(-2.0, 2.0, (5000, 2)) + rng.uniform(-8.0, 8.0, 2)
+        quadtree.insert(np.column_stack((xy, 0.1 * rng.random(5000))))
+    selector.update()
+    t = quadtree.tree
+    held = sum(a.nbytes for a in t if isinstance(a, np.ndarray)) + selector.nbytes
+    assert quadtree.nbytes < held
+    assert held / quadtree.count < 80.0

@@ -1,0 +1,238 @@
+"""Compiled search for hazards: points that leave the ground planes (Eqs. 3 to 5).
+
+A cell must be dense enough to be judged; exceptions are then told by squares a quarter of its side,
+so that the top of a boulder is no small share of the points that it is counted among.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+from lunarsim.onboard.hazards.quadtree._site_kernels import (
+    evenly_seen,
+    half_steps,
+    mesh_height,
+    steepest_normal,
+)
+from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
+
+# Hazard cells divide into squares of 1 / 2^FINER of the side of the smallest.
+FINER = 2
+# Points that a square must be expected to hold for none to mean that it was not seen.
+EXPECTED = 12
+
+
+@kernel()
+def _distances(tree, node, plane, stack, keep, off):
+    """Return the greatest distance of a cell's points to a plane, and their number.
+
+    Points that stand apart are left out.
+
+    Parameters
+    ----------
+    plane
+        A point of it and its normal (6,).
+    keep
+        Write the distances into `off` (n,).
+    """
+    x, y, z, a, b, c = plane
+    furthest = 0.0
+    n = 0
+    stack[0] = node
+    top = 1
+    while top > 0:
+        top -= 1
+        m = stack[top]
+        if tree.child[m] >= 0:
+            for q in range(4):
+                if tree.count[tree.child[m] + q] > 0:
+                    stack[top] = tree.child[m] + q
+                    top += 1
+            continue
+        run = tree.head[m]
+        while run >= 0:
+            begin = tree.start[run]
+            for i in range(begin, begin + tree.length[run]):
+                if tree.apart[i]:
+                    continue
+                d = (tree.xyz[i, 0] - x) * a + (tree.xyz[i, 1] - y) * b + (tree.xyz[i, 2] - z) * c
+                furthest = max(furthest, abs(d))
+                if keep:
+                    off[n] = d
+                n += 1
+            run = tree.following[run]
+    return furthest, n
+
+
+@kernel()
+def _count_exceptions(tree, node, plane, middle, tolerance, stack, ratio, relief):
+    """Write share and greatest distance of exceptions by the squares (w, w) of a cell.
+
+    Distances are told from a plane and from the one parallel to it at a distance of `middle`.
+    """
+    x, y, z, a, b, c = plane
+    wide = ratio.shape[0]
+    reach = tree.half / (1 << tree.depth[node])
+    mid_x, mid_y = cell_centre(tree, node)
+    per_metre = wide / (2.0 * reach)
+    number = np.zeros((wide, wide))
+    stack[0] = node
+    top = 1
+    while top > 0:
+        top -= 1
+        m = stack[top]
+        if tree.child[m] >= 0:
+            for q in range(4):
+                if tree.count[tree.child[m] + q] > 0:
+                    stack[top] = tree.child[m] + q
+                    top += 1
+            continue
+        run = tree.head[m]
+        while run >= 0:
+            begin = tree.start[run]
+            for i in range(begin, begin + tree.length[run]):
+                if tree.apart[i]:
+                    continue
+                d = (tree.xyz[i, 0] - x) * a + (tree.xyz[i, 1] - y) * b + (tree.xyz[i, 2] - z) * c
+                row = min(max(int((tree.xyz[i, 1] - mid_y + reach) * per_metre), 0), wide - 1)
+                col = min(max(int((tree.xyz[i, 0] - mid_x + reach) * per_metre), 0), wide - 1)
+                number[row, col] += 1.0
+                far = max(abs(d), abs(d - middle))
+                if far > tolerance:
+                    ratio[row, col] += 1.0
+                    relief[row, col] = max(relief[row, col], far)
+            run = tree.following[run]
+    for row in range(wide):
+        for col in range(wide):
+            if number[row, col] > 0.0:
+                ratio[row, col] /= number[row, col]
+
+
+@kernel()
+def _clear_gaps(tree, node, ratio, relief):
+    """Set squares (w, w) of a cell without a point to NaN where chance cannot have left them out.
+
+    What was not seen may be what hides behind a boulder, or beyond the edge of a scan.
+    """
+    wide = ratio.shape[0]
+    if tree.count[node] < EXPECTED * wide * wide:
+        return
+    for row in range(wide):
+        for col in range(wide):
+            m = node
+            half = wide >> 1
+            while half > 0 and tree.child[m] >= 0:
+                m = tree.child[m] + (1 if col & half else 0) + (2 if row & half else 0)
+                half >>= 1
+            if tree.count[m] == 0:
+                ratio[row, col] = np.nan
+                relief[row, col] = np.nan
+
+
+@kernel()
+def _judge_cell(tree, node, plane, tolerance, ratio, relief):
+    """Write share and greatest distance of exceptions by the squares (w, w) of a cell.
+
+    A point is one if it is farther than `tolerance` from the mesh, or from the plane parallel to it
+    in whose middle the cell's points lie: the floor of a crater agrees with the one, a boulder in
+    a hollow with the other. The median is hardly higher for a boulder on less than half the cell.
+    """
+    stack = np.empty(STACK, np.int32)
+    off = np.empty(0)
+    furthest, n = _distances(tree, node, plane, stack, False, off)
+    if n == 0:
+        ratio[:] = np.nan
+        relief[:] = np.nan
+        return
+    # Where nothing is half as far away as it may be, the median is not either.
+    if furthest > 0.5 * tolerance:
+        off = np.empty(n)
+        _distances(tree, node, plane, stack, True, off)
+        middle = np.median(off)
+        _count_exceptions(tree, node, plane, middle, tolerance, stack, ratio, relief)
+    _clear_gaps(tree, node, ratio, relief)
+
+
+@kernel(inline=True)
+def _same(a, b):
+    """Tell whether two numbers are equal, or both NaN."""
+    return a == b or (np.isnan(a) and np.isnan(b))
+
+
+@kernel()
+def _paint(ratio, relief, row0, col0, ratios, reliefs):
+    """Write the values of a cell's squares (w, w) into the rasters; tell whether one changed."""
+    changed = False
+    wide = ratio.shape[0]
+    for row in range(wide):
+        for col in range(wide):
+            new, far = np.float32(ratio[row, col]), np.float32(relief[row, col])
+            changed |= not _same(ratios[row0 + row, col0 + col], new)
+            changed |= not _same(reliefs[row0 + row, col0 + col], far)
+            ratios[row0 + row, col0 + col] = new
+            reliefs[row0 + row, col0 + col] = far
+    return changed
+
+
+@kernel(parallel=True)
+def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
+    """Search cells for exceptions; write their squares into rasters over the whole map.
+
+    Parameters
+    ----------
+    nodes
+        Cells (n,), no two over the same ground.
+    mesh
+        Ground planes.
+    tolerance
+        Farthest that a point may lie from its plane, m.
+    per_area
+        Least number of points on a square metre of each quarter of a cell.
+    ratios, reliefs
+        Share of exceptions among a square's points, and the greatest distance of one, m (0 without
+        any); NaN where points are too few or there is no plane.
+
+    Returns
+    -------
+    changed
+        Which cells have a square whose value changed (n,).
+    """
+    changed = np.zeros(nodes.size, np.bool_)
+    for i in prange(nodes.size):
+        node = nodes[i]
+        normal = np.empty(3)
+        wide = ratios.shape[0] >> tree.depth[node]
+        ratio, relief = np.zeros((wide, wide)), np.zeros((wide, wide))
+        hx, hy = half_steps(tree, node)
+        t = steepest_normal(hx, hy, mesh, normal) if evenly_seen(tree, node, per_area) else -1
+        if t < 0:
+            ratio[:] = np.nan
+            relief[:] = np.nan
+        else:
+            z = mesh_height(hx, hy, mesh, t, tree.half / (1 << tree.depths))
+            x, y = cell_centre(tree, node)
+            plane = (x, y, z, normal[0], normal[1], normal[2])
+            _judge_cell(tree, node, plane, tolerance, ratio, relief)
+        row0, col0 = np.int64(tree.row[node]) * wide, np.int64(tree.column[node]) * wide
+        changed[i] = _paint(ratio, relief, row0, col0, ratios, reliefs)
+    return changed
+
+
+@kernel()
+def clear(outlines, square, ratios, reliefs):
+    """Set the squares (side: `square` half steps) within outlines (n, 4) to NaN.
+
+    Returns
+    -------
+    changed
+        Within which of them one was not (n,).
+    """
+    changed = np.zeros(outlines.shape[0], np.bool_)
+    for i in range(outlines.shape[0]):
+        for row in range(outlines[i, 2] // square, outlines[i, 3] // square):
+            for col in range(outlines[i, 0] // square, outlines[i, 1] // square):
+                changed[i] |= not np.isnan(ratios[row, col])
+                ratios[row, col] = np.nan
+                reliefs[row, col] = np.nan
+    return changed

@@ -1,0 +1,228 @@
+"""The mapper: layers of its map, scans that wait, and what it may not be given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_rotate
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.hazards.quadtree import (
+    STATUS,
+    InterestMap,
+    QuadtreeMap,
+    QuadtreeMapper,
+    SiteSelector,
+    SiteSettings,
+)
+from lunarsim.onboard.hazards.quadtree.sites import best_apart
+from lunarsim.onboard.navigation.estimate import Estimate
+
+SMALL = SiteSettings(
+    mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone=1.1, count=4,
+    separation=2.0,
+)  # fmt: skip
+GRID = Grid.centred((0.0, 0.0), 20.0, 0.2)
+DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+def turned(axis, angle):
+    """Return the quaternion of a turn about an axis."""
+    return np.array([*(np.sin(0.5 * angle) * np.asarray(axis, float)), np.cos(0.5 * angle)])
+
+
+def estimate(position=(0.0, 0.0, 30.0), attitude=(0.0, 0.0, 0.0, 1.0), *, time=0.0, sigma=0.0,
+             velocity=(0.0, 0.0, 0.0)) -> Estimate:  # fmt: skip
+    return Estimate(
+        time, np.array(position, float), np.array(velocity, float), np.array(attitude, float),
+        np.zeros(3), 1400.0, sigma**2 * np.eye(9),
+    )  # fmt: skip
+
+
+def scan(n=90, half=0.3, time=0.0, bump=True) -> LidarScan:
+    """Return a scan from 30 m straight above level ground, a boulder on it."""
+    t = np.linspace(-half, half, n)
+    x, y = (a.ravel() for a in np.meshgrid(t, t))
+    rays = np.column_stack((x, y, np.ones(n * n)))
+    length = np.linalg.norm(rays, axis=1)
+    height = 0.5 * (np.hypot(30.0 * x - 4.0, 30.0 * y) < 0.5) if bump else np.zeros(n * n)
+    return LidarScan(
+        time=time, range=(30.0 - height) * length, sigma=np.full(n * n, 0.01),
+        direction=rays / length[:, None], mount=DOWN, shape=(n, n),
+    )  # fmt: skip
+
+
+def mapper(**options) -> QuadtreeMapper:
+    return QuadtreeMapper(GRID, SMALL, **options)
+
+
+def interest(value=0.25):
+    """Return an interest of nought in the west and `value` in the east."""
+    grid = Grid.centred((0.0, 0.0), 20.0, 1.0)
+    return InterestMap(grid, np.where(grid.centres()[..., 0] < 0.0, 0.0, value))
+
+
+def test_the_ground_makes_the_probability_and_the_mission_the_layers():
+    free, wanted = mapper(), mapper(interest=interest())
+    for m in (free, wanted):
+        m.update(scan(), estimate())
+    a, b = free.hazard_map(), wanted.hazard_map()
+    assert a.observed.any()
+    assert np.array_equal(a.p_safe, b.p_safe)
+    assert np.array_equal(a.observed, b.observed)
+    assert a.value is None
+    east = GRID.x > 0.0
+    assert (b.value[:, east] == np.float32(0.25)).all()
+    assert (b.value[:, ~east] == 0.0).all()
+    assert not b.eligible[:, ~east].any()
+    assert np.array_equal(a.eligible[:, GRID.x > 1.0], b.eligible[:, GRID.x > 1.0])
+    assert a.eligible.any()
+    # Eligible is what the limits of the settings leave, cell by cell.
+    selection = free.select()
+    status = selection.status[[
+        int(np.argmin(np.hypot(*(selection.position[:, :2] - xy).T)))
+        for xy in ((4.0, 0.0), (-4.0, 3.0))
+    ]]  # fmt: skip
+    assert [STATUS[i] for i in status] == ["hazard in the zone", "eligible"]
+    assert a.eligible_at([[4.0, 0.0], [-4.0, 3.0], [99.0, 0.0]]).tolist() == [False, True, False]
+
+
+def test_where_no_site_is_eligible_the_ground_is_as_safe_as_before():
+    strict = QuadtreeMapper(GRID, SiteSettings(
+        mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone=1.1,
+        exception_limit=0.0, slope_limit=SMALL.slope_limit,
+    ), interest=InterestMap(GRID, np.zeros(GRID.shape)))  # fmt: skip
+    plain = mapper()
+    for m in (strict, plain):
+        m.update(scan(), estimate())
+    assert strict.select().ranked == ()
+    assert not strict.hazard_map().eligible.any()
+    assert np.array_equal(strict.hazard_map().p_safe, plain.hazard_map().p_safe)
+    assert strict.hazard_map().p_safe.max() > 0.1
+
+
+def test_the_board_tells_the_score_of_the_site_flown_to():
+    m = mapper(interest=interest(0.5))
+    assert m.scoreboard(np.zeros(3)).score.size == 0
+    m.update(scan(), estimate())
+    selection = m.select()
+    good = int(np.argmax(selection.status == 0))
+    board = m.scoreboard(selection.position[good])
+    assert board.here == selection.score[good]
+    assert np.array_equal(board.score, [s.score for s in selection.ranked])
+    assert np.array_equal(board.position, [s.position for s in selection.ranked])
+    assert m.scoreboard(np.array([4.0, 0.0, 0.0])).here == np.inf
+    assert m.scoreboard(np.array([400.0, 0.0, 0.0])).here == np.inf
+
+
+def test_scans_that_wait_are_moved_as_navigation_learns():
+    """The lander errs in place, velocity and attitude, and learns all three with the lock."""
+    gravity, force, ago = 1.6, np.array([0.3, -0.2, 1.7]), 2.0
+    bad = turned(np.array([0.6, -0.48, 0.64]), 0.1)
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+
+    def flown(time, position, velocity, attitude, sigma):
+        """Return the pose after so long under the force that an attitude turns."""
+        pull = quat_rotate(attitude, force) - [0.0, 0.0, gravity]
+        return estimate(
+            position + velocity * time + 0.5 * pull * time**2, attitude, time=time, sigma=sigma,
+            velocity=velocity + pull * time,
+        )  # fmt: skip
+
+    place, speed = np.array([1.0, 0.5, 30.0]), np.array([4.0, -3.0, -2.0])
+    off, drift = np.array([3.0, -2.0, 1.0]), np.array([0.5, 0.2, -0.1])
+    true = [flown(t, place, speed, level, 0.0) for t in (0.0, ago)]
+    believed = [flown(t, place + off, speed + drift, bad, 3.0) for t in (0.0, ago)]
+    m = mapper(hold_sigma=0.5, gravity=gravity)
+    m.update(scan(), believed[0])
+    assert m.held == 1
+    assert m.blank
+    # What changes nothing leaves the scans where they are, and so does a map laid anew.
+    m.correct(believed[1], believed[1])
+    m.recentre(np.array([0.4, 0.2, 0.0]))
+    assert m.held == 1
+    m.correct(believed[1], true[1])
+    later = scan(time=ago, bump=False)
+    m.update(later, true[1])
+    assert m.held == 0
+    # Both scans lie where they were truly taken.
+    poses = [(scan(), true[0]), (later, true[1])]
+    right = QuadtreeMap(m.map.centre, 20.0)
+    for s, e in poses:
+        right.insert(s.points(e.position, e.attitude))
+    assert np.abs(m.map.points - right.points).max() < 1e-4
+
+
+def test_a_map_laid_anew_takes_interest_along_and_forgets_sites():
+    m = mapper(interest=interest())
+    m.select()
+    m.recentre(np.array([5.0, -3.0, 2.0]))
+    value = m.hazard_map().value
+    grid = m.hazard_map().grid
+    assert grid.centre[:2] == pytest.approx([5.0, -3.0], abs=0.2)
+    assert (value[:, grid.x < 4.5] == 0.0).all()
+    assert (value[:, grid.x > 5.5] == np.float32(0.25)).all()
+    assert m.map.centre[2] == 2.0
+
+
+def test_returns_that_never_came_are_no_points():
+    lost = scan()
+    lost.range[::3] = np.nan
+    lost.range[1::3] = np.inf
+    m = mapper()
+    m.update(lost, estimate())
+    assert m.map.count == np.isfinite(lost.range).sum()
+    lost.range[:] = np.inf
+    m.update(lost, estimate())
+    assert m.map.count > 0
+
+
+def test_nobody_changes_interest_or_sites_after_the_ranking():
+    m = mapper(interest=interest())
+    m.update(scan(), estimate())
+    selection = m.select()
+    for array in (selection.score, selection.status, selection.interest, selection.position):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        m.selector.interest.value[0, 0] = 1.0
+    with pytest.raises(AttributeError):
+        m.selector.interest = None
+    with pytest.raises(ValueError, match="read-only"):
+        m.selector.ratios[0, 0] = 0.0
+    # The map copies what it is given.
+    given = np.full(GRID.shape, 1.0)
+    kept = InterestMap(GRID, given)
+    given[:] = 0.0
+    assert (kept.value == 1.0).all()
+
+
+def test_eq_9_counts_interest():
+    quadtree = QuadtreeMap((0.0, 0.0), 20.0)
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-9.5, 9.5, (20_000, 2))
+    quadtree.insert(np.column_stack((xy, rng.normal(0.0, 0.01, 20_000))))
+    plain = SiteSelector(quadtree, SMALL).update()
+    given = SiteSelector(quadtree, SMALL, interest(0.25)).update()
+    good = given.status == 0
+    assert good.sum() > 50
+    more = given.score[good] - plain.score[good]
+    assert more == pytest.approx(np.full(good.sum(), SMALL.weight_interest * 0.75), abs=1e-9)
+    # By hand, all three terms.
+    score = (
+        SMALL.weight_interest * (1.0 - given.interest[good])
+        + SMALL.weight_slope * (1.0 - np.cos(given.slope[good]))
+        + SMALL.weight_roughness * given.roughness[good]
+    )
+    assert given.score[good] == pytest.approx(score, abs=1e-6)
+    assert [s.interest for s in given.ranked] == [0.25] * len(given.ranked)
+
+
+def test_costs_that_are_no_numbers_are_refused():
+    xy = np.zeros((3, 2))
+    with pytest.raises(InputError, match=r"sites\.score"):
+        best_apart(np.array([1.0, np.nan, 2.0]), xy, 2, 1.0)
+    with pytest.raises(InputError, match=r"sites\.xy"):
+        best_apart(np.array([1.0, 2.0]), xy, 2, 1.0)
