@@ -45,7 +45,8 @@ class HazardMap:
     Raises
     ------
     InputError
-        If `eligible`, `in_domain` or `value` has another shape or type, or a value is NaN or outside [0, 1].
+        If `eligible`, `in_domain` or `value` has another shape or type, or a value is NaN or
+        outside [0, 1].
     """
 
     grid: Grid

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +118,12 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
 
 
 def _sampling(
-    pool: SamplePool, vertices: Array, noise: Array, spacing: Array, squares: _Squares, planes: Array
+    pool: SamplePool,
+    vertices: Array,
+    noise: Array,
+    spacing: Array,
+    squares: _Squares,
+    planes: Array,
 ) -> Sampling:
     if not len(vertices):
         nothing = np.zeros(pool.grid.shape)
@@ -196,7 +202,7 @@ class _Squares:
         whole = max(rise.sum() / length.sum(), _LEAST_GROWTH)
         usual = _PRIOR * length.sum() / np.count_nonzero(length)
         own = (_around(rise) + usual * whole) / (_around(length) + usual)
-        return np.maximum(own, _LEAST_GROWTH)
+        return np.asarray(np.maximum(own, _LEAST_GROWTH), dtype=np.float64)
 
     def planes(self, vertices: Array) -> Array:
         """Return the planes through the vertices of 5 x 5 squares (rows, cols, 3).
@@ -232,6 +238,6 @@ class _Squares:
         return np.asarray(own[:, 0] + own[:, 1] * x + own[:, 2] * y)
 
 
-def _around(values: Array) -> Array:
+def _around(values: NDArray[Any]) -> Array:
     """Return sums over 3 x 3 squares."""
     return np.asarray(9.0 * ndimage.uniform_filter(values, 3, mode="constant"))

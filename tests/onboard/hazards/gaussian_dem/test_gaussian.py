@@ -116,8 +116,8 @@ def test_a_fine_patch_hides_no_coarse_ground():
     grid = Grid.centred((0.0, 0.0), 36.0, 0.5)
     alone = gaussian_dem(coarse, grid).observed
     spacing = np.concatenate((np.full(1600, 1.0), np.full(40_000, 0.05)))
-    for given in (None, spacing):
-        both = gaussian_dem(np.concatenate((coarse, fine)), grid, spacing=given).observed
+    for told in (None, spacing):
+        both = gaussian_dem(np.concatenate((coarse, fine)), grid, spacing=told).observed
         assert alone.mean() > 0.9
         assert both.mean() > alone.mean() - 0.02
 

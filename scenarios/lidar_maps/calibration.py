@@ -1,0 +1,249 @@
+"""How often sites are safe that the Gaussian DEM calls so: the fit, and worlds kept out of it.
+
+Scans a matrix of worlds (relief, rocks, lander, range, angle, noise; `worlds.py`), fits the
+calibrated probability of `lunarsim.safety.calibration` to all of them, and then once more without
+each relief, each rock law, each lander and each range, to judge it on what it has not seen.
+
+python scenarios/lidar_maps/calibration.py --scenes 480 --jobs 2 --out out/lidar_maps
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.reliability import brier_score, calibration_error, reliability
+from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
+from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety import exact_safety
+from lunarsim.safety.calibration import features, in_domain, model_from
+from lunarsim.safety.logistic import Logistic
+from lunarsim.viz.reliability import plot_ideal, plot_reliability
+from lunarsim.viz.style import COLOURS, new_figure, save
+
+SITES = 100  # judged of each scene
+# Edges of the strata: nominal slope over the limit, and share of ground above the limit.
+SLOPES = (0.0, 0.5, 0.85, 1.15, np.inf)
+COVERS = (0.0, 0.002, 0.01, np.inf)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Sites of one scene (n, ...); `features` float32, `cover` and `slope` choose the stratum."""
+
+    scene: Scene
+    features: np.ndarray
+    known: np.ndarray
+    bound: np.ndarray
+    slope: np.ndarray
+    cover: float
+    safe: np.ndarray
+
+
+def judge(scene: Scene) -> Judged:
+    """Scan one scene and judge some of its sites."""
+    terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
+    pool = SamplePool(grid)
+    scan, position = scene.flash(terrain)
+    pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
+    evidence = evidence_of(pooled_dem(pool), lander, RockExpectation())
+    truth = exact_safety(terrain.raster(grid), grid, lander)
+    sites = np.flatnonzero(evidence.observed & truth.observed)
+    sites = scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False)
+    where = np.zeros(grid.shape, bool)
+    where.ravel()[sites] = True
+    return Judged(
+        scene,
+        features(evidence, where).astype(np.float32),
+        in_domain(evidence)[where],
+        evidence.level.p_safe[where],
+        evidence.slope[where],
+        float(evidence.curve.at(lander.roughness_limit)),
+        truth.safe[where],
+    )
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Sites of many scenes, end to end (n, ...)."""
+
+    features: np.ndarray
+    known: np.ndarray
+    bound: np.ndarray
+    slope: np.ndarray
+    cover: np.ndarray
+    safe: np.ndarray
+
+    @classmethod
+    def of(cls, judged: list[Judged]) -> Sites:
+        """Put scenes end to end."""
+        columns = [
+            np.concatenate([getattr(j, name) for j in judged])
+            for name in ("features", "known", "bound", "slope")
+        ]
+        cover = np.concatenate([np.full(len(j.safe), j.cover) for j in judged])
+        return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
+
+
+def fitted(judged: list[Judged], note: str = "") -> Logistic:
+    """Fit to the sites in the domain."""
+    s = Sites.of(judged)
+    return model_from(s.features[s.known], s.safe[s.known], note)
+
+
+def nearest_range(scene: Scene) -> str:
+    """Return the range of the matrix that a scene belongs to."""
+    return f"{RANGES[int(np.argmin(np.abs(np.log(np.divide(RANGES, scene.distance)))))]:.0f} m"
+
+
+def left_out(judged: list[Judged]) -> Iterator[tuple[str, list[Judged], list[Judged]]]:
+    """Yield the name of a row of the matrix, the scenes outside of it and those in it."""
+    axes = (
+        ("relief", RELIEFS, lambda s: s.relief),
+        ("rocks", ROCKS, lambda s: s.rocks),
+        ("lander", tuple(LANDERS), lambda s: s.lander),
+        ("range", tuple(f"{r:.0f} m" for r in RANGES), nearest_range),
+    )
+    for axis, names, of in axes:
+        for name in names:
+            inside = [of(j.scene) == name for j in judged]
+            others = [j for j, i in zip(judged, inside, strict=True) if not i]
+            kept = [j for j, i in zip(judged, inside, strict=True) if i]
+            if kept and others:
+                yield f"{axis} {name}", others, kept
+
+
+def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
+    """Return how well probabilities (n,) tell what is safe (n,)."""
+    base = safe.mean()
+    sure, surer = p > 0.95, p > 0.99
+    return {
+        "base": base,
+        "ece": calibration_error(reliability(p, safe)),
+        "skill": skill(p, safe),
+        "share": sure.mean(),
+        "gap": p[sure].mean() - safe[sure].mean() if sure.any() else np.nan,
+        "surer": surer.mean(),
+        "right": safe[surer].mean() if surer.any() else np.nan,
+    }
+
+
+def skill(p: np.ndarray, safe: np.ndarray) -> float:
+    """Return the Brier skill over the base rate; NaN where all sites are alike."""
+    base = safe.mean()
+    if base in (0.0, 1.0):
+        return float("nan")
+    return 1.0 - brier_score(p, safe) / (base * (1.0 - base))
+
+
+def worst_stratum(p: np.ndarray, sites: Sites, least: int = 100) -> tuple[float, str]:
+    """Return the least Brier skill of the strata of slope and cover with enough sites."""
+    worst = (np.inf, "")
+    k = sites.known
+    for i in range(len(SLOPES) - 1):
+        for j in range(len(COVERS) - 1):
+            s, c = sites.slope[k], sites.cover[k]
+            inside = (s >= SLOPES[i]) & (s < SLOPES[i + 1])
+            inside &= (c >= COVERS[j]) & (c < COVERS[j + 1])
+            if inside.sum() < least:
+                continue
+            own = skill(p[inside], sites.safe[k][inside])
+            if own < worst[0]:
+                worst = own, f"slope {SLOPES[i]:g}-{SLOPES[i + 1]:g}, {100 * COVERS[j]:g}+ %"
+    return worst
+
+
+def table_of(rows: list[tuple[str, np.ndarray, Sites]]) -> Table:
+    """Return the figures of rows of the matrix: name, probabilities in the domain, sites."""
+    table = Table(title="Sites in the domain; each row judged by the fit without it")
+    for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE", "Brier\nskill",
+                    "p > 0.95", "mean p less\nshare safe", "p > 0.99", "share\nsafe",
+                    "out: p > 0.95", "share\nsafe", "least skill\nof a stratum",
+                    "where"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for name, p, sites in rows:
+        k = sites.known
+        f = figures(p, sites.safe[k])
+        out = ~k & (sites.bound > 0.95)
+        right = f"{sites.safe[out].mean():.4f}" if out.any() else "-"
+        least, where = worst_stratum(p, sites)
+        table.add_row(
+            name, f"{k.size}", f"{k.mean():.2f}", f"{f['base']:.3f}", f"{f['ece']:.4f}",
+            f"{f['skill']:+.3f}", f"{f['share']:.2f}", f"{f['gap']:+.4f}", f"{f['surer']:.2f}",
+            f"{f['right']:.4f}", f"{out.sum()}", right, f"{least:+.2f}", where,
+        )  # fmt: skip
+    return table
+
+
+def draw(rows: list[tuple[str, np.ndarray, Sites]], path: Path) -> None:
+    """Draw the reliability of what was kept out, by axis of the matrix."""
+    figure = new_figure(9.6, 9.6)
+    for panel, axis in zip(
+        figure.subplots(2, 2, sharex=True, sharey=True).ravel(),
+        ("relief", "rocks", "lander", "range"), strict=True,
+    ):  # fmt: skip
+        plot_ideal(panel)
+        mine = [r for r in rows if r[0].startswith(axis)]
+        p = np.concatenate([r[1] for r in mine])
+        safe = np.concatenate([r[2].safe[r[2].known] for r in mine])
+        table = reliability(p, safe)
+        label = f"{len(mine)} kept out in turn, ECE {calibration_error(table):.3f}"
+        plot_reliability(panel, table, color=COLOURS[0], label=label)
+        panel.set_title(axis)
+        panel.legend(loc="lower right")
+        panel.grid(alpha=0.3)
+        panel.set_xlabel("probability of safety")
+        panel.set_ylabel("share exactly safe")
+    save(figure, path)
+
+
+@click.command()
+@click.option("--scenes", "count", type=click.IntRange(min=8), default=480, show_default=True,
+              help="Scenes, drawn evenly from the matrix.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
+              help="Of the scenes.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write the model to this file; the package's own is "
+                   "lunarsim/safety/calibration.json.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the diagram.")  # fmt: skip
+def main(count: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
+    """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
+    console = Console(width=190)
+    deck = list(scenes(count, seed))
+    judged = gathered(partial(_of, deck), range(count), jobs, console, "scenes")
+    note = f"scenarios/lidar_maps/calibration.py --scenes {count} --seed {seed}"
+    model = fitted(judged, note)
+    if target is not None:
+        model.save(target)
+    everything = Sites.of(judged)
+    rows = [("nothing", model.probability(everything.features[everything.known]), everything)]
+    for name, others, kept in track(list(left_out(judged)), "fits", console=console):
+        sites = Sites.of(kept)
+        if not sites.known.any():
+            continue
+        rows.append((name, fitted(others).probability(sites.features[sites.known]), sites))
+    console.print(table_of(rows))
+    if out is not None:
+        draw(rows, out / "calibration.png")
+
+
+def _of(deck: list[Scene], n: int) -> Judged:
+    return judge(deck[n])
+
+
+if __name__ == "__main__":
+    main()
