@@ -149,20 +149,20 @@ def test_no_probability_rises_with_the_height_of_stones(judge):
 
 
 def test_bounded_keeps_what_either_test_keeps():
-    """Small stones on level ground, where the tops of blocks alone lost half of the safe sites."""
+    """Small stones on level ground, where the tops of blocks alone lose nearly all safe sites."""
     rng = np.random.default_rng(3)
     grid = Grid.centred((0.0, 0.0), 16.0, 0.1)
     lander = Lander()
-    level = np.where(rng.random(grid.shape) < 0.05, 0.21, 0.0)
+    level = np.where(rng.random(grid.shape) < 0.01, 0.24, 0.0)
     slope = 0.1 * grid.x[None, :] + 0.02 * rng.standard_normal(grid.shape)
-    for z in (level, slope):
+    for z, least in ((level, 0.99), (slope, 0.75)):
         exact = exact_safety(z, grid, lander)
         bound, cons = bounded_safety(z, grid, lander), conservative_safety(z, grid, lander)
         seen = exact.observed
         assert exact.safe.mean() > 0.1
         assert not np.any(bound.safe & ~exact.safe)
         assert not np.any(cons.safe & ~bound.safe)
-        assert (bound.safe & exact.safe).sum() > 0.75 * exact.safe.sum()
+        assert (bound.safe & exact.safe).sum() > least * exact.safe.sum()
         for name in ("slope", "roughness"):
             ours = getattr(bound, name)[seen]
             assert np.all(ours <= getattr(cons, name)[seen])
