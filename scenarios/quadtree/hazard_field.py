@@ -190,6 +190,7 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
         sites = [site for one in looks for site in one["sites"]]
         total = {key: sum(one[key] for one in looks) for key in
                  ("judged_m2", "hazard_m2", "missed_m2", "false_m2")}  # fmt: skip
+        objects, wholly = (sum(one[key] for one in looks) for key in ("objects", "objects_missed"))
         out["looks"].append({
             "time": time,
             "map_error_rms": float(np.nanmean([one["map_error_rms"] for one in looks])),
@@ -197,6 +198,8 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
             "slope_error_mean": float(np.nanmean([one["slope_error_mean"] for one in looks])),
             "slope_error_max": float(np.nanmax([one["slope_error_max"] for one in looks])),
             **{key: value / len(looks) for key, value in total.items()},
+            "missed_share": total["missed_m2"] / max(total["hazard_m2"], 1e-9),
+            "objects_missed": f"{wholly} of {objects}",
             "sites": len(sites),
             "fields_without_site": sum(not one["sites"] for one in looks),
             "zones_with_hazard": sum(site["hazard_m2"] > 0.0 for site in sites),
@@ -228,6 +231,8 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
         ("ground judged (m2)", "judged_m2", "{:.0f}", ""),
         ("true hazards in it (m2)", "hazard_m2", "{:.1f}", ""),
         ("hazards missed (m2)", "missed_m2", "{:.2f}", PAPER["missed"]),
+        ("share of their area missed", "missed_share", "{:.3f}", ""),
+        ("hazards missed wholly, all fields", "objects_missed", "{}", ""),
         ("safe ground called hazardous (m2)", "false_m2", "{:.0f}", PAPER["false"]),
         ("sites ranked, all fields", "sites", "{:d}", ""),
         ("fields without a site", "fields_without_site", "{:d}", ""),

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from lunarsim.evaluation.map_quality import MapQuality, local_ground
 from lunarsim.evaluation.truth_mesh import TruthMesh
@@ -125,12 +126,25 @@ def confused(mapper: QuadtreeMapper, ground: Ground) -> tuple[dict[str, float], 
     judged = np.isfinite(estimated) & np.isfinite(hazard)
     quality = MapQuality.of(estimated[judged] == 0.0, hazard[judged] == 0.0)
     area = fine.posting**2
+    objects, wholly = missed_objects(hazard == 1.0, estimated)
     return {
+        "objects": objects,
+        "objects_missed": wholly,
         "judged_m2": quality.judged * area,
         "hazard_m2": (quality.false_safe + quality.rejected) * area,
         "missed_m2": quality.false_safe * area,
         "false_m2": quality.missed * area,
     }, estimated
+
+
+def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]:
+    """Return how many connected hazards are judged at all, and how many of these wholly missed."""
+    label, count = ndimage.label(hazard, structure=np.ones((3, 3)))
+    judged, called = (
+        np.bincount(label[where], minlength=count + 1)[1:] > 0
+        for where in (np.isfinite(estimated), estimated == 1.0)
+    )
+    return int(judged.sum()), int((judged & ~called).sum())
 
 
 def zone_hazard(position: np.ndarray, ground: Ground, zone: float) -> float:

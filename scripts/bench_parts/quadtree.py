@@ -17,6 +17,7 @@ def quadtree() -> None:
     rng = np.random.default_rng(0)
     QuadtreeMap((0.0, 0.0), 100.0).insert(_cloud(rng, 10_000, 99.0))
     _points_at_once(rng)
+    _memory()
     _flash_after_flash(rng)
     _larger_maps(rng)
 
@@ -83,6 +84,57 @@ def _points_at_once(rng) -> None:
     took = time.perf_counter() - began
     print(
         f"    10,000,000 at random on a square kilometre: {took:.2f} s, {quadtree.cells:,d} cells"
+    )
+
+
+def _memory() -> None:
+    """What a process takes for a map and one selection of sites, whose memory is measured whole."""
+    import subprocess
+    import sys
+
+    print("  resident memory of a process of its own, after one selection of sites; and the most")
+    for way, count in (("flashes", 1_000_000), ("flashes", 4_000_000), ("at once", 4_000_000)):
+        subprocess.run(
+            [sys.executable, "-c", f"from bench_parts.quadtree import resident; "
+             f"resident({way!r}, {count})"], check=True, cwd=ROOT / "scripts",
+        )  # fmt: skip
+
+
+def resident(way: str, count: int) -> None:
+    """Print by how much this process grows with so many points, and at most while it takes them."""
+    import resource
+    from pathlib import Path
+
+    import numpy as np
+
+    from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
+
+    def now() -> int:
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+        return int(pages) * resource.getpagesize()
+
+    rng = np.random.default_rng(0)
+    warm = QuadtreeMap((0.0, 0.0), 100.0)
+    warm.insert(_cloud(rng, 20_000, 20.0))
+    SiteSelector(warm, thorough=True).update()
+    # The caller's own points are not counted.
+    blocks = [_cloud(rng, count, 99.0)] if way == "at once" else []
+    before = now()
+    quadtree = QuadtreeMap((0.0, 0.0), 100.0)
+    if blocks:
+        quadtree.insert(blocks[0])
+    while quadtree.count < count:
+        quadtree.insert(_flash(rng))
+    held = now() - before
+    selector = SiteSelector(quadtree, thorough=True)
+    selector.update()
+    after = now() - before
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    most = 1024 * int(status.partition("VmHWM:")[2].split()[0]) - before
+    print(
+        f"    {quadtree.count:10,d} points, {way}: {after / quadtree.count:.0f} bytes a point "
+        f"({held / quadtree.count:.0f} before the selection, {most / quadtree.count:.0f} at most; "
+        f"{quadtree.nbytes / quadtree.count:.0f} in the map's own arrays)"
     )
 
 

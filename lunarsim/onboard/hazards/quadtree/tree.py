@@ -18,8 +18,9 @@ Nodes = NDArray[np.int32]
 _DEEPEST = 16
 # Farthest height from the map's elevation, m: float32 resolves 1 mm there.
 _HIGHEST = 10_000.0
-# Points sorted at once: what that takes is nothing beside a large map.
-_AT_ONCE = 1 << 22
+# A batch is sorted in so many parts, none smaller than this: what sorting takes is little beside
+# what the map does, and points that came together still lie together.
+_PARTS, _PART = 8, 1 << 18
 
 
 @dataclass(frozen=True)
@@ -118,9 +119,10 @@ class QuadtreeMap:
         """
         points = _checked(points)
         added = outside = missing = high = 0
-        for first in range(0, len(points), _AT_ONCE):
+        part = max(_PART, -(-len(points) // _PARTS))
+        for first in range(0, len(points), part):
             xyz, key, *left_out = k.place(
-                points[first : first + _AT_ONCE], self.centre, self.tree.half, self.depths, _HIGHEST
+                points[first : first + part], self.centre, self.tree.half, self.depths, _HIGHEST
             )
             outside, missing, high = (
                 a + b for a, b in zip((outside, missing, high), left_out, strict=True)

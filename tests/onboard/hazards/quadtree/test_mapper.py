@@ -59,8 +59,8 @@ def mapper(**options) -> QuadtreeMapper:
 
 
 def interest(value=0.25):
-    """Return an interest of nought in the west and `value` in the east."""
-    grid = Grid.centred((0.0, 0.0), 20.0, 1.0)
+    """Return an interest of nought west of 0.15 m and `value` east of it."""
+    grid = Grid.centred((0.15, 0.0), 22.0, 1.0)  # its cells lie aside of those of the map
     return InterestMap(grid, np.where(grid.centres()[..., 0] < 0.0, 0.0, value))
 
 
@@ -73,7 +73,7 @@ def test_the_ground_makes_the_probability_and_the_mission_the_layers():
     assert np.array_equal(a.p_safe, b.p_safe)
     assert np.array_equal(a.observed, b.observed)
     assert a.value is None
-    east = GRID.x > 0.0
+    east = GRID.x > 0.15
     assert (b.value[:, east] == np.float32(0.25)).all()
     assert (b.value[:, ~east] == 0.0).all()
     assert not b.eligible[:, ~east].any()

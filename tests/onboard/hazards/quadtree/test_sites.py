@@ -304,3 +304,26 @@ def test_a_map_without_points_has_no_sites():
 def test_impossible_settings_are_refused(name, value):
     with pytest.raises(InputError, match=f"sites.{name}"):
         replace(SMALL, **{name: value})
+
+
+def test_a_boulder_in_a_hollow_is_found_and_what_was_not_seen_is_not_clear():
+    rng = np.random.default_rng(8)
+    xy = rng.uniform(-6.4, 6.4, (100_000, 2))
+    z = rng.normal(0.0, 0.01, len(xy))
+    hollow = (np.abs(xy - 0.4) < 0.4).all(axis=1)
+    boulder = np.hypot(*(xy - 0.5).T) < 0.1
+    # Neither is 0.3 m off the ground around, but the one stands 0.38 m over the other.
+    z += np.where(boulder, 0.18, np.where(hollow, -0.2, 0.0))
+    unseen = (np.abs(xy - [-2.3, 1.7]) < 0.1).all(axis=1)
+    quadtree = QuadtreeMap((0.0, 0.0), 12.8, 0.1)
+    quadtree.insert(np.column_stack((xy, z))[~unseen])
+    selector = SiteSelector(quadtree, replace(SMALL, mesh_band=(3.2, 3.2)))
+    selector.update()
+    # Squares of 0.2 m, from the south-west.
+    assert selector.ratios[34, 34] > SMALL.exception_limit
+    assert selector.reliefs[34, 34] == pytest.approx(0.38, abs=0.05)
+    assert selector.ratios[20:30, 36:50].max() == 0.0
+    known = np.isfinite(selector.ratios[32:48, 12:32])
+    assert np.argwhere(~known).tolist() == [[8, 8]]
+    assert (selector.hazards[33:36, 33:36] == 1.0).all()
+    assert np.isnan(selector.hazards[40, 20])
