@@ -1,63 +1,214 @@
+"""The calibrated probability: sound by construction, and silent about what it cannot know."""
+
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.rocks.laws import golombek_number
 from lunarsim.safety import SafetyMap
-from lunarsim.safety import calibration as dem
+from lunarsim.safety.calibration import (
+    COUNT,
+    FREE,
+    MOST_HAZARDS,
+    Evidence,
+    calibrated_safety,
+    in_domain,
+    measured,
+    model_from,
+)
 from lunarsim.safety.conservative import StochasticSafety
+from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.unseen_rocks import HeightCurve, height_curve, law_share
 
 LANDER = Lander()
+SIDE = 9
 
-SPACINGS = ((0.156, 0.156), (0.39, 0.39), (0.8, 0.39), (1.6, 0.78), (0.5, 0.3), (2.0, 0.1))
+
+def rocky(times: float = 1.0) -> HeightCurve:
+    """Return the curve of a mission's law alone, so many times as rocky."""
+    curve = height_curve(np.zeros(0), 0.01, LANDER.roughness_limit, 0.05)
+    return HeightCurve(curve.height, np.minimum(times * curve.share, 0.5))
 
 
-def maps(p_slope, p_rough, slope, rough, seen=None):
-    """Return the two maps of sites with these bounds and shares of the limits (rows, cols)."""
-    layers = np.broadcast_arrays(
-        *(np.asarray(v, np.float32) for v in (p_slope, p_rough, slope, rough))
-    )
-    p_slope, p_rough, slope, rough = (np.atleast_2d(v) for v in layers)
-    grid = Grid(0.0, 0.0, 1.0, *p_slope.shape)
+def evidence(
+    *, slope=0.5, rough=0.5, level=1.0, planes=2.0, curve=None, density=30.0, noise=0.01, seen=None
+) -> Evidence:
+    """Return a map all of whose sites are alike, or as the arrays (SIDE, SIDE) say.
+
+    Slope and roughness are shares of the limits, `level` and `planes` probits of both tests.
+    """
+    grid = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
     seen = np.ones(grid.shape, bool) if seen is None else seen
+
+    def raster(value):
+        return np.broadcast_to(np.asarray(value, np.float32), grid.shape).copy()
+
+    tests = []
+    for probit in (level, planes):
+        p = ndtr(raster(probit))
+        tests.append(StochasticSafety(grid, p, p, p * p, seen))
+    tangent = raster(slope) * np.tan(LANDER.slope_limit)
     nominal = SafetyMap(
-        grid, slope * LANDER.slope_limit, rough * LANDER.roughness_limit,
-        (slope < 1.0) & (rough < 1.0), np.ones(grid.shape, bool),
+        grid, np.arctan(tangent), raster(rough) * LANDER.roughness_limit, seen, seen
+    )
+    return Evidence(
+        *tests, nominal, LANDER, curve or rocky(), raster(density).astype(float), noise,
+        1.0 / np.sqrt(np.mean(density)),
     )  # fmt: skip
-    return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, seen), nominal
 
 
-@pytest.mark.parametrize("spacing", SPACINGS)
-def test_better_ground_never_lowers_the_probability(spacing):
-    bounds = ndtr(np.linspace(-6.0, 6.0, 41))
-    shares = np.linspace(3.0, 0.0, 41)
-    p = dem.calibrated_safety(*maps(bounds[:, None], bounds, 0.5, 0.5), LANDER, spacing)
-    assert (np.diff(p, axis=0) >= -1e-6).all()
-    assert (np.diff(p, axis=1) >= -1e-6).all()
-    p = dem.calibrated_safety(*maps(0.5, 0.5, shares[:, None], shares), LANDER, spacing)
-    assert (np.diff(p, axis=0) >= -1e-6).all()
-    assert (np.diff(p, axis=1) >= -1e-6).all()
-    ends = [
-        float(dem.calibrated_safety(*maps(*site), LANDER, spacing)[0, 0])
-        for site in ((0.0, 0.0, 3.0, 3.0), (1.0, 1.0, 0.0, 0.0))
-    ]
-    assert ends[0] < 0.1
-    assert ends[1] > 0.9
+weights = st.integers(0, 10_000).map(
+    lambda seed: Logistic(
+        (
+            *np.random.default_rng(seed).normal(0.0, 1.0, FREE),
+            *np.random.default_rng(seed + 1).exponential(0.4, COUNT - FREE),
+        )
+    )
+)
 
 
-def test_unobserved_ground_is_not_safe_and_requests_are_checked():
-    seen = np.zeros((4, 4), bool)
+@given(
+    weights,
+    st.floats(0.0, 1.6),
+    st.floats(0.0, 1.6),
+    st.floats(0.02, 30.0),
+    st.floats(2.0, 200.0),
+    st.floats(0.0, 0.5),
+)
+def test_worse_ground_is_never_called_safer(model, slope, rough, times, density, worse):
+    """Whatever weights a fit finds, in the domain, outside, and across its edge."""
+    here = {"slope": slope, "rough": rough, "density": density, "curve": rocky(times)}
+    p, _ = calibrated_safety(evidence(**here), model)
+    # A noise of float32.
+    most = p.max() + 1e-5
+    for change in (
+        {"slope": slope + worse},
+        {"rough": rough + worse},
+        {"curve": rocky(times * (1.0 + 3.0 * worse))},
+        {"level": 1.0 - 5.0 * worse},
+        {"planes": 2.0 - 5.0 * worse},
+    ):
+        q, _ = calibrated_safety(evidence(**here | change), model)
+        assert (q <= most).all(), change
+
+
+def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
+    model = measured()
+    assert min(model.weights[FREE:]) >= 0.0
+    assert "scenarios/lidar_maps/calibration.py" in model.note
+    good, known = calibrated_safety(
+        evidence(slope=0.05, rough=0.05, level=6.0, planes=6.0, curve=rocky(0.001))
+    )
+    assert known.all()
+    assert (good > 0.98).all()
+    bad, _ = calibrated_safety(evidence(slope=1.4, rough=1.5, level=-6.0, planes=-6.0))
+    assert (bad < 0.01).all()
+
+
+def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
+    sparse = evidence(slope=0.1, rough=0.1, level=3.0, planes=6.0, density=1.0)
+    assert (sparse.hazards() > MOST_HAZARDS).all()
+    p, known = calibrated_safety(sparse)
+    assert not known.any()
+    none = np.exp(-sparse.piercing())
+    assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
+    # A noise or a spacing that no scan of the fit had.
+    for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
+                replace(sparse, density=sparse.density * 100, spacing=9.0)):  # fmt: skip
+        assert not in_domain(odd).any()
+
+
+def test_the_domain_ends_where_samples_grow_sparse():
+    density = np.repeat(np.geomspace(100.0, 0.5, SIDE)[:, None], SIDE, axis=1)
+    known = in_domain(evidence(slope=0.1, rough=0.1, density=density))
+    assert known[0].all()
+    assert not known[-1].any()
+    assert (np.diff(known.astype(int), axis=0) <= 0).all()
+
+
+def test_unobserved_ground_is_not_safe():
+    seen = np.zeros((SIDE, SIDE), bool)
     seen[1:3] = True
-    safety, nominal = maps(np.full((4, 4), 0.9), 0.9, 0.3, 0.3, seen)
-    out = dem.calibrated_safety(safety, nominal, LANDER, (0.4, 0.4))
-    assert (out[~seen] == 0.0).all()
-    assert (out[seen] > 0.5).all()
-    for spacing in ((0.0, 0.4), (0.4, 5.0), (np.nan, 0.4)):
-        with pytest.raises(InputError, match=r"calibration\.spacing"):
-            dem.calibrated_safety(safety, nominal, LANDER, spacing)
-    with pytest.raises(InputError, match=r"calibration\.nominal"):
-        dem.calibrated_safety(safety, maps(0.9, 0.9, 0.3, 0.3)[1], LANDER, (0.4, 0.4))
+    p, known = calibrated_safety(evidence(seen=seen))
+    assert (p[~seen] == 0.0).all()
+    assert not known[~seen].any()
+
+
+def test_evidence_that_does_not_belong_together_is_refused():
+    e = evidence()
+    other = Grid(1.0, 0.0, 0.5, SIDE, SIDE)
+    for name, value in (
+        ("noise", 0.0), ("noise", np.nan), ("spacing", np.inf), ("density", np.ones((2, 2))),
+        ("planes", replace(e.planes, grid=other)), ("nominal", replace(e.nominal, grid=other)),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=rf"calibration\.{name}"):
+            replace(e, **{name: value})
+
+
+# --- rocks that no sample has met ---------------------------------------------------------------
+
+
+def test_the_share_above_a_height_is_that_of_the_samples():
+    rng = np.random.default_rng(1)
+    # A twentieth of the ground 0.3 m high: any number of samples says so.
+    rises = np.where(rng.random(20_000) < 0.05, 0.3, 0.0) + 0.005 * rng.standard_normal(20_000)
+    curve = height_curve(rises, 0.005, 0.25, 0.05)
+    assert curve.at([0.1, 0.2, 0.25]) == pytest.approx(0.05, rel=0.1)
+    assert curve.at(0.5) < 0.05
+    assert (np.diff(curve.share) <= 0.0).all()
+    # None seen: the law, as sixty samples that say so, among all.
+    empty = height_curve(np.zeros(5940), 0.005, 0.25, 0.05)
+    assert empty.at(0.2) == pytest.approx(0.01 * law_share([0.2], 0.05, 0.5)[0], rel=0.05)
+
+
+def test_noise_is_no_rock():
+    rises = 0.1 * np.random.default_rng(2).standard_normal(10_000)
+    noisy = height_curve(rises, 0.1, 0.25, 0.05).at(0.25)
+    taken_for_ground = height_curve(rises, 0.01, 0.25, 0.05).at(0.25)
+    assert noisy <= taken_for_ground + 1e-9
+    assert noisy < 0.01
+
+
+def test_unseen_rocks_are_those_that_random_samples_miss():
+    """Against throwing samples at discs."""
+    curve = HeightCurve(np.array([0.1, 0.4]), np.array([0.02, 0.02]))
+    rng = np.random.default_rng(3)
+    height, density = 0.3, 2.0
+    top = 1.5 * np.pi * height**2
+    count = rng.poisson(density * top, 200_000)
+    expected = 0.02 / top * np.mean(count == 0)
+    assert curve.unseen(height, density) == pytest.approx(expected, rel=0.02)
+    assert curve.unseen(height, 2.0 * density) < curve.unseen(height, density)
+
+
+def test_the_law_raises_as_much_ground_as_its_rocks_do():
+    h, cover = 0.2, 0.1
+    wide = np.linspace(0.4, 6.0, 40_000)
+    number = golombek_number(wide, cover)
+    diameter = 0.5 * (wide[1:] + wide[:-1])
+    area = 0.25 * np.pi * diameter**2 * (1.0 - (h / (0.5 * diameter)) ** 2)
+    assert law_share([h], cover, 0.5)[0] == pytest.approx(
+        float((area * -np.diff(number)).sum()), rel=0.02
+    )
+
+
+def test_a_fit_finds_what_made_its_data():
+    rng = np.random.default_rng(5)
+    x = np.column_stack((np.ones((4000, 1)), rng.uniform(0.0, 1.0, (4000, COUNT - 1))))
+    truth = np.zeros(COUNT)
+    truth[0], truth[FREE], truth[-1] = -2.0, 3.0, 2.0
+    safe = rng.random(4000) < 1.0 / (1.0 + np.exp(-x @ truth))
+    model = model_from(x, safe, "here")
+    assert min(model.weights[FREE:]) >= 0.0
+    p = model.probability(x)
+    assert np.mean((p - 1.0 / (1.0 + np.exp(-x @ truth))) ** 2) < 0.01
+    assert model.note == "here"

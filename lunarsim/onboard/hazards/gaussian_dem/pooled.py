@@ -1,4 +1,4 @@
-"""The Gaussian DEM of many scans, with a random field as rough as the ground about each triangle."""
+"""The Gaussian DEM of many scans, with a random field as rough as the ground about a triangle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LEAST_GROWTH = 1e-6
 # Of the posting: where in its cell a sample lies, as far as the field can differ from the centre.
 _SUB = 0.15
 # Of the squared bend of the ground at a cell.
-_KINK = 0.3
+_KINK = 0.4
 # A triangle's own growth counts where its edges have grown by this many times their noise.
 _SIGNIFICANT = 6.0
 

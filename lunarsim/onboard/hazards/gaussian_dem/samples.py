@@ -88,9 +88,9 @@ class SamplePool:
             _positive(name, np.broadcast_to(values, len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
+        check_heights(cloud)
         if self.base is None:
             self.base = base_height(cloud)
-        check_heights(cloud)
         g = self.grid
         own = np.zeros(g.shape)
         count = k.pool(

@@ -1,0 +1,205 @@
+"""The Gaussian DEM of many scans: sums, regression, and whether it errs as it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.evaluation.consistency import Consistency
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.gaussian_dem import SamplePool, _kernels, pooled_dem
+from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
+from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
+from tests.reference import dem as reference
+
+GRID = Grid.centred((0.0, 0.0), 5.0, 0.5)
+
+
+def samples(seed: int, n: int = 120):
+    rng = np.random.default_rng(seed)
+    points = np.column_stack((rng.uniform(-3.0, 3.0, (n, 2)), rng.normal(0.0, 0.5, n)))
+    points[rng.random(n) < 0.05] = np.nan
+    return points, rng.uniform(0.01, 0.1, n)
+
+
+@given(st.integers(0, 1000), st.sampled_from([0.0, -700.0, 4000.0]))
+def test_sums_are_those_of_a_plain_loop(seed, level):
+    scans = []
+    pool = SamplePool(GRID)
+    for n in range(3):
+        points, sigma = samples(seed + 7 * n)
+        points[:, 2] += level
+        scans.append((points, sigma))
+        pool.add(points, sigma, 0.5)
+    near, about = reference.pooled_sums(scans, GRID)
+    vertices, noise, spacing = pool.vertices()
+    wanted = near[np.isfinite(near[..., 0])]
+    assert vertices == pytest.approx(wanted[:, :3], abs=1e-9)
+    assert noise == pytest.approx(wanted[:, 3], rel=1e-9)
+    assert (spacing == 0.5).all()
+    dem = pooled_dem(pool)
+    measured = np.nan_to_num(about[..., 2]) > 0.5
+    assert dem.mean[measured] == pytest.approx(about[measured][:, 0], abs=1e-3)
+    # Noise alone is the least that a measured cell errs by.
+    assert (dem.variance[measured] >= about[measured][:, 1] * (1.0 - 1e-5)).all()
+
+
+@given(st.integers(0, 1000), st.floats(1e-5, 0.1), st.floats(5.0, 500.0))
+def test_regression_with_slope_and_noises_is_that_of_matrices(seed, growth, length):
+    rng = np.random.default_rng(seed)
+    vertices = np.column_stack((rng.uniform(-2.0, 2.0, (3, 2)), rng.normal(0.0, 0.3, 3)))
+    a, b, c = vertices[:, :2]
+    if (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0:
+        vertices = vertices[::-1].copy()
+    noise, gradient = rng.uniform(1e-6, 1e-3, 3), rng.normal(0.0, 0.2, 2)
+    mean, variance = np.full(GRID.shape, np.nan, np.float32), np.zeros(GRID.shape, np.float32)
+    observed = np.zeros(GRID.shape, np.bool_)
+    _kernels.regress(
+        vertices, noise, np.array([[0, 1, 2]]), np.array([True]), gradient[None],
+        GRID.x0, GRID.y0, GRID.posting, np.array([growth * length]), np.array([length]),
+        np.zeros(GRID.shape, np.float32), np.float32(0.5), mean, variance, observed,
+    )  # fmt: skip
+    for i, j in np.argwhere(observed):
+        wanted = reference.trended(vertices, noise, gradient, growth, length, GRID.centre_of(i, j))
+        assert mean[i, j] == pytest.approx(wanted[0], abs=1e-5)
+        assert variance[i, j] == pytest.approx(wanted[1], rel=1e-3, abs=1e-7)
+
+
+def test_growth_of_a_triangle_is_what_its_edges_rise_off_the_slope():
+    rng = np.random.default_rng(4)
+    points, variance = rng.normal(0.0, 1.0, (30, 3)), rng.uniform(0.0, 0.01, 30)
+    triangles, gradient = rng.integers(0, 30, (40, 3)), rng.normal(0.0, 0.3, (40, 2))
+    out = np.empty((40, 2))
+    sk.triangle_growth(points, variance, triangles, gradient, out)
+    for (a, b, c), g, (grown, length) in zip(triangles, gradient, out, strict=True):
+        rise = along = 0.0
+        for u, v in ((a, b), (b, c), (c, a)):
+            d = points[v] - points[u]
+            rise += (d[2] - g @ d[:2]) ** 2 - variance[u] - variance[v]
+            along += 2.0 * np.hypot(*d[:2])
+        assert (grown, length) == pytest.approx((rise, along))
+
+
+def test_a_bend_adds_to_the_variance_and_a_slope_does_not():
+    x = GRID.centres()[..., 0]
+    step = np.where(x > 0.0, 0.4, 0.0)
+    for z, bent in ((0.3 * x, False), (step, True)):
+        variance = np.zeros(GRID.shape, np.float32)
+        measured, noise = np.ones(GRID.shape, np.bool_), np.full(GRID.shape, 1e-4)
+        sk.add_kinks(z.astype(np.float32), measured, noise, 0.5, variance)
+        inner = variance[1:-1, 1:-1]
+        wanted = 0.5 * (0.2**2 - 13.5e-4) if bent else 0.0
+        assert inner.max() == pytest.approx(wanted, rel=1e-4, abs=1e-9)
+        assert (inner[:, :2] == 0.0).all()
+
+
+def rough(seed: int) -> Terrain:
+    grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
+    rng = np.random.default_rng(seed)
+    relief = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(5.0))
+    diameters = rng.uniform(0.4, 1.2, 60)
+    return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("ellipsoid")))
+
+
+def scan(terrain: Terrain, spacing: float, sigma: float, rng, jitter: float = 0.5):
+    """Return samples straight from above, `spacing` m apart."""
+    line = np.arange(-15.9, 16.0, spacing)
+    x, y = np.meshgrid(line, line)
+    xy = np.column_stack((x.ravel(), y.ravel())) + jitter * spacing * rng.uniform(-0.5, 0.5, 2)
+    return np.column_stack((xy, terrain.elevation(xy) + sigma * rng.standard_normal(len(xy))))
+
+
+def strata(dem, pool: SamplePool, terrain: Terrain) -> dict[str, np.ndarray]:
+    """Return normalised squares of measured, of interpolated cells, and of those shown as rocks.
+
+    What counts as a rock is what the map shows as one. Rocks that no sample has met belong to the
+    ground between samples, whose spread they are part of.
+    """
+    square = (dem.mean - terrain.raster(dem.grid)) ** 2 / dem.variance
+    shown = dem.mean - Terrain(terrain.relief, RockField.empty()).raster(dem.grid) > 0.12
+    measured = pool.splat[..., 0] > 0.5
+    return {
+        "measured": square[dem.observed & measured & ~shown],
+        "interpolated": square[dem.observed & ~measured & ~shown],
+        "rocks": square[dem.observed & shown],
+    }
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_over_a_descent_it_errs_as_it_says(seed):
+    terrain, grid = rough(seed), Grid.centred((0.0, 0.0), 24.0, 0.2)
+    rng = np.random.default_rng(seed)
+    pool = SamplePool(grid)
+    total = {name: Consistency() for name in ("measured", "interpolated", "rocks")}
+    for spacing, sigma in ((0.8, 0.03), (0.6, 0.025), (0.45, 0.02), (0.3, 0.012)):
+        pool.add(scan(terrain, spacing, sigma, rng), sigma, spacing)
+        for name, squares in strata(pooled_dem(pool), pool, terrain).items():
+            total[name] = total[name].plus(float(squares.sum()), len(squares))
+    for name, (low, high) in {
+        "measured": (0.7, 1.5), "interpolated": (0.6, 1.5), "rocks": (0.6, 4.0)
+    }.items():  # fmt: skip
+        assert low < total[name].ratio < high, name
+
+
+def test_the_same_view_again_tells_nothing_of_what_lies_between():
+    terrain, grid = rough(3), Grid.centred((0.0, 0.0), 24.0, 0.2)
+    rng = np.random.default_rng(0)
+    once, often = SamplePool(grid), SamplePool(grid)
+    once.add(scan(terrain, 0.8, 0.03, rng, jitter=0.0), 0.03, 0.8)
+    for _ in range(20):
+        often.add(scan(terrain, 0.8, 0.03, rng, jitter=0.0), 0.03, 0.8)
+    a, b = pooled_dem(once), pooled_dem(often)
+    assert np.array_equal(a.observed, b.observed)
+    # Twenty independent maps would state a twentieth.
+    between = a.observed & (once.splat[..., 0] <= 0.5)
+    assert np.median(b.variance[between] / a.variance[between]) > 0.4
+    assert np.median(b.sampling.density) == pytest.approx(np.median(a.sampling.density))
+    assert np.mean(strata(b, often, terrain)["interpolated"]) < 1.6
+    # Noise does average where it is all there is.
+    assert np.median(b.variance[~between & a.observed]) < 0.5 * np.median(
+        a.variance[~between & a.observed]
+    )
+
+
+def test_slopes_buried_in_noise_stay_slopes():
+    """A regression on three corners alone would flatten each triangle."""
+    grid = Grid.centred((0.0, 0.0), 30.0, 0.25)
+    plane = Heightfield(
+        Grid.centred((0.0, 0.0), 60.0, 1.0),
+        (0.2 * Grid.centred((0.0, 0.0), 60.0, 1.0).centres()[..., 0]).astype(np.float32),
+    )
+    pool = SamplePool(grid)
+    terrain = Terrain(plane, place_rocks(plane, [], np.random.default_rng(0)))
+    pool.add(scan(terrain, 0.7, 0.05, np.random.default_rng(1)), 0.05, 0.7)
+    dem = pooled_dem(pool)
+    error = dem.mean - 0.2 * grid.centres()[..., 0]
+    assert np.sqrt(np.mean(error[dem.observed] ** 2)) < 0.04
+    assert np.mean(error[dem.observed] ** 2 / dem.variance[dem.observed]) == pytest.approx(
+        1.0, abs=0.3
+    )
+
+
+def test_samples_of_a_bird_or_a_planet_away_are_refused():
+    points, sigma = samples(1)
+    pool = SamplePool(GRID)
+    with pytest.raises(InputError, match="heights within 8192 m"):
+        pool.add(points + [0.0, 0.0, 1_737_000.0], sigma, 0.5)
+    with pytest.raises(InputError, match="infinities"):
+        pool.add([[0.0, 0.0, np.inf]], 0.1, 0.5)
+    with pytest.raises(InputError, match="shape"):
+        pool.add(np.zeros((3, 2)), 0.1, 0.5)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="sigma"):
+            pool.add(points, wrong, 0.5)
+        with pytest.raises(InputError, match="spacing"):
+            pool.add(points, sigma, wrong)
+    assert pool.base is None
+    assert pool.add(np.full((4, 3), np.nan), 0.1, 0.5) == 0
+    assert not pooled_dem(pool).observed.any()
+    # One at all, or all in a line, is no map of what lies between.
+    pool.add([[0.0, 0.0, 1.0]], 0.1, 0.5)
+    assert pooled_dem(pool).observed.mean() < 0.05
