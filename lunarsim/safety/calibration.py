@@ -46,6 +46,8 @@ RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_SHARES) - 1) + 2 * (len(_ROCKS) - 1
 RISING += len(_HEIGHTS) * (len(_COVER) - 1)
 COUNT = FREE + RISING
 
+# See `ceiling`.
+_ODDS = 4.0
 # In the domain at most so many hazards stand unseen in a footprint, and so many rocks under the
 # pads that would tilt the lander over its limit.
 MOST_HAZARDS = 0.03
@@ -217,15 +219,30 @@ def calibrated_safety(
     model
         Left out: the packaged one.
     """
-    seen = evidence.observed
+    seen, known = evidence.observed, in_domain(evidence)
     p = np.zeros(seen.shape, np.float32)
-    known = in_domain(evidence)
     if seen.any():
-        p[seen] = expit(features(evidence, seen) @ np.array((model or measured()).weights))
-        none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
-        bound = np.minimum(evidence.level.p_safe, none.astype(np.float32))
-        p[seen & ~known] = np.minimum(p, bound)[seen & ~known]
+        found = expit(features(evidence, seen) @ np.array((model or measured()).weights))
+        p[seen] = np.minimum(found, ceiling(evidence)[seen])
+        p[seen & ~known] = np.minimum(p, bound(evidence))[seen & ~known]
     return p, known
+
+
+def ceiling(evidence: Evidence) -> Array:
+    """Return what the probability cannot exceed, by what was seen (rows, cols).
+
+    Sums of evidence let much that is good make up for one thing that is fatal. Where the support
+    planes give slope or roughness less than one chance in so many, that is all there is.
+    """
+    e = evidence
+    least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
+    return np.minimum(1.0, _ODDS * least)
+
+
+def bound(evidence: Evidence) -> Array:
+    """Return the lower of Eqs. 15 to 17 and the chance that no unseen rock stands there."""
+    none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
+    return np.minimum(evidence.level.p_safe.astype(np.float64), none)
 
 
 def model_from(features_of: ArrayLike, safe: ArrayLike, note: str) -> Logistic:

@@ -27,7 +27,7 @@ from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.calibration import features, in_domain, model_from
+from lunarsim.safety.calibration import bound, ceiling, features, in_domain, model_from
 from lunarsim.safety.logistic import Logistic
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
@@ -40,11 +40,15 @@ COVERS = (0.0, 0.002, 0.01, np.inf)
 
 @dataclass(frozen=True)
 class Judged:
-    """Sites of one scene (n, ...); `features` float32, `cover` and `slope` choose the stratum."""
+    """Sites of one scene (n, ...); `features` float32, `cover` and `slope` choose the stratum.
+
+    `ceiling` holds everywhere, `bound` outside the domain.
+    """
 
     scene: Scene
     features: np.ndarray
     known: np.ndarray
+    ceiling: np.ndarray
     bound: np.ndarray
     slope: np.ndarray
     cover: float
@@ -67,7 +71,8 @@ def judge(scene: Scene) -> Judged:
         scene,
         features(evidence, where).astype(np.float32),
         in_domain(evidence)[where],
-        evidence.level.p_safe[where],
+        ceiling(evidence)[where],
+        bound(evidence)[where],
         evidence.slope[where],
         float(evidence.curve.at(lander.roughness_limit)),
         truth.safe[where],
@@ -80,6 +85,7 @@ class Sites:
 
     features: np.ndarray
     known: np.ndarray
+    ceiling: np.ndarray
     bound: np.ndarray
     slope: np.ndarray
     cover: np.ndarray
@@ -90,7 +96,7 @@ class Sites:
         """Put scenes end to end."""
         columns = [
             np.concatenate([getattr(j, name) for j in judged])
-            for name in ("features", "known", "bound", "slope")
+            for name in ("features", "known", "ceiling", "bound", "slope")
         ]
         cover = np.concatenate([np.full(len(j.safe), j.cover) for j in judged])
         return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
@@ -100,6 +106,12 @@ def fitted(judged: list[Judged], note: str = "") -> Logistic:
     """Fit to the sites in the domain."""
     s = Sites.of(judged)
     return model_from(s.features[s.known], s.safe[s.known], note)
+
+
+def probability(model: Logistic, sites: Sites) -> np.ndarray:
+    """Return what the map would say of all sites (n,)."""
+    p = np.minimum(model.probability(sites.features), sites.ceiling)
+    return np.where(sites.known, p, np.minimum(p, sites.bound))
 
 
 def nearest_range(scene: Scene) -> str:
@@ -147,8 +159,11 @@ def skill(p: np.ndarray, safe: np.ndarray) -> float:
     return 1.0 - brier_score(p, safe) / (base * (1.0 - base))
 
 
-def worst_stratum(p: np.ndarray, sites: Sites, least: int = 100) -> tuple[float, str]:
-    """Return the least Brier skill of the strata of slope and cover with enough sites."""
+def worst_stratum(p: np.ndarray, sites: Sites, least: int = 20) -> tuple[float, str]:
+    """Return the least Brier skill of the strata of slope and cover with enough sites.
+
+    Only where some sites are safe and some are not: else there is no skill to be had.
+    """
     worst = (np.inf, "")
     k = sites.known
     for i in range(len(SLOPES) - 1):
@@ -156,16 +171,18 @@ def worst_stratum(p: np.ndarray, sites: Sites, least: int = 100) -> tuple[float,
             s, c = sites.slope[k], sites.cover[k]
             inside = (s >= SLOPES[i]) & (s < SLOPES[i + 1])
             inside &= (c >= COVERS[j]) & (c < COVERS[j + 1])
-            if inside.sum() < least:
+            safe = sites.safe[k][inside]
+            # At least so many of either kind.
+            if min(safe.sum(), (~safe).sum()) < least:
                 continue
-            own = skill(p[inside], sites.safe[k][inside])
+            own = skill(p[k][inside], safe)
             if own < worst[0]:
                 worst = own, f"slope {SLOPES[i]:g}-{SLOPES[i + 1]:g}, {100 * COVERS[j]:g}+ %"
     return worst
 
 
 def table_of(rows: list[tuple[str, np.ndarray, Sites]]) -> Table:
-    """Return the figures of rows of the matrix: name, probabilities in the domain, sites."""
+    """Return the figures of rows of the matrix: name, probabilities, sites."""
     table = Table(title="Sites in the domain; each row judged by the fit without it")
     for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE", "Brier\nskill",
                     "p > 0.95", "mean p less\nshare safe", "p > 0.99", "share\nsafe",
@@ -174,8 +191,8 @@ def table_of(rows: list[tuple[str, np.ndarray, Sites]]) -> Table:
         table.add_column(heading, justify="right")
     for name, p, sites in rows:
         k = sites.known
-        f = figures(p, sites.safe[k])
-        out = ~k & (sites.bound > 0.95)
+        f = figures(p[k], sites.safe[k])
+        out = ~k & (p > 0.95)
         right = f"{sites.safe[out].mean():.4f}" if out.any() else "-"
         least, where = worst_stratum(p, sites)
         table.add_row(
@@ -195,7 +212,7 @@ def draw(rows: list[tuple[str, np.ndarray, Sites]], path: Path) -> None:
     ):  # fmt: skip
         plot_ideal(panel)
         mine = [r for r in rows if r[0].startswith(axis)]
-        p = np.concatenate([r[1] for r in mine])
+        p = np.concatenate([r[1][r[2].known] for r in mine])
         safe = np.concatenate([r[2].safe[r[2].known] for r in mine])
         table = reliability(p, safe)
         label = f"{len(mine)} kept out in turn, ECE {calibration_error(table):.3f}"
@@ -230,12 +247,12 @@ def main(count: int, seed: int, jobs: int, target: Path | None, out: Path | None
     if target is not None:
         model.save(target)
     everything = Sites.of(judged)
-    rows = [("nothing", model.probability(everything.features[everything.known]), everything)]
+    rows = [("nothing", probability(model, everything), everything)]
     for name, others, kept in track(list(left_out(judged)), "fits", console=console):
         sites = Sites.of(kept)
         if not sites.known.any():
             continue
-        rows.append((name, fitted(others).probability(sites.features[sites.known]), sites))
+        rows.append((name, probability(fitted(others), sites), sites))
     console.print(table_of(rows))
     if out is not None:
         draw(rows, out / "calibration.png")

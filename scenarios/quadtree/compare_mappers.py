@@ -28,12 +28,15 @@ from lunarsim.evaluation.reliability import reliability
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem import fuse, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
+from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSelector
 from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapping, rasterised
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rng import flight_seed
+from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, exact_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety.calibration import calibrated_safety
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.recorder import Tap
@@ -47,6 +50,7 @@ POSTING = 0.2
 RECALL = 0.7
 Scans = list[tuple[LidarScan, Estimate]]
 NAMES = {
+    "calibrated": "Gaussian DEM, calibrated",
     "level": "Gaussian DEM, Eqs. 15-17",
     "planes": "Gaussian DEM, support planes",
     "quadtree": "quadtree",
@@ -104,25 +108,38 @@ def sweep(field: int, seed: int, boulders: int) -> tuple[Simulation, Scans]:
 def by_gaussian_dem(
     lander: Lander, scans: Scans, grid: Grid, ground: np.ndarray
 ) -> dict[str, Answer]:
-    """Return what the Gaussian DEM says, by the conservative test and by support planes."""
+    """Return what the Gaussian DEM says: calibrated, by the level test, by support planes."""
     began = time.perf_counter()
-    dem = None
+    pool = SamplePool(grid)
     for scan, estimate in scans:
         points = scan.points(estimate.position, estimate.attitude)
-        sigma = max(float(np.nanmedian(scan.sigma)), 1e-4)
-        new = gaussian_dem(points, grid, sigma_eps=sigma, image_shape=scan.shape)
-        dem = new if dem is None else fuse(dem, new)
+        attitude = estimate.attitude
+        pool.add(points, scan.height_sigma(attitude), scan.spacing(attitude))
+    dem = pooled_dem(pool)
     build = time.perf_counter() - began
     seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
     error = root_mean_square(seen - ground)
-    megabytes = (dem.mean.nbytes + dem.variance.nbytes + dem.observed.nbytes) / 1e6
+    megabytes = pool.nbytes / 1e6
+
+    def by_planes() -> tuple[np.ndarray, np.ndarray]:
+        safety = plane_stochastic_safety(seen, dem.variance, grid, lander)
+        return safety.p_safe, safety.observed
+
+    def by_level() -> tuple[np.ndarray, np.ndarray]:
+        safety = stochastic_safety(seen, dem.variance, grid, lander)
+        return safety.p_safe, safety.observed
+
+    def calibrated() -> tuple[np.ndarray, np.ndarray]:
+        evidence = evidence_of(dem, lander, RockExpectation())
+        return calibrated_safety(evidence)[0], evidence.observed
+
     answers = {}
-    for name, judge in (("level", stochastic_safety), ("planes", plane_stochastic_safety)):
-        judge(seen, dem.variance, grid, lander)
+    for name, judge in (("calibrated", calibrated), ("level", by_level), ("planes", by_planes)):
+        judge()
         began = time.perf_counter()
-        safety = judge(seen, dem.variance, grid, lander)
+        p, observed = judge()
         judged = time.perf_counter() - began
-        answers[name] = Answer(safety.p_safe, safety.observed, build, judged, megabytes, error)
+        answers[name] = Answer(p, observed, build, judged, megabytes, error)
     return answers
 
 
@@ -245,7 +262,7 @@ def classes_of(answer: Answer, truth: SafetyMap) -> np.ndarray:
 
 def draw_reliability(panel: Any, truth: SafetyMap, answers: Any, common: np.ndarray) -> None:
     """Draw the share of exactly safe cells against the stated probability."""
-    for name, colour in (("level", "#0072B2"), ("planes", "#009E73"), ("quadtree", "#D55E00")):
+    for name, colour in (("calibrated", "#0072B2"), ("planes", "#009E73"), ("quadtree", "#D55E00")):
         seen = common & answers[name].observed
         p, safe = answers[name].p_safe[seen], truth.safe[seen]
         table = reliability(p, safe, np.linspace(0.0, 1.0, 21))

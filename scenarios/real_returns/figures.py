@@ -14,7 +14,7 @@ from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, map_axes, new_figure, save, show
 
-_SHOWN = ("planes, as flights do", "planes, fitted", "Eqs. 15-17, as flights do", "quadtree")
+_SHOWN = ("planes, field of Table 6", "planes, fitted", "Eqs. 15-17, field of Table 6", "quadtree")
 
 
 def draw(

@@ -13,8 +13,8 @@ from returns import (
     STRATA,
     Cloud,
     fitted,
-    fused_map,
     one_map,
+    pooled_map,
     quadtree_map,
     scaled,
     slope_of,
@@ -144,12 +144,13 @@ def judge_heights(cloud: Cloud, seed: int) -> dict[str, Heights]:
     grid = cloud.grid(POSTING)
     slope = slope_of(cloud, grid)
     own = fitted(without_trend(mapped), rng)
+    apart = cloud.spacing(0.5)
     out = {
-        "as flights do": heights_of(one_map(mapped, grid, SHIPPED), held, slope),
+        "field of Table 6": heights_of(one_map(mapped, grid, SHIPPED), held, slope),
         "fitted": heights_of(one_map(mapped, grid, fitted(mapped, rng)), held, slope),
         "fitted without trend": heights_of(one_map(mapped, grid, own), held, slope),
-        "fused, 2 parts": heights_of(fused_map(mapped, grid, own, 2), held, slope),
-        "fused, 4 parts": heights_of(fused_map(mapped, grid, own, 4), held, slope),
+        "as flights do": heights_of(pooled_map(mapped, grid, apart, 1), held, slope),
+        "as flights do, 4 parts": heights_of(pooled_map(mapped, grid, apart, 4), held, slope),
     }
     factor = cloud.spacing(0.5) / SCAN_SPACING
     mapper = quadtree_map(mapped, grid, factor, 1.0 / cloud.spacing(0.5) ** 2)
@@ -201,8 +202,8 @@ def judge_safety(cloud: Cloud, share: float, seed: int) -> Verdicts:
     use = verdict.observed.copy()
     rasters = {}
     for form, test, name, setting in (
-        ("Eqs. 15-17", stochastic_safety, "as flights do", shipped),
-        ("planes", plane_stochastic_safety, "as flights do", shipped),
+        ("Eqs. 15-17", stochastic_safety, "field of Table 6", shipped),
+        ("planes", plane_stochastic_safety, "field of Table 6", shipped),
         ("planes", plane_stochastic_safety, "fitted", own),
     ):
         dem = one_map(mapped, grid, setting)

@@ -11,7 +11,12 @@ from scipy.spatial import cKDTree
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, fuse, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem import (
+    GaussianDem,
+    SamplePool,
+    gaussian_dem,
+    pooled_dem,
+)
 from lunarsim.onboard.hazards.gaussian_dem.fit import fit_hyperparameters
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSettings
 
@@ -24,7 +29,7 @@ SIGMA = 0.05
 # footprint holds as many of the cloud's.
 SCAN_SPACING = 0.2 * 1000.0 / 256.0
 SLOPE_LIMIT_DEG = 30.0
-# What flights use, at their scale, m.
+# The paper's field with the margin of Table 6, m.
 SHIPPED = {"sigma_f": 0.5, "length_scale": 30.0}
 EDGES_DEG = (0.0, 20.0, 25.0, 30.0, 40.0, 90.0)
 STRATA = ("under 20 deg", "20 to 25", "25 to 30", "30 to 40", "over 40")
@@ -116,12 +121,15 @@ def one_map(points: np.ndarray, grid: Grid, setting: dict[str, float]) -> Gaussi
     return gaussian_dem(points, grid, sigma_eps=SIGMA, **setting)
 
 
-def fused_map(points: np.ndarray, grid: Grid, setting: dict[str, float], parts: int) -> GaussianDem:
-    """Return the fusion of as many maps, each of its own part of the returns."""
-    dem = one_map(points[0::parts], grid, setting)
-    for n in range(1, parts):
-        dem = fuse(dem, one_map(points[n::parts], grid, setting))
-    return dem
+def pooled_map(points: np.ndarray, grid: Grid, spacing: float, parts: int) -> GaussianDem:
+    """Return the map of the returns, taken in as many parts one after the other.
+
+    As flights draw it: with the spread that the ground about each triangle shows.
+    """
+    pool = SamplePool(grid)
+    for n in range(parts):
+        pool.add(points[n::parts], SIGMA, spacing * np.sqrt(parts))
+    return pooled_dem(pool)
 
 
 def scaled(lander: Lander, factor: float) -> Lander:

@@ -78,12 +78,6 @@ def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):
     assert CliRunner().invoke(study.main, ["--samples", "0"]).exit_code == 2
 
 
-def test_calibration_wants_fields_to_judge_by(script):
-    study = script("gaussian_dem", "calibration")
-    done = CliRunner().invoke(study.main, ["--fields", "1"])
-    assert done.exit_code == 2
-
-
 def test_mapped_is_scan_and_dem_on_the_cells_that_are_judged(script):
     bed = script("gaussian_dem", "testbed")
     field = bed.testbed(3, 50.0)

@@ -7,8 +7,6 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from lunarsim.onboard.hazards.quadtree.site_probability import COUNT
-from lunarsim.safety.logistic import Logistic
 from lunarsim.scenario import Scenario
 from tests.conftest import SCENARIOS
 
@@ -75,13 +73,3 @@ def test_mappers_are_compared_on_the_same_scans(small, tmp_path):
         assert row["elevation_rms"] < 0.1
     assert result["rows"]["eligible"]["recall"] < result["rows"]["quadtree"]["recall"]
     assert (tmp_path / "mappers.png").stat().st_size > 20_000
-
-
-def test_calibration_script_fits_and_judges(small, tmp_path):
-    experiment = small("calibration")
-    arguments = ["--fields", "4", "--save", str(tmp_path / "m.json"), "--out", str(tmp_path)]
-    done = CliRunner().invoke(experiment.main, arguments)
-    assert done.exit_code == 0, done.output
-    assert "expected calibration error" in done.output
-    assert "4 --seed 7" in Logistic.load(tmp_path / "m.json", COUNT).note
-    assert (tmp_path / "reliability.png").stat().st_size > 10_000

@@ -114,7 +114,7 @@ def test_script_prints_and_draws(script, tmp_path):
     every = data["heights"]["as flights do"]["all"]
     assert abs(every["bias"]) < 0.05
     assert every["rmse"] < 0.5
-    planes = data["safety"]["0.5"]["planes, as flights do"]["all"]
+    planes = data["safety"]["0.5"]["planes, field of Table 6"]["all"]
     assert planes["precision"] > 0.9
     assert (tmp_path / "airborne.png").stat().st_size > 50_000
     assert CliRunner().invoke(study.main, ["--splits", "0"]).exit_code == 2

@@ -58,6 +58,11 @@ class SamplePool:
         self.splat = np.zeros((*grid.shape, 4))
         self.spacing = np.full(grid.shape, np.inf, np.float32)
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the sums."""
+        return self.centroid.nbytes + self.splat.nbytes + self.spacing.nbytes
+
     def add(self, points: ArrayLike, sigma: ArrayLike, spacing: ArrayLike) -> int:
         """Take in samples; return how many fell on the grid.
 

@@ -13,15 +13,17 @@ from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import features, measured
+from lunarsim.onboard.hazards.quadtree.site_probability import SiteEvidence, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
+from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.logistic import Logistic
 
 Array = NDArray[np.float64]
@@ -88,6 +90,8 @@ class QuadtreeMapping:
             hold_sigma=np.inf if briefing.prior_map is None else self.hold_sigma,
             interval=self.interval,
             gravity=briefing.weight,
+            lander=briefing.lander,
+            rocks=briefing.rocks,
         )
 
 
@@ -107,7 +111,7 @@ class QuadtreeMapper(HazardMapper):
     interest
         Left out: 1 everywhere.
     model
-        Turns slope, roughness and exceptions into a probability; left out: the calibrated one.
+        Weights of `site_safety`; left out: the calibrated ones.
     hold_sigma
         Scans whose ground is uncertain by more than this in any direction (1 sigma, m) wait until
         navigation knows better, and are then placed anew. Infinite: taken as they come, so that
@@ -116,6 +120,8 @@ class QuadtreeMapper(HazardMapper):
         Least time between two selections of sites while flying, s.
     gravity
         m/s^2, for what an error of attitude has done to the way since a scan that waits.
+    lander, rocks
+        Whose safety is asked for, and what rocks the mission expects; left out, the defaults.
     """
 
     def __init__(
@@ -131,6 +137,8 @@ class QuadtreeMapper(HazardMapper):
         hold_sigma: float = 0.5,
         interval: float = 1.0,
         gravity: float = 0.0,
+        lander: Lander | None = None,
+        rocks: RockExpectation | None = None,
     ) -> None:
         self._quadtree = (least, split_count)
         self._settings = settings
@@ -138,6 +146,8 @@ class QuadtreeMapper(HazardMapper):
         self._lay(grid, elevation)
         self.selection: Selection | None = None
         self._model = model
+        self._lander = lander or Lander()
+        self._rocks = rocks or RockExpectation()
         self._hold_sigma = hold_sigma
         self._held: list[_Held] = []
         self._interval = interval
@@ -251,20 +261,11 @@ class QuadtreeMapper(HazardMapper):
         The probability is the ground's alone; what the limits of the mission and its interest leave
         is the layer `eligible`.
         """
-        s, g = self.selector.settings, self.grid
+        g = self.grid
         if len(selection.nodes) == 0:
             return self._nothing(g)
-        known = np.isfinite(selection.roughness)
-        p = np.zeros(len(known))
-        model = self._model or measured()
-        p[known] = model.probability(
-            features(
-                selection.slope[known] / s.slope_limit,
-                selection.roughness[known] / s.roughness_limit,
-                selection.ratio[known],
-                selection.near[known],
-            )
-        )
+        evidence = SiteEvidence.of(selection, self.selector.settings, self._lander, self._rocks)
+        p, known = site_safety(evidence, self._model), evidence.judged
         xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
         eligible = rasterised(g, xy, size, selection.status == STATUS.index("eligible"), 0.0) > 0.0
         value = self._value(g)
@@ -275,6 +276,7 @@ class QuadtreeMapper(HazardMapper):
             rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
             eligible=eligible if value is None else eligible & (value > 0.0),
             value=value,
+            in_domain=rasterised(g, xy, size, evidence.in_domain, 0.0) > 0.0,
         )
 
     def _nothing(self, grid: Grid) -> HazardMap:

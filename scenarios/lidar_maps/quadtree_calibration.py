@@ -1,0 +1,125 @@
+"""How often sites are safe that the quadtree calls so: the fit, and worlds kept out of it.
+
+As `calibration.py` does for the Gaussian DEM: four flashes of each scene of the same matrix make a
+quadtree, of which the sites are judged by exact safety.
+
+python scenarios/lidar_maps/quadtree_calibration.py --scenes 240 --jobs 2 --out out/lidar_maps
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import click
+import numpy as np
+from calibration import SITES, Judged, Sites, draw, left_out, probability, table_of
+from rich.console import Console
+from rich.progress import track
+from worlds import LANDERS, UPRIGHT, Scene, scenes
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
+from lunarsim.onboard.hazards.quadtree.site_probability import (
+    RISING,
+    SiteEvidence,
+    bound,
+    ceiling,
+    features,
+)
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety import exact_safety
+from lunarsim.safety.logistic import Logistic
+
+FLASHES = 4
+# The paper's map wants five points on a square metre: farther away there is none.
+NEAREST, FARTHEST = 80.0, 420.0
+
+
+def judge(scene: Scene) -> Judged:
+    """Map one scene by a few flashes and judge some of the sites."""
+    terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
+    west, east, _, _ = grid.extent
+    level = float(terrain.elevation(np.zeros(2)))
+    quadtree = QuadtreeMap((0.0, 0.0, level), east - west, 0.1)
+    for n in range(FLASHES):
+        nearer = replace(scene, distance=scene.distance * (1.0 - 0.08 * n))
+        scan, position = nearer.flash(terrain)
+        quadtree.insert(scan.points(position, UPRIGHT))
+    settings = SiteSettings()
+    selection = SiteSelector(quadtree, settings, thorough=True).update()
+    evidence = SiteEvidence.of(selection, settings, lander, RockExpectation())
+    truth = exact_safety(terrain.raster(grid), grid, lander)
+    row, col = grid.cell(selection.position[:, :2])
+    inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
+    row, col = np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)
+    sites = np.flatnonzero(evidence.judged & inside & truth.observed[row, col])
+    sites = np.sort(scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False))
+    where = np.zeros(len(row), bool)
+    where[sites] = True
+    near = selection.near[np.isfinite(selection.near)]
+    return Judged(
+        scene,
+        features(evidence, where).astype(np.float32),
+        evidence.in_domain[where],
+        ceiling(evidence)[where],
+        bound(evidence)[where],
+        evidence.slope[where],
+        float(near.mean()) if near.size else 0.0,
+        truth.safe[row, col][where],
+    )
+
+
+def fitted(judged: list[Judged], note: str = "") -> Logistic:
+    """Fit to the sites in the domain."""
+    s = Sites.of(judged)
+    return Logistic.fit(s.features[s.known], s.safe[s.known], note, rising=RISING)
+
+
+def drawn(count: int, seed: int) -> list[Scene]:
+    """Return scenes that are near enough for the paper's density of points."""
+    rng = np.random.default_rng([seed, 98])
+    reach = np.exp(rng.uniform(np.log(NEAREST), np.log(FARTHEST), count))
+    deck = scenes(count, seed)
+    return [replace(s, distance=float(r)) for s, r in zip(deck, reach, strict=True)]
+
+
+def _of(deck: list[Scene], n: int) -> Judged:
+    return judge(deck[n])
+
+
+@click.command()
+@click.option("--scenes", "count", type=click.IntRange(min=8), default=240, show_default=True,
+              help="Scenes, drawn evenly from the matrix.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
+              help="Of the scenes.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Write the model to this file; the package's own is "
+                   "lunarsim/onboard/hazards/quadtree/calibration.json.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for the diagram.")  # fmt: skip
+def main(count: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
+    """Fit the quadtree's probability, and judge it on worlds kept out of the fit."""
+    console = Console(width=190)
+    judged = gathered(partial(_of, drawn(count, seed)), range(count), jobs, console, "scenes")
+    judged = [j for j in judged if len(j.safe)]
+    note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
+    model = fitted(judged, note)
+    if target is not None:
+        model.save(target)
+    everything = Sites.of(judged)
+    rows = [("nothing", probability(model, everything), everything)]
+    for name, others, kept in track(list(left_out(judged)), "fits", console=console):
+        sites = Sites.of(kept)
+        if sites.known.any():
+            rows.append((name, probability(fitted(others), sites), sites))
+    console.print(table_of(rows))
+    if out is not None:
+        draw(rows, out / "quadtree_calibration.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""What every mapper of LiDAR returns must do: call no ground safer for being worse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
+from lunarsim.onboard.hazards.quadtree.site_probability import (
+    COUNT,
+    FREE,
+    SiteEvidence,
+    measured,
+    site_safety,
+)
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.rocks.field import RockField
+from lunarsim.safety.logistic import Logistic
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+MAP = Grid.centred((0.0, 0.0), 16.0, 0.2)
+TILTS = (0.0, 5.0, 8.0, 10.0, 12.0, 16.0, 20.0)
+MAPPERS = {
+    "calibrated": lambda: GaussianDemMapper(MAP, Lander()),
+    "level": lambda: GaussianDemMapper(MAP, Lander(), safety="level"),
+    "planes": lambda: GaussianDemMapper(MAP, Lander(), safety="planes"),
+    "quadtree": lambda: QuadtreeMapper(MAP),
+}
+
+
+def tilted(degrees: float, rocks: int = 0) -> Terrain:
+    grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
+    z = np.tan(np.deg2rad(degrees)) * grid.centres()[..., 0]
+    relief = Heightfield(grid, z.astype(np.float32))
+    if not rocks:
+        return Terrain(relief, RockField.empty())
+    return Terrain(relief, place_rocks(relief, np.full(rocks, 0.8), np.random.default_rng(2)))
+
+
+def flashes(terrain: Terrain) -> list[tuple[LidarScan, Estimate]]:
+    """Return three flashes from above, with the poses they were taken at."""
+    lidar = FlashLidar(rows=128, cols=128)
+    out = []
+    for n, height in enumerate((110.0, 100.0, 92.0)):
+        position = np.array([0.3 * n, 0.2 * n, height])
+        state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
+        scan = lidar.measure(World(terrain, 1.622), state, 0.0, np.random.default_rng(n))
+        estimate = Estimate(0.0, position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, np.eye(9) * 1e-8)
+        out.append((scan, estimate))
+    return out
+
+
+def mapped(name: str, terrain: Terrain):
+    mapper = MAPPERS[name]()
+    for scan, estimate in flashes(terrain):
+        mapper.update(scan, estimate)
+    return mapper.hazard_map()
+
+
+@pytest.mark.parametrize("name", list(MAPPERS))
+def test_no_map_calls_steeper_ground_safer(name):
+    middle = (np.abs(MAP.centres()) < 3.0).all(axis=-1)
+    p = []
+    for tilt in TILTS:
+        drawn = mapped(name, tilted(tilt))
+        assert drawn.observed[middle].all()
+        p.append(float(drawn.p_safe[middle].mean()))
+    assert (np.diff(p) <= 0.01).all(), p
+    assert p[0] > 0.9, p
+    # The limit is 10 deg; a calibrated map may not doubt it for long.
+    assert p[-1] < 0.01, p
+    assert p[-2] < 0.05, p
+
+
+@pytest.mark.parametrize("name", list(MAPPERS))
+def test_no_map_calls_rockier_ground_safer(name):
+    bare, few, many = (mapped(name, tilted(0.0, n)).p_safe.mean() for n in (0, 25, 150))
+    assert bare > few > many
+
+
+def test_the_calibrated_map_says_where_it_holds():
+    drawn = mapped("calibrated", tilted(0.0))
+    middle = (np.abs(MAP.centres()) < 3.0).all(axis=-1)
+    assert drawn.in_domain[middle].all()
+    assert not drawn.in_domain[~drawn.observed].any()
+    assert mapped("quadtree", tilted(0.0)).in_domain is not None
+
+
+weights = st.integers(0, 10_000).map(
+    lambda seed: Logistic(
+        (
+            *np.random.default_rng(seed).normal(0.0, 1.0, FREE),
+            *np.random.default_rng(seed + 1).exponential(0.5, COUNT - FREE),
+        )
+    )
+)
+
+
+def site(**changes) -> SiteEvidence:
+    """Return one site, gentle and without an exception."""
+    own = dict.fromkeys(("slope", "fitted", "roughness"), np.array([0.4]))
+    own |= dict.fromkeys(("relief", "ratio", "near", "unseen"), np.array([0.0]))
+    return replace(
+        SiteEvidence(**own, density=np.array([30.0])),
+        **{k: np.array([v]) for k, v in changes.items()},
+    )
+
+
+@given(
+    weights, st.floats(0.0, 1.5), st.floats(0.0, 1.5), st.floats(0.0, 0.3), st.floats(0.0, 0.1),
+    st.floats(0.0, 0.6),
+)  # fmt: skip
+def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, unseen, worse):
+    here = {
+        "slope": slope, "fitted": slope, "roughness": rough, "ratio": ratio, "near": 0.5 * ratio,
+        "unseen": unseen, "relief": 2.0 * ratio,
+    }  # fmt: skip
+    p = site_safety(site(**here), model)[0]
+    for name, value in here.items():
+        assert site_safety(site(**here | {name: value + worse}), model)[0] <= p + 1e-12, name
+
+
+def test_the_packaged_weights_of_the_quadtree_do_not_fall():
+    assert min(measured().weights[FREE:]) >= 0.0
+    assert "scenarios/lidar_maps/quadtree_calibration.py" in measured().note
