@@ -46,7 +46,6 @@ _TESTS: dict[str, tuple[str, ...]] = {
     ),
     "lunarsim/onboard/navigation/_inertial_kernels.py": (
         "tests/onboard/navigation/test_inertial.py",
-        "tests/onboard/navigation/test_lidar_inertial.py",
     ),
     "lunarsim/onboard/navigation/_registration_kernels.py": (
         "tests/onboard/navigation/test_registration.py",
@@ -64,6 +63,15 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/sensors/_imu_kernels.py": (
         "tests/test_frame_kernels.py", "tests/sensors/test_imu.py",
         "tests/simulation/test_cycle.py",
+    ),
+    "lunarsim/sensors/rendering/_cull_kernels.py": (
+        "tests/sensors/rendering/test_cull_kernels.py",
+    ),
+    "lunarsim/sensors/rendering/_small_rock_kernels.py": (
+        "tests/sensors/rendering/test_kernels.py", "tests/sensors/rendering/test_renderer.py",
+    ),
+    "lunarsim/sensors/rendering/_tile_kernels.py": (
+        "tests/sensors/rendering/test_kernels.py", "tests/sensors/rendering/test_renderer.py",
     ),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
     "lunarsim/vehicle/_kernels.py": ("tests/vehicle", "tests/simulation/test_cycle.py"),

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .faults import Fault
-from .trial import Workspace
+from .trial import Stopped, Workspace
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class Trials:
     root
         Working tree.
     kept
-        File of JSON lines, one a result; it is read, and what is found is added.
+        File of JSON lines, one a result; it is read, and what is found is added. A line that
+        names a file alone is the run of its tests without a fault.
     tests
         Test files and folders of each kernel file, relative to `root`.
 
@@ -76,8 +77,11 @@ class Trials:
 
     def known(self, fault: Fault) -> Result | None:
         """Return what was kept of a fault, unless its file, or a survivor's tests, have changed."""
-        kept = self._kept.get(fault.name)
-        source, tests = self._digests[fault.path]
+        return self._holding(fault.name, fault.path)
+
+    def _holding(self, name: str, path: str) -> Result | None:
+        kept = self._kept.get(name)
+        source, tests = self._digests[path]
         if kept is None or kept.source != source:
             return None
         return kept if kept.verdict != "survived" or kept.tests == tests else None
@@ -94,7 +98,7 @@ class Trials:
         jobs
             How many at a time, each in a copy of its own.
         limit
-            Longest time of one fault, s. Less is allowed where the tests take less: a minute and
+            Longest time of one fault, s. Less is allowed where the tests take less: half a minute and
             three times what they take without a fault.
         tell
             Is given every result.
@@ -106,13 +110,16 @@ class Trials:
         """
         spaces: queue.Queue[Workspace] = queue.Queue()
 
+        made: list[Workspace] = []
+
         def work(group: list[Fault]) -> None:
             space = spaces.get()
             try:
-                path = group[0].path
-                needed = space.unchanged(path, self._tests[path])
+                needed = self._unchanged(space, group[0].path)
                 for fault in group:
-                    tell(self._tried(space, fault, min(limit, 60.0 + 3.0 * needed)))
+                    tell(self._tried(space, fault, min(limit, 30.0 + 3.0 * needed)))
+            except Stopped:
+                pass
             finally:
                 spaces.put(space)
 
@@ -121,23 +128,38 @@ class Trials:
             groups.setdefault(fault.path, []).append(fault)
         with tempfile.TemporaryDirectory(prefix="mutants-", ignore_cleanup_errors=True) as folder:
             for job in range(min(jobs, len(groups))):
-                spaces.put(Workspace(self._root, Path(folder) / str(job)))
+                made.append(Workspace(self._root, Path(folder) / str(job)))
+                spaces.put(made[-1])
             with ThreadPoolExecutor(jobs) as pool:
                 futures = [pool.submit(work, group) for group in groups.values()]
                 try:
                     for future in as_completed(futures):
                         future.result()
                 except BaseException:
+                    for space in made:
+                        space.stop()
                     pool.shutdown(cancel_futures=True)
                     raise
 
+    def _unchanged(self, space: Workspace, path: str) -> float:
+        """Return what the tests of a file take without a fault, s, as kept or as tried now."""
+        kept = self._holding(path, path)
+        if kept is None:
+            seconds = round(space.unchanged(path, self._tests[path]), 1)
+            kept = Result(path, "survived", "", seconds, *self._digests[path])
+            self._keep(kept)
+        return kept.seconds
+
     def _tried(self, space: Workspace, fault: Fault, limit: float) -> Result:
-        """Try a fault and write its result down."""
+        """Try a fault and keep its result."""
         start = time.monotonic()
         verdict, test = space.trial(fault, self._tests[fault.path], limit)
         seconds = round(time.monotonic() - start, 1)
         result = Result(fault.name, verdict, test, seconds, *self._digests[fault.path])
+        self._keep(result)
+        return result
+
+    def _keep(self, result: Result) -> None:
         with self._writing, self._file.open("a", encoding="utf-8") as out:
             out.write(json.dumps(asdict(result)) + "\n")
-        self._kept[fault.name] = result
-        return result
+        self._kept[result.fault] = result

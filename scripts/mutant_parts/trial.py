@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -28,6 +29,10 @@ _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
 class BrokenTestsError(RuntimeError):
     """The tests cannot be run, or fail without a fault."""
+
+
+class Stopped(Exception):  # noqa: N818
+    """A trial was stopped from outside, and tells nothing."""
 
 
 def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
@@ -73,6 +78,8 @@ class Workspace:
                 shutil.copytree(root / name, folder / name, symlinks=True)
             elif (root / name).exists():
                 shutil.copy2(root / name, folder / name)
+        self._stopped = threading.Event()
+        self._process: subprocess.Popen[str] | None = None
         self._users = importers(sorted(folder.glob("lunarsim/**/*kernels.py")), folder)
 
     def unchanged(self, path: str, tests: list[str]) -> float:
@@ -121,6 +128,13 @@ class Workspace:
             verdict = "refused"
         return verdict, failed.group(1) if failed else ""
 
+    def stop(self) -> None:
+        """End the trial under way, in another thread; it and all later ones raise `Stopped`."""
+        self._stopped.set()
+        process = self._process
+        if process is not None and process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+
     def _compiled(self, path: str) -> list[Path]:
         """Return the cached kernels into which those of a file are compiled."""
         return [
@@ -157,6 +171,8 @@ class Workspace:
 
     def _run(self, tests: list[str], limit: float | None) -> tuple[str, str]:
         """Return the verdict of the tests, and what they printed."""
+        if self._stopped.is_set():
+            raise Stopped
         environment = dict(
             os.environ, PYTHONPATH=os.pathsep.join((str(self.folder), str(self.folder / "envs")))
         )
@@ -166,6 +182,7 @@ class Workspace:
             cwd=self.folder, env=environment, text=True, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
+        self._process = process
         try:
             output, _ = process.communicate(timeout=limit)
         except subprocess.TimeoutExpired:
@@ -174,6 +191,8 @@ class Workspace:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.communicate()
+        if self._stopped.is_set():
+            raise Stopped
         code = process.returncode
         if code < 0 or code > 128:
             return "crashed", output

@@ -2,6 +2,8 @@
 
 import importlib
 import json
+import threading
+import time
 
 import pytest
 from click.testing import CliRunner
@@ -144,6 +146,10 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
     assert [r.verdict for r in told] == [verdict]
     assert (root / path).read_text() == text
     assert not list((root / "lunarsim").glob("__pycache__"))
+    assert [json.loads(line)["fault"] for line in kept.read_text().splitlines()] == [
+        path,  # without a fault
+        fault.name,
+    ]
     # The next run takes it from the file, until the source, or a survivor's test, has changed.
     assert run.Trials(root, kept, tests).known(fault) == told[0]
     (root / "tests" / "test_room.py").write_text(test + "\n")
@@ -151,6 +157,33 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
     assert again == (told[0] if verdict == "caught" else None)
     (root / path).write_text(text + "\n")
     assert run.Trials(root, kept, tests).known(fault) is None
+
+
+def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_path, faults):
+    trial = importlib.import_module("mutant_parts.trial")
+    sign = tmp_path / "under way"
+    toy_package(
+        tmp_path / "tree",
+        "import time\nfrom pathlib import Path\n\n\ndef test_long():\n"
+        f"    Path({str(sign)!r}).touch()\n    time.sleep(600)\n",
+    )
+    path = "lunarsim/a_kernels.py"
+    text = (tmp_path / "tree" / path).read_text()
+    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
+
+    def stop():
+        while not sign.exists():
+            time.sleep(0.05)
+        space.stop()
+
+    stopper = threading.Thread(target=stop)
+    stopper.start()
+    fault = faults.faults_of(path, text)[0]
+    for _ in range(2):
+        with pytest.raises(trial.Stopped):
+            space.trial(fault, ["tests/test_room.py"], 300.0)
+    stopper.join()
+    assert (tmp_path / "copy" / path).read_text() == text
 
 
 def test_tests_that_fail_without_a_fault_end_the_run(tmp_path, faults):
