@@ -98,8 +98,8 @@ class Trials:
         jobs
             How many at a time, each in a copy of its own.
         limit
-            Longest time of one fault, s. Less is allowed where the tests take less: half a minute and
-            three times what they take without a fault.
+            Longest time of one fault, s. Less is allowed where the tests take less: half a minute
+            and three times what they take without a fault.
         tell
             Is given every result.
 

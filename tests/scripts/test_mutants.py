@@ -32,6 +32,7 @@ def clipped(a, b, out):
 @pytest.fixture(autouse=True)
 def scripts_on_the_path(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # trials of the toy start sooner
 
 
 @pytest.fixture
