@@ -57,8 +57,8 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/perception/test_detector.py",
     ),
     "lunarsim/rocks/_kernels.py": (
-        "tests/rocks/test_level_ground.py", "tests/world/terrain/test_terrain.py", "tests/rocks",
-        "tests/sensors/rendering/test_kernels.py",
+        "tests/rocks/test_kernels.py", "tests/rocks/test_level_ground.py",
+        "tests/world/terrain/test_terrain.py",
     ),
     "lunarsim/sensors/_imu_kernels.py": (
         "tests/test_frame_kernels.py", "tests/sensors/test_imu.py",
