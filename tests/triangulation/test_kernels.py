@@ -50,6 +50,14 @@ def test_a_mesh_that_folds_over_is_refused(place):
     assert _flip_kernels.flip_mesh(points, 12, 9).shape == (0, 3)
 
 
+@pytest.mark.parametrize(
+    ("b", "c", "d"), [((4, 0), (4, 4), (8, 8)), ((8, 8), (4, 4), (0, 4)), ((4, 4), (4, 4), (0, 4))]
+)
+def test_a_quad_with_a_triangle_of_no_area_is_refused(b, c, d):
+    points = np.array([(0, 0), b, d, c], dtype=np.int64)
+    assert _flip_kernels.flip_mesh(points, 2, 2).shape == (0, 3)
+
+
 @pytest.mark.parametrize("bits", [1, 2, 5])
 def test_the_curve_goes_through_every_place_once_and_never_jumps(bits):
     side = 2**bits
