@@ -54,6 +54,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/navigation/test_rock_filter.py",
     ),
     "lunarsim/onboard/perception/_patch_kernels.py": (
+        "tests/onboard/perception/test_patch_kernels.py",
         "tests/onboard/perception/test_detector.py",
     ),
     "lunarsim/rocks/_kernels.py": (
@@ -74,7 +75,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_kernels.py", "tests/sensors/rendering/test_renderer.py",
     ),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
-    "lunarsim/vehicle/_kernels.py": ("tests/vehicle", "tests/simulation/test_cycle.py"),
+    "lunarsim/vehicle/_kernels.py": (
+        "tests/vehicle/test_kernels.py", "tests/vehicle/test_dynamics.py",
+    ),
     "lunarsim/world/terrain/_crater_kernels.py": (
         "tests/world/terrain/test_craters.py", "tests/world/terrain/test_hazard_field.py",
     ),
