@@ -88,8 +88,8 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/world/terrain/test_terrain.py", "tests/world/terrain/test_heightfield.py",
     ),
     "lunarsim/world/terrain/_surface_kernels.py": (
-        "tests/world/terrain/test_terrain.py", "tests/world/terrain/test_heightfield.py",
-        "tests/world/terrain/test_relief.py",
+        "tests/world/terrain/test_surface.py", "tests/world/terrain/test_terrain.py",
+        "tests/world/terrain/test_heightfield.py",
     ),
 }  # fmt: skip
 
