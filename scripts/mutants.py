@@ -85,7 +85,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/rocks/test_field.py", "tests/world/terrain",
     ),
     "lunarsim/world/terrain/_ray_kernels.py": (
-        "tests/world/terrain/test_terrain.py", "tests/world/terrain/test_heightfield.py",
+        "tests/world/terrain/test_rays.py", "tests/world/terrain/test_terrain.py",
     ),
     "lunarsim/world/terrain/_surface_kernels.py": (
         "tests/world/terrain/test_surface.py", "tests/world/terrain/test_terrain.py",

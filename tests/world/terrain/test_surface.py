@@ -4,26 +4,14 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.rocks.field import RockField
-from lunarsim.rocks.shapes import shape_table
-from lunarsim.world.terrain import Heightfield, Terrain
+from lunarsim.world.terrain import Terrain
 from tests.reference import terrain as reference
+from tests.worlds import long_terrain
 
 
 def ground(seed):
-    """Return rough terrain with rocks up to its edges and a hole in its data."""
     rng = np.random.default_rng(seed)
-    grid = Grid(x0=-3.0, y0=40.0, posting=0.7, rows=41, cols=17)
-    z = 0.5 * rng.standard_normal(grid.shape).astype(np.float32)
-    z[7, 4] = np.nan
-    count = 40
-    radius = rng.uniform(0.1, 1.0, count)
-    rocks = RockField(
-        rng.uniform(-3.0, 8.2, count), rng.uniform(40.0, 68.0, count), rng.normal(0.0, 0.5, count),
-        radius, radius * rng.uniform(0.5, 1.0, count), radius * rng.uniform(0.3, 1.2, count),
-        rng.uniform(0.0, np.pi, count), rng.integers(0, len(shape_table().count), count),
-    )  # fmt: skip
-    return rng, Terrain(Heightfield(grid, z), rocks)
+    return rng, long_terrain(rng)
 
 
 @pytest.mark.parametrize("seed", range(3))
