@@ -69,7 +69,8 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_cull_kernels.py",
     ),
     "lunarsim/sensors/rendering/_small_rock_kernels.py": (
-        "tests/sensors/rendering/test_kernels.py", "tests/sensors/rendering/test_renderer.py",
+        "tests/sensors/rendering/test_small_rock_kernels.py",
+        "tests/sensors/rendering/test_kernels.py",
     ),
     "lunarsim/sensors/rendering/_tile_kernels.py": (
         "tests/sensors/rendering/test_kernels.py", "tests/sensors/rendering/test_renderer.py",
