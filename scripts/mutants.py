@@ -31,6 +31,7 @@ ROOT = Path(__file__).resolve().parent.parent
 EQUIVALENT = ROOT / "scripts" / "mutants_equivalent.toml"
 LEAST_CAUGHT = 0.95
 LEAST_A_FILE = 2
+INTERRUPTED = 130
 
 # Kernel files whose tests are not simply those of the folder that mirrors theirs; the tests that
 # aim at the kernels come first.
@@ -262,7 +263,9 @@ def main(
     except BrokenTestsError as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
+        _report(faults, trials, listed, texts)
         click.echo(f"interrupted: what was found is kept in {results}", err=True)
+        sys.exit(INTERRUPTED)
     if not _report(faults, trials, listed, texts):
         sys.exit(1)
 
