@@ -74,7 +74,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_kernels.py",
     ),
     "lunarsim/sensors/rendering/_tile_kernels.py": (
-        "tests/sensors/rendering/test_kernels.py", "tests/sensors/rendering/test_renderer.py",
+        "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
     ),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
     "lunarsim/vehicle/_kernels.py": (

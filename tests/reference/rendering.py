@@ -81,3 +81,40 @@ def ball_in_view(centre, radius, focal, principal, width, height, near):
             normal[2] = -sign * (edge - principal[axis]) / focal[axis]
             sides.append((*(normal / np.linalg.norm(normal)), 0.0))
     return all(np.dot(side[:3], centre) - side[3] >= -radius for side in sides)
+
+
+def triangles_of(rows, cols):
+    """Yield the corners (3, 2), row and column, of the triangles between rows and columns."""
+    for south, north in itertools.pairwise(rows):
+        for west, east in itertools.pairwise(cols):
+            yield np.array([[south, west], [south, east], [north, east]])
+            yield np.array([[south, west], [north, west], [north, east]])
+
+
+def slope_and_heights(z, corners):
+    """Return the gradient (a cell) of the plane through posts, and its heights at all posts."""
+    values = [z[i, j] for i, j in corners]
+    base, north, east = np.linalg.solve(np.column_stack((np.ones(3), corners)), values)
+    i, j = np.indices(z.shape)
+    return np.hypot(north, east), base + north * i + east * j
+
+
+def steepest(z):
+    """Return the greatest gradient of a relief, a cell."""
+    whole = triangles_of(range(z.shape[0]), range(z.shape[1]))
+    return max(slope_and_heights(z, corners)[0] for corners in whole)
+
+
+def decimation_error(z, step):
+    """Return how far a relief is at most from that through every n-th post and the last."""
+    rows, cols = ([*range(0, n - 1, step), n - 1] for n in z.shape)
+    worst = 0.0
+    i, j = np.indices(z.shape)
+    for corners in triangles_of(rows, cols):
+        (south, west), (north, east) = corners[0], corners[2]
+        along, across = (j - west) / (east - west), (i - south) / (north - south)
+        below = corners[1, 0] == south
+        within = (along >= 0) & (along <= 1) & (across >= 0) & (across <= 1)
+        within &= (along >= across) if below else (along <= across)
+        worst = max(worst, np.abs(slope_and_heights(z, corners)[1] - z)[within].max())
+    return worst
