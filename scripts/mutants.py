@@ -60,7 +60,6 @@ _TESTS: dict[str, tuple[str, ...]] = {
     ),
     "lunarsim/rocks/_kernels.py": (
         "tests/rocks/test_kernels.py", "tests/rocks/test_level_ground.py",
-        "tests/world/terrain/test_terrain.py",
     ),
     "lunarsim/sensors/_imu_kernels.py": (
         "tests/test_frame_kernels.py", "tests/sensors/test_imu.py",
@@ -89,10 +88,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/world/terrain/_ray_kernels.py": (
         "tests/world/terrain/test_rays.py", "tests/world/terrain/test_terrain.py",
     ),
-    "lunarsim/world/terrain/_surface_kernels.py": (
-        "tests/world/terrain/test_surface.py", "tests/world/terrain/test_terrain.py",
-        "tests/world/terrain/test_heightfield.py",
-    ),
+    "lunarsim/world/terrain/_surface_kernels.py": ("tests/world/terrain/test_surface.py",),
 }  # fmt: skip
 
 
