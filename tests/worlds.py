@@ -46,6 +46,26 @@ def random_terrain(rng: np.random.Generator, rocks: int = 60, relief: float = 1.
     return Terrain(field, stones)
 
 
+def long_terrain(rng: np.random.Generator) -> Terrain:
+    """Rough ground longer than wide, off the origin, with rocks up to its edges and a hole."""
+    grid = Grid(x0=-3.0, y0=40.0, posting=0.7, rows=41, cols=17)
+    z = 0.5 * rng.standard_normal(grid.shape).astype(np.float32)
+    z[7, 4] = np.nan
+    count = 40
+    radius = rng.uniform(0.1, 1.0, count)
+    rocks = RockField(
+        rng.uniform(-3.0, 8.2, count),
+        rng.uniform(40.0, 68.0, count),
+        rng.normal(0.0, 0.5, count),
+        radius,
+        radius * rng.uniform(0.5, 1.0, count),
+        radius * rng.uniform(0.3, 1.2, count),
+        rng.uniform(0.0, np.pi, count),
+        rng.integers(0, len(shape_table().count), count),
+    )
+    return Terrain(Heightfield(grid, z), rocks)
+
+
 # A short descent over level ground with a small camera.
 SMALL_SHADOW_FLIGHT = {
     "name": "small-shadow",

@@ -1,0 +1,1 @@
+"""Parts of `scripts/mutants.py`: the faults, the trial of one fault, the known equivalents."""

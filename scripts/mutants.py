@@ -1,0 +1,282 @@
+"""Put faults into the kernels on purpose, and tell what share of them the tests catch.
+
+    python scripts/mutants.py                                   # a sample over all kernels
+    python scripts/mutants.py --only triangulation --count 20
+    python scripts/mutants.py --only rocks/_kernels.py:88       # every fault of one line
+    python scripts/mutants.py --list --only rocks               # show the faults, run nothing
+
+A fault is one small change of one place (`mutant_parts/faults.py`) and is named
+`file:line:column:operator`. It is made in a copy of the package in a temporary folder, and only the
+tests that cover the file run there, up to the first that fails. Every fault costs a compilation.
+
+What a run finds is kept as JSON lines in the file `--results`; an interrupted run takes up its work
+there, and repeats what was kept of files that have changed, or of survivors whose tests have.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+from mutant_parts.equivalent import BrokenListError, Equivalent, load_equivalents
+from mutant_parts.faults import Fault, drawn, faults_of, kernel_lines
+from mutant_parts.run import Trials
+from mutant_parts.trial import CAUGHT, BrokenTestsError
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parent.parent
+EQUIVALENT = ROOT / "scripts" / "mutants_equivalent.toml"
+LEAST_CAUGHT = 0.95
+LEAST_A_FILE = 2
+INTERRUPTED = 130
+
+# Kernel files whose tests are not simply those of the folder that mirrors theirs; the tests that
+# aim at the kernels come first.
+_TESTS: dict[str, tuple[str, ...]] = {
+    "lunarsim/_frame_kernels.py": ("tests/test_frame_kernels.py", "tests/test_frames.py"),
+    "lunarsim/models/_pinhole_kernels.py": ("tests/models/test_pinhole.py",),
+    "lunarsim/onboard/control/_kernels.py": (
+        "tests/onboard/control", "tests/simulation/test_cycle.py",
+    ),
+    "lunarsim/onboard/hazards/shadows/_probability_kernels.py": (
+        "tests/onboard/hazards/shadows/test_probability_map.py",
+        "tests/onboard/hazards/shadows/test_probability.py",
+    ),
+    "lunarsim/onboard/navigation/_inertial_kernels.py": (
+        "tests/onboard/navigation/test_inertial.py",
+    ),
+    "lunarsim/onboard/navigation/_registration_kernels.py": (
+        "tests/onboard/navigation/test_registration.py",
+    ),
+    "lunarsim/onboard/navigation/_rock_filter_kernels.py": (
+        "tests/onboard/navigation/test_rock_filter.py",
+    ),
+    "lunarsim/onboard/perception/_patch_kernels.py": (
+        "tests/onboard/perception/test_patch_kernels.py",
+        "tests/onboard/perception/test_detector.py",
+    ),
+    "lunarsim/rocks/_kernels.py": (
+        "tests/rocks/test_kernels.py", "tests/rocks/test_level_ground.py",
+    ),
+    "lunarsim/sensors/_imu_kernels.py": (
+        "tests/test_frame_kernels.py", "tests/sensors/test_imu.py",
+        "tests/simulation/test_cycle.py",
+    ),
+    "lunarsim/sensors/rendering/_cull_kernels.py": (
+        "tests/sensors/rendering/test_cull_kernels.py",
+    ),
+    "lunarsim/sensors/rendering/_small_rock_kernels.py": (
+        "tests/sensors/rendering/test_small_rock_kernels.py",
+        "tests/sensors/rendering/test_kernels.py",
+    ),
+    "lunarsim/sensors/rendering/_tile_kernels.py": (
+        "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
+    ),
+    "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
+    "lunarsim/vehicle/_kernels.py": (
+        "tests/vehicle/test_kernels.py", "tests/vehicle/test_dynamics.py",
+    ),
+    "lunarsim/world/terrain/_crater_kernels.py": (
+        "tests/world/terrain/test_craters.py", "tests/world/terrain/test_hazard_field.py",
+    ),
+    "lunarsim/world/terrain/_placement_kernels.py": (
+        "tests/rocks/test_field.py", "tests/world/terrain",
+    ),
+    "lunarsim/world/terrain/_ray_kernels.py": (
+        "tests/world/terrain/test_rays.py", "tests/world/terrain/test_terrain.py",
+    ),
+    "lunarsim/world/terrain/_surface_kernels.py": ("tests/world/terrain/test_surface.py",),
+}  # fmt: skip
+
+
+def tests_of(path: str) -> list[str]:
+    """Return the tests of a kernel file: its row of the table, or the folder that mirrors its own.
+
+    Raises
+    ------
+    BrokenTestsError
+        If one is not there.
+    """
+    mirrored = "tests" + path.removeprefix("lunarsim").rpartition("/")[0]
+    found = list(_TESTS.get(path, (mirrored,)))
+    for test in found:
+        if not (ROOT / test).exists():
+            raise BrokenTestsError(f"{test}, the tests of {path}, is not there")
+    return found
+
+
+def kernel_files() -> dict[str, str]:
+    """Return the text of each file with kernels, by its path from the root."""
+    texts = {
+        p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8")
+        for p in sorted((ROOT / "lunarsim").rglob("*.py"))
+    }
+    return {path: text for path, text in texts.items() if kernel_lines(text)}
+
+
+def shares(lines: dict[str, int], count: int) -> dict[str, int]:
+    """Return how many of `count` faults each file gets: by its lines, but two at least."""
+    total = sum(lines.values())
+    return {path: max(LEAST_A_FILE, round(count * n / total)) for path, n in lines.items()}
+
+
+def chosen(
+    texts: dict[str, str], only: str, count: int, seed: int, equivalents: list[Equivalent]
+) -> tuple[list[Fault], list[tuple[Fault, str]], list[Equivalent]]:
+    """Return the faults to try, those drawn that are listed, and the stale entries of the list.
+
+    A listed fault changes no result; it comes with the reason. A stale entry means no fault.
+
+    Parameters
+    ----------
+    texts
+        Source of the kernel files.
+    only
+        Part of the names of the faults to be drawn from. If it reads `file:line` all such faults
+        are taken.
+    count, seed
+        How many are drawn over all files, and the seed.
+    equivalents
+        Faults known to change nothing.
+    """
+    everything = {path: faults_of(path, text) for path, text in texts.items()}
+    flat = [fault for faults in everything.values() for fault in faults]
+    reasons: dict[Fault, str] = {}
+    stale = []
+    for entry in equivalents:
+        fault = entry.match(flat)
+        if fault is None:
+            stale.append(entry)
+        else:
+            reasons[fault] = entry.reason
+    wanted = {p: [f for f in faults if only in f.name] for p, faults in everything.items()}
+    wanted = {path: faults for path, faults in wanted.items() if faults}
+    if ".py:" in only:
+        picked = [fault for faults in wanted.values() for fault in faults]
+    else:
+        share = shares({path: kernel_lines(texts[path]) for path in wanted}, count)
+        picked = [f for path, faults in wanted.items() for f in drawn(faults, share[path], seed)]
+    tried = [fault for fault in picked if fault not in reasons]
+    return tried, [(f, reasons[f]) for f in picked if f in reasons], stale
+
+
+def _summary(faults: list[Fault], trials: Trials, listed: list[tuple[Fault, str]]) -> Table:
+    """Return the table of what became of the faults of each file."""
+    columns = ("faults", "caught", "survived", "refused", "listed", "min")
+    table = Table("file", *columns, title="faults put in on purpose")
+    rows: dict[str, list[float]] = {}
+    for fault in faults:
+        row = rows.setdefault(fault.path, [0] * 6)
+        result = trials.known(fault)
+        if result is not None:
+            row[0] += result.verdict != "refused"
+            row[1] += result.verdict in CAUGHT
+            row[2] += result.verdict == "survived"
+            row[3] += result.verdict == "refused"
+            row[5] += result.seconds / 60.0
+    for fault, _ in listed:
+        rows.setdefault(fault.path, [0] * 6)[4] += 1
+    total = [sum(column) for column in zip(*rows.values(), strict=True)]
+    for path, row in [*sorted(rows.items()), ("all", total)]:
+        table.add_row(path, *(f"{n:.0f}" for n in row[:5]), f"{row[5]:.1f}")
+    return table
+
+
+def _report(
+    faults: list[Fault], trials: Trials, listed: list[tuple[Fault, str]], texts: dict[str, str]
+) -> bool:
+    """Print the table and what the tests let pass; tell whether they catch enough."""
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console.print(_summary(faults, trials, listed))
+    for title, verdict in (("survived", "survived"), ("refused by the compiler", "refused")):
+        for fault in faults:
+            result = trials.known(fault)
+            if result is not None and result.verdict == verdict:
+                click.echo(f"{title}: {fault.name}")
+                if verdict == "survived":
+                    click.echo(f"    {fault.code}\n    {fault.line_after(texts[fault.path])}")
+    for fault, reason in listed:
+        click.echo(f"changes no result: {fault.name}\n    {fault.code}\n    {reason}")
+    verdicts = [r.verdict for f in faults if (r := trials.known(f)) and r.verdict != "refused"]
+    caught = sum(v in CAUGHT for v in verdicts)
+    if not verdicts:
+        click.echo("no fault was tried")
+        return False
+    share = caught / len(verdicts)
+    click.echo(
+        f"{caught} of {len(verdicts)} faults caught: {100.0 * share:.1f} %, "
+        f"{100.0 * caught / (len(verdicts) + len(listed)):.1f} % with those listed"
+    )
+    return share >= LEAST_CAUGHT
+
+
+@click.command(context_settings={"show_default": True})
+@click.option("--only", default="", help="Draw from faults alone whose name holds this.")
+@click.option("--count", default=240, type=click.IntRange(1), help="Faults drawn over all files.")
+@click.option("--seed", default=1, help="Seed of the draw.")
+@click.option("--jobs", default=1, type=click.IntRange(1), help="Trials side by side.")
+@click.option("--limit", default=600.0, type=click.FloatRange(1.0), help="Longest trial, s.")
+@click.option(
+    "--results", default=ROOT / "out" / "mutants.jsonl", help="Where results are kept.",
+    type=click.Path(path_type=Path, dir_okay=False),
+)  # fmt: skip
+@click.option("--resume/--afresh", default=True, help="Take up what --results holds, or drop it.")
+@click.option("--list", "show", is_flag=True, help="Show the faults drawn and run nothing.")
+def main(
+    only: str, count: int, seed: int, jobs: int, limit: float, results: Path, resume: bool,
+    show: bool,
+) -> None:  # fmt: skip
+    """Put faults into the kernels and print which of them the tests let pass.
+
+    Ends with 1 if less than 95 % are caught, of those that are not listed in
+    mutants_equivalent.toml. Faults that Numba refuses to compile are not counted.
+    """
+    texts = kernel_files()
+    try:
+        faults, listed, stale = chosen(texts, only, count, seed, load_equivalents(EQUIVALENT))
+        tests = {path: tests_of(path) for path in sorted({f.path for f in faults})}
+        if not faults and not listed:
+            raise click.BadParameter(f"no fault's name holds {only!r}", param_hint="--only")
+        results.parent.mkdir(parents=True, exist_ok=True)
+        if not resume:
+            results.unlink(missing_ok=True)
+        trials = Trials(ROOT, results, tests)
+    except (BrokenListError, BrokenTestsError, ValueError, OSError) as error:
+        raise click.UsageError(str(error)) from error
+    for entry in stale:
+        click.echo(
+            f"listed in {EQUIVALENT.name}, but no such fault exists: {entry.fault}", err=True
+        )
+    if show:
+        for fault in faults:
+            click.echo(f"{fault.name}\n    {fault.code}\n    {fault.line_after(texts[fault.path])}")
+        return
+    try:
+        _tried(faults, trials, jobs, limit)
+    except BrokenTestsError as error:
+        raise click.ClickException(str(error)) from error
+    except KeyboardInterrupt:
+        _report(faults, trials, listed, texts)
+        click.echo(f"interrupted: what was found is kept in {results}", err=True)
+        sys.exit(INTERRUPTED)
+    if not _report(faults, trials, listed, texts):
+        sys.exit(1)
+
+
+def _tried(faults: list[Fault], trials: Trials, jobs: int, limit: float) -> None:
+    """Try the faults of which nothing is known yet, behind a progress bar."""
+    left = [fault for fault in faults if trials.known(fault) is None]
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        console=Console(stderr=True),
+    ) as bar:  # fmt: skip
+        task = bar.add_task("faults", total=len(faults), completed=len(faults) - len(left))
+        if left:
+            trials.run(left, jobs, limit, lambda _: bar.advance(task))
+
+
+if __name__ == "__main__":
+    main()
