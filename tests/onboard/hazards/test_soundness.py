@@ -95,7 +95,8 @@ def test_the_calibrated_map_says_where_it_holds():
     middle = (np.abs(MAP.centres()) < 3.0).all(axis=-1)
     assert drawn.in_domain[middle].all()
     assert not drawn.in_domain[~drawn.observed].any()
-    assert mapped("quadtree", tilted(0.0)).in_domain is not None
+    # What of the quadtree's fit holds elsewhere is too little to say so.
+    assert mapped("quadtree", tilted(0.0)).in_domain is None
 
 
 weights = st.integers(0, 10_000).map(

@@ -276,7 +276,6 @@ class QuadtreeMapper(HazardMapper):
             rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
             eligible=eligible if value is None else eligible & (value > 0.0),
             value=value,
-            in_domain=rasterised(g, xy, size, evidence.in_domain, 0.0) > 0.0,
         )
 
     def _nothing(self, grid: Grid) -> HazardMap:

@@ -2,8 +2,10 @@
 
 All is dimensionless: slopes and heights count by the lander's limits. Weights on all but the
 intercept and the number of points are not negative, so that the probability never rises with slope,
-roughness, exceptions, their height, or the rocks that may stand unseen. Where too many of these are
-to be expected it is a bound and no frequency, and the map says so.
+roughness, exceptions, their height, or the rocks that may stand unseen. Where too many of these
+are to be expected it is a bound and no frequency. It is one on worlds like those of the fit only:
+kept out of it, rock laws, slopes near the limit and other landers are misjudged by up to 0.2, so
+that the map does not claim a domain.
 """
 
 from __future__ import annotations
@@ -102,7 +104,7 @@ class SiteEvidence:
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where few enough hazards stand unseen for the regression to hold (n,)."""
+        """Where few enough hazards stand unseen for the regression to be asked (n,)."""
         return np.asarray(self.judged & (self.unseen <= MOST_HAZARDS))
 
 
