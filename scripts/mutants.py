@@ -62,7 +62,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/rocks/test_kernels.py", "tests/rocks/test_level_ground.py",
     ),
     "lunarsim/sensors/_imu_kernels.py": (
-        "tests/test_frame_kernels.py", "tests/sensors/test_imu.py",
+        "tests/test_frame_kernels.py",
         "tests/simulation/test_cycle.py",
     ),
     "lunarsim/sensors/rendering/_cull_kernels.py": (
