@@ -249,7 +249,7 @@ def show_table(results: list[dict[str, Any]], console: Console) -> None:
     console.print(table)
     console.print(
         "A cell is called safe when its probability exceeds 0.5; ground not seen is not called "
-        "safe. The quadtree keeps every point, the Gaussian DEM two rasters."
+        "safe. The quadtree keeps every point, the Gaussian DEM sums of each cell."
     )
 
 
@@ -287,7 +287,8 @@ def draw(result: dict[str, Any], path: Path) -> None:
     figure.colorbar(image, ax=axes[0], label="elevation (m)", shrink=0.8)
     map_axes(axes[0], "true ground")
     palette = ListedColormap(list(CLASSES.values()))
-    for panel, (name, label) in zip(axes[1:5], NAMES.items(), strict=True):
+    shown = [(name, label) for name, label in NAMES.items() if name != "level"]
+    for panel, (name, label) in zip(axes[1:5], shown, strict=True):
         panel.set_facecolor("white")
         show(panel, classes_of(answers[name], truth), grid, cmap=palette, vmin=-0.5, vmax=3.5)
         row = result["rows"][name]

@@ -44,6 +44,14 @@ def small(outside: Path) -> Scenario:
                 "fix": {"kind": "navigation-fix"},
                 "flash": {"kind": "flash-lidar", "rows": 96, "cols": 96},
             },
-            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 50.0}},
+            # Of so few returns a calibrated map would call next to nothing safe.
+            "mappers": {
+                "dem": {
+                    "kind": "gaussian-dem",
+                    "posting_m": 0.5,
+                    "size_m": 50.0,
+                    "safety": "level",
+                }
+            },
         }
     )

@@ -14,7 +14,7 @@ from lunarsim.safety.calibration import COUNT, FREE
 def first(module, **changes):
     """Return a scene of a few metres, seen from near by."""
     scene = next(iter(module.scenes(8, 1)))
-    return replace(scene, distance=70.0, angle_deg=0.0, relief="fractal-6", **changes)
+    return replace(scene, distance=140.0, angle_deg=0.0, relief="fractal-6", **changes)
 
 
 def test_every_part_of_the_matrix_has_its_turn(script):

@@ -160,12 +160,9 @@ def _regress_triangle(
     variance, observed,
 ):  # fmt: skip
     rows, cols = mean.shape
-    ax = points[a, 0]
-    ay = points[a, 1]
-    bx = points[b, 0]
-    by = points[b, 1]
-    cx = points[c, 0]
-    cy = points[c, 1]
+    ax, ay = points[a, 0], points[a, 1]
+    bx, by = points[b, 0], points[b, 1]
+    cx, cy = points[c, 0], points[c, 1]
     i0 = max(int(np.ceil((min(min(ay, by), cy) - y0) / p)), 0)
     i1 = min(int(np.floor((max(max(ay, by), cy) - y0) / p)), rows - 1)
     j0 = max(int(np.ceil((min(min(ax, bx), cx) - x0) / p)), 0)
@@ -188,10 +185,8 @@ def _regress_triangle(
     mcc = da * db - ab * ab
     per_det = 1.0 / (da * maa + ab * mab + ac * mac)
     centre = (points[a, 2] + points[b, 2] + points[c, 2]) / 3.0
-    gx = gradient[0]
-    gy = gradient[1]
-    mx = (ax + bx + cx) / 3.0
-    my = (ay + by + cy) / 3.0
+    gx, gy = gradient[0], gradient[1]
+    mx, my = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0
     za = points[a, 2] - centre - gx * (ax - mx) - gy * (ay - my)
     zb = points[b, 2] - centre - gx * (bx - mx) - gy * (by - my)
     zc = points[c, 2] - centre - gx * (cx - mx) - gy * (cy - my)

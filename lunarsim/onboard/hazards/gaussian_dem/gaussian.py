@@ -62,10 +62,9 @@ def gaussian_dem(
 ) -> GaussianDem:
     """Build a Gaussian DEM from a point cloud (section II of the Gaussian DEM paper).
 
-    Cells with enough samples take the conventional DEM's value and the sensor's variance. The
-    others take the regression of Eqs. 5 and 6 with the absolute exponential kernel of Eq. 4
-    from the three vertices of the Delaunay triangle that holds their centre. The prior mean is
-    the vertices' mean: a zero mean pulls relief towards z = 0.
+    Cells with enough samples take the conventional DEM's value and the sensor's variance, the
+    others the regression of Eqs. 5 and 6 with the kernel of Eq. 4 from the three vertices of the
+    Delaunay triangle about them. The prior mean is theirs: zero would pull relief towards z = 0.
 
     Parameters
     ----------
@@ -85,16 +84,15 @@ def gaussian_dem(
         triangulation then starts from the detector's mesh, and triangles over missing returns
         are known as such.
     spacing
-        How far apart neighbouring samples lie, one or (n,), m: a triangle with an edge three times
-        as long spans ground that was not seen. `LidarScan.spacing` tells it; left out, it is
-        that of neighbouring pixels, or without `image_shape` the mean distance to a sample's six
-        nearest.
+        How far apart neighbouring samples lie, one or (n,), m (`LidarScan.spacing`): a triangle
+        with an edge three times as long spans ground that was not seen. Left out: that of
+        neighbouring pixels, or without `image_shape` the mean distance to a sample's six nearest.
 
     Raises
     ------
     ValueError
-        If the array is not (n, 3), holds infinities, or a parameter is not positive; if heights
-        lie more than 8 km apart or from 0, where float32 no longer tells millimetres.
+        If the array is not (n, 3), holds infinities, or a parameter is not positive; if a height
+        is over 8 km, where float32 no longer tells millimetres.
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
     raw = np.asarray(points, dtype=np.float64)
@@ -102,24 +100,35 @@ def gaussian_dem(
     base = base_height(cloud)
     check_heights(cloud)
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
-    mean = np.empty(grid.shape, np.float32)
-    variance = np.empty(grid.shape, np.float32)
+    mean, variance = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
     observed = np.empty(grid.shape, np.bool_)
     k.measured_cells(
         height, weight, base, DENSE, sigma_eps * sigma_eps, sigma_f * sigma_f,
         mean, variance, observed,
     )  # fmt: skip
+    dem = GaussianDem(grid, mean, variance, observed)
     if not observed.all():
-        mesh = _Mesh.of(raw, cloud, image_shape, spacing)
-        if len(mesh.triangles):
-            k.regress(
-                mesh.vertices, np.full(len(mesh.vertices), sigma_eps * sigma_eps), mesh.triangles,
-                mesh.usable, np.zeros((len(mesh.triangles), 2)), grid.x0, grid.y0, grid.posting,
-                np.full(len(mesh.triangles), sigma_f * sigma_f),
-                np.full(len(mesh.triangles), length_scale),
-                weight, np.float32(DENSE), mean, variance, observed,
-            )  # fmt: skip
-    return GaussianDem(grid, mean, variance, observed)
+        field = sigma_f**2, length_scale, sigma_eps**2
+        _regress(dem, _Mesh.of(raw, cloud, image_shape, spacing), weight, field)
+    return dem
+
+
+def _regress(
+    dem: GaussianDem, mesh: _Mesh, weight: FloatMap, field: tuple[float, float, float]
+) -> None:
+    """Fill the cells of a map that were not measured, with one field everywhere.
+
+    `field` holds its variance, its length scale and the variance of a sample.
+    """
+    prior, length, noise = field
+    count, grid = len(mesh.triangles), dem.grid
+    if count:
+        k.regress(
+            mesh.vertices, np.full(len(mesh.vertices), noise), mesh.triangles, mesh.usable,
+            np.zeros((count, 2)), grid.x0, grid.y0, grid.posting, np.full(count, prior),
+            np.full(count, length), weight, np.float32(DENSE), dem.mean, dem.variance,
+            dem.observed,
+        )  # fmt: skip
 
 
 def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> None:
