@@ -80,9 +80,8 @@ def gaussian_dem(
     sigma_eps
         Standard deviation of a sample, m.
     image_shape
-        Rows and columns of the detector, if the points are its returns in order: the
-        triangulation then starts from the detector's mesh, and triangles over missing returns
-        are known as such.
+        Rows and columns of the detector, if the points are its returns in order: triangulation
+        then starts from its mesh, and triangles over missing returns are known as such.
     spacing
         How far apart neighbouring samples lie, one or (n,), m (`LidarScan.spacing`): a triangle
         with an edge three times as long spans ground that was not seen. Left out: that of
@@ -107,7 +106,7 @@ def gaussian_dem(
         mean, variance, observed,
     )  # fmt: skip
     dem = GaussianDem(grid, mean, variance, observed)
-    if not observed.all():
+    if not dem.observed.all():
         field = sigma_f**2, length_scale, sigma_eps**2
         _regress(dem, _Mesh.of(raw, cloud, image_shape, spacing), weight, field)
     return dem
