@@ -83,6 +83,17 @@ def test_missing_returns_are_not_observed():
         gaussian_dem(image, grid, image_shape=(10, 10))
 
 
+def test_missing_returns_count_whatever_the_spacing():
+    """A detector that knows of lost pixels needs no rule of thumb."""
+    x, y = np.meshgrid(np.linspace(-4, 4, 33), np.linspace(4, -4, 33))
+    image = np.column_stack((x.ravel(), y.ravel(), np.zeros(33 * 33)))
+    image[(np.abs(image[:, :2]) < 0.3).all(axis=1)] = np.nan
+    grid = Grid.centred((0.0, 0.0), 7.0, 0.1)
+    middle = grid.cell([0.05, 0.05])
+    assert not gaussian_dem(image, grid, image_shape=(33, 33), spacing=10.0).observed[middle]
+    assert gaussian_dem(image, grid, spacing=10.0).observed[middle]
+
+
 def hole(points, side):
     """Return the points outside a square hole about the origin."""
     return points[(np.abs(points[:, :2]) > 0.5 * side).any(axis=1)]
