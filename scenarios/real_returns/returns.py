@@ -160,7 +160,11 @@ def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) 
         site_band=tuple(times * size for size in paper.site_band),
     )
     mapper = QuadtreeMapper(
-        grid, settings, elevation=float(np.median(points[:, 2])), least=0.1 * times
+        grid,
+        settings,
+        elevation=float(np.median(points[:, 2])),
+        least=0.1 * times,
+        lander=scaled(Lander(), factor),
     )
     mapper.map.insert(points)
     mapper.select()
