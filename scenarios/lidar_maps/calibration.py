@@ -9,10 +9,10 @@ python scenarios/lidar_maps/calibration.py --scenes 480 --jobs 2 --out out/lidar
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 import numpy as np
@@ -31,6 +31,8 @@ from lunarsim.safety.calibration import bound, ceiling, features, in_domain, mod
 from lunarsim.safety.logistic import Logistic
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 SITES = 100  # judged of each scene
 # Edges of the strata: nominal slope over the limit, and share of ground above the limit.
@@ -225,41 +227,63 @@ def draw(rows: list[tuple[str, np.ndarray, Sites]], path: Path) -> None:
     save(figure, path)
 
 
-@click.command()
-@click.option("--scenes", "count", type=click.IntRange(min=8), default=480, show_default=True,
-              help="Scenes, drawn evenly from the matrix.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
-              help="Of the scenes.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
-@click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write the model to this file; the package's own is "
-                   "lunarsim/safety/calibration.json.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the diagram.")  # fmt: skip
-def main(count: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
-    """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
-    console = Console(width=190)
-    deck = list(scenes(count, seed))
-    judged = gathered(partial(_of, deck), range(count), jobs, console, "scenes")
-    note = f"scenarios/lidar_maps/calibration.py --scenes {count} --seed {seed}"
-    model = fitted(judged, note)
+def options(count: int, own: str) -> Callable[[F], F]:
+    """Return the options of a calibration: how many scenes, and the file of the package's model."""
+    first = click.IntRange(min=8)
+    wanted = (
+        click.option("--scenes", "count", type=first, default=count, show_default=True,
+                     help="Scenes, drawn evenly from the matrix."),
+        click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
+                     help="Of the scenes."),
+        click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+                     help="Processes; results do not depend on it."),
+        click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False),
+                     default=None,
+                     help=f"Write the model to this file; the package's own is {own}."),
+        click.option("--out", "picture", type=click.Path(path_type=Path, file_okay=False),
+                     default=None, help="Folder for the diagram."),
+    )  # fmt: skip
+
+    def decorate(function: F) -> F:
+        for option in reversed(wanted):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+def report(
+    judged: list[Judged],
+    fit: Callable[[list[Judged], str], Logistic],
+    note: str,
+    target: Path | None,
+    picture: Path | None,
+    console: Console,
+) -> None:
+    """Fit to all scenes and write that model; judge every row of the matrix by a fit without it."""
+    model = fit(judged, note)
     if target is not None:
         model.save(target)
     everything = Sites.of(judged)
     rows = [("nothing", probability(model, everything), everything)]
     for name, others, kept in track(list(left_out(judged)), "fits", console=console):
         sites = Sites.of(kept)
-        if not sites.known.any():
-            continue
-        rows.append((name, probability(fitted(others), sites), sites))
+        if sites.known.any():
+            rows.append((name, probability(fit(others, ""), sites), sites))
     console.print(table_of(rows))
-    if out is not None:
-        draw(rows, out / "calibration.png")
+    if picture is not None:
+        draw(rows, picture)
 
 
-def _of(deck: list[Scene], n: int) -> Judged:
-    return judge(deck[n])
+@click.command()
+@options(480, "lunarsim/safety/calibration.json")
+def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | None) -> None:
+    """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
+    console = Console(width=190)
+    judged = gathered(judge, list(scenes(count, seed)), jobs, console, "scenes")
+    note = f"scenarios/lidar_maps/calibration.py --scenes {count} --seed {seed}"
+    path = None if picture is None else picture / "calibration.png"
+    report(judged, fitted, note, target, path, console)
 
 
 if __name__ == "__main__":

@@ -9,14 +9,12 @@ python scenarios/lidar_maps/quadtree_calibration.py --scenes 240 --jobs 2 --out 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
-from calibration import SITES, Judged, Sites, draw, left_out, probability, table_of
+from calibration import SITES, Judged, Sites, options, report
 from rich.console import Console
-from rich.progress import track
 from worlds import LANDERS, UPRIGHT, Scene, scenes
 
 from lunarsim.campaign.pool import gathered
@@ -85,40 +83,15 @@ def drawn(count: int, seed: int) -> list[Scene]:
     return [replace(s, distance=float(r)) for s, r in zip(deck, reach, strict=True)]
 
 
-def _of(deck: list[Scene], n: int) -> Judged:
-    return judge(deck[n])
-
-
 @click.command()
-@click.option("--scenes", "count", type=click.IntRange(min=8), default=240, show_default=True,
-              help="Scenes, drawn evenly from the matrix.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
-              help="Of the scenes.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
-@click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write the model to this file; the package's own is "
-                   "lunarsim/onboard/hazards/quadtree/calibration.json.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the diagram.")  # fmt: skip
-def main(count: int, seed: int, jobs: int, target: Path | None, out: Path | None) -> None:
+@options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
+def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | None) -> None:
     """Fit the quadtree's probability, and judge it on worlds kept out of the fit."""
     console = Console(width=190)
-    judged = gathered(partial(_of, drawn(count, seed)), range(count), jobs, console, "scenes")
-    judged = [j for j in judged if len(j.safe)]
+    judged = gathered(judge, drawn(count, seed), jobs, console, "scenes")
     note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
-    model = fitted(judged, note)
-    if target is not None:
-        model.save(target)
-    everything = Sites.of(judged)
-    rows = [("nothing", probability(model, everything), everything)]
-    for name, others, kept in track(list(left_out(judged)), "fits", console=console):
-        sites = Sites.of(kept)
-        if sites.known.any():
-            rows.append((name, probability(fitted(others), sites), sites))
-    console.print(table_of(rows))
-    if out is not None:
-        draw(rows, out / "quadtree_calibration.png")
+    path = None if picture is None else picture / "quadtree_calibration.png"
+    report([j for j in judged if len(j.safe)], fitted, note, target, path, console)
 
 
 if __name__ == "__main__":

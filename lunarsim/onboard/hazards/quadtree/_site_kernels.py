@@ -9,18 +9,20 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel, prange
-from lunarsim.onboard.hazards.quadtree._tree_kernels import (
+from lunarsim.onboard.hazards.quadtree._sum_kernels import (
     NUMBER,
-    STACK,
     SUMS,
     add_leaf,
     add_point,
     add_shifted,
-    cell_centre,
     empty_sums,
+    sums_of,
+)
+from lunarsim.onboard.hazards.quadtree._tree_kernels import (
+    STACK,
+    cell_centre,
     node_at,
     points_in,
-    sums_of,
     with_room,
 )
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
-from lunarsim.onboard.hazards.quadtree._tree_kernels import moments
+from lunarsim.onboard.hazards.quadtree._sum_kernels import moments
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.quadtree import _insertion_kernels, _sum_kernels
 from lunarsim.onboard.hazards.quadtree import _tree_kernels as k
 
 Array = NDArray[np.float64]
@@ -102,7 +103,7 @@ class QuadtreeMap:
             np.zeros(capacity, np.int32),
             np.full(capacity, -1, np.int32),
             np.full(capacity, -1, np.int32),
-            np.empty((capacity, k.SUMS)),
+            np.empty((capacity, _sum_kernels.SUMS)),
             *(np.empty(capacity, np.int32) for _ in range(3)),
         )
 
@@ -121,7 +122,7 @@ class QuadtreeMap:
         added = outside = missing = high = 0
         part = max(_PART, -(-len(points) // _PARTS))
         for first in range(0, len(points), part):
-            xyz, key, *left_out = k.place(
+            xyz, key, *left_out = _insertion_kernels.place(
                 points[first : first + part], self.centre, self.tree.half, self.depths, _HIGHEST
             )
             outside, missing, high = (
@@ -147,7 +148,7 @@ class QuadtreeMap:
         at = 0
         while True:
             self.version += 1
-            at, *used = k.insert(
+            at, *used = _insertion_kernels.insert(
                 self.tree, key, base, at, self._used, self.split_count, self.version
             )
             self._used = (used[0], used[1], used[2])
@@ -254,14 +255,14 @@ class QuadtreeMap:
 
         NaN in empty ones.
         """
-        return np.asarray(k.moments(self.tree, nodes)[:, 1] + self.centre[2])
+        return np.asarray(_sum_kernels.moments(self.tree, nodes)[:, 1] + self.centre[2])
 
     def variance(self, nodes: Nodes) -> Array:
         """Return the variance of the elevations in cells (n,), m^2; NaN in empty ones.
 
         Without points that stand apart.
         """
-        return np.asarray(k.moments(self.tree, nodes)[:, 2])
+        return np.asarray(_sum_kernels.moments(self.tree, nodes)[:, 2])
 
     @property
     def apart(self) -> NDArray[np.bool_]:

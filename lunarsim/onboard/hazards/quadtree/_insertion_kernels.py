@@ -1,0 +1,292 @@
+"""Compiled insertion of sorted batches of points into a quadtree.
+
+Splitting a leaf cuts its runs and moves no point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+from lunarsim.onboard.hazards.quadtree._sum_kernels import MANY, add_to_many, settle
+from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
+
+DIGIT = 11  # bits a pass of the radix sort
+
+
+@kernel(inline=True)
+def _spread(v):
+    """Put a zero bit between the 16 bits of v."""
+    v = (v | (v << 8)) & 0x00FF00FF
+    v = (v | (v << 4)) & 0x0F0F0F0F
+    v = (v | (v << 2)) & 0x33333333
+    return (v | (v << 1)) & 0x55555555
+
+
+@kernel(inline=True)
+def _column_of(v, half, per_metre):
+    """Return the column (or row) of least cells that holds the coordinate v."""
+    return np.int64(np.floor((np.float64(v) + half) * per_metre))
+
+
+@kernel()
+def _order_of(key, bits):
+    """Return the order (n,) that sorts keys of so many bits (radix sort, stable)."""
+    n = key.size
+    order = np.arange(n).astype(np.int32)
+    spare = np.empty(n, np.int32)
+    mask = (1 << DIGIT) - 1
+    shift = 0
+    while shift < bits:
+        begin = np.zeros((1 << DIGIT) + 1, np.int64)
+        for i in range(n):
+            begin[((key[i] >> shift) & mask) + 1] += 1
+        for d in range(1 << DIGIT):
+            begin[d + 1] += begin[d]
+        for i in range(n):
+            d = (key[order[i]] >> shift) & mask
+            spare[begin[d]] = order[i]
+            begin[d] += 1
+        order, spare = spare, order
+        shift += DIGIT
+    return order
+
+
+@kernel()
+def place(points, centre, half, depths, highest):
+    """Sort points (n, 3) along the Z-order curve of the least cells.
+
+    Returns
+    -------
+    xyz, key
+        Of the points on the map (m, 3) and (m,), relative to its centre.
+    outside, missing, high
+        How many lie outside, how many are no numbers, and how many are on the map but farther than
+        `highest` from its elevation.
+    """
+    n = points.shape[0]
+    side = 1 << depths
+    per_metre = side / (2.0 * half)
+    key = np.empty(n, np.uint32)
+    kept = np.empty((n, 3), np.float32)
+    high = 0
+    m = 0
+    outside = 0
+    missing = 0
+    for i in range(n):
+        x = np.float32(points[i, 0] - centre[0])
+        y = np.float32(points[i, 1] - centre[1])
+        z = np.float32(points[i, 2] - centre[2])
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+            missing += 1
+            continue
+        if not (-half <= x < half and -half <= y < half):
+            outside += 1
+            continue
+        column = _column_of(x, half, per_metre)
+        row = _column_of(y, half, per_metre)
+        if column >= side or row >= side:
+            outside += 1
+            continue
+        if abs(z) > highest:
+            high += 1
+            continue
+        kept[m, 0] = x
+        kept[m, 1] = y
+        kept[m, 2] = z
+        key[m] = _spread(column) | (_spread(row) << 1)
+        m += 1
+    order = _order_of(key[:m], 2 * depths)
+    xyz = np.empty((m, 3), np.float32)
+    sorted_key = np.empty(m, np.uint32)
+    for i in range(m):
+        j = order[i]
+        xyz[i, 0] = kept[j, 0]
+        xyz[i, 1] = kept[j, 1]
+        xyz[i, 2] = kept[j, 2]
+        sorted_key[i] = key[j]
+    return xyz, sorted_key, outside, missing, high
+
+
+@kernel()
+def _split(tree, node, used, version):
+    """Give a leaf four children and hand its runs down; return nodes, runs and sums used."""
+    nodes, runs, slots = used
+    first = nodes
+    depth = tree.depth[node] + 1
+    for q in range(4):
+        c = first + q
+        tree.child[c] = -1
+        tree.depth[c] = depth
+        tree.column[c] = 2 * tree.column[node] + (q & 1)
+        tree.row[c] = 2 * tree.row[node] + (q >> 1)
+        tree.count[c] = 0
+        tree.stamp[c] = version
+        tree.head[c] = -1
+        tree.slot[c] = -1
+    tree.child[node] = first
+    tree.slot[node] = slots
+    mid_x, mid_y = cell_centre(tree, node)
+    run = tree.head[node]
+    while run >= 0:
+        after = tree.following[run]
+        begin = tree.start[run]
+        end = begin + tree.length[run]
+        reuse = True
+        i = begin
+        while i < end:
+            q = (1 if tree.xyz[i, 0] >= mid_x else 0) + (2 if tree.xyz[i, 1] >= mid_y else 0)
+            # The run is sorted: the quadrant ends where the next one begins.
+            low, high = i + 1, end
+            while low < high:
+                m = (low + high) // 2
+                other = (1 if tree.xyz[m, 0] >= mid_x else 0) + (
+                    2 if tree.xyz[m, 1] >= mid_y else 0
+                )
+                if other == q:
+                    low = m + 1
+                else:
+                    high = m
+            if reuse:
+                piece = run
+                reuse = False
+            else:
+                piece = runs
+                runs += 1
+            tree.start[piece] = i
+            tree.length[piece] = low - i
+            tree.following[piece] = tree.head[first + q]
+            tree.head[first + q] = piece
+            tree.count[first + q] += low - i
+            i = low
+        run = after
+    tree.head[node] = -1
+    return nodes + 4, runs, slots + 1
+
+
+@kernel(inline=True)
+def _towards(tree, node, depth, key):
+    """Return the child of a node at `depth` whose cell holds a key."""
+    return tree.child[node] + ((key >> (2 * (tree.depths - depth - 1))) & 3)
+
+
+@kernel(inline=True)
+def _leaf_of(tree, key):
+    """Return the leaf whose cell holds a key, and its depth."""
+    node = 0
+    depth = 0
+    while tree.child[node] >= 0:
+        node = _towards(tree, node, depth, key)
+        depth += 1
+    return node, depth
+
+
+@kernel(inline=True)
+def _end_of_cell(key, i, shift):
+    """Return the first key after `i` outside its cell; keys are sorted, a cell is a prefix."""
+    prefix = key[i] >> shift
+    j = i + 1
+    while j < key.size and key[j] >> shift == prefix:
+        j += 1
+    return j
+
+
+@kernel(inline=True)
+def _count_down_to(tree, leaf, key, more, version, touched, count):
+    """Count `more` points in a leaf and all above it; list those first touched by this batch."""
+    node = 0
+    depth = 0
+    while True:
+        if tree.stamp[node] != version:
+            tree.stamp[node] = version
+            touched[count] = node
+            count += 1
+        tree.count[node] += more
+        if node == leaf:
+            return count
+        node = _towards(tree, node, depth, key)
+        depth += 1
+
+
+@kernel()
+def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
+    """Divide a leaf that has got a run if it must; bring the sums of least cells up to date.
+
+    Returns
+    -------
+    used, count, found
+        Nodes, runs and sums in use, cells listed in `touched`, and `found`, perhaps enlarged.
+    """
+    nodes, runs, slots = used
+    depths = tree.depths
+    first, more = tree.start[run], tree.length[run]
+    if tree.depth[leaf] == depths and tree.slot[leaf] >= 0:
+        return used, count, add_to_many(tree, leaf, first, first + more, found)
+    stack = np.empty(STACK, np.int32)
+    stack[0] = leaf
+    top = 1
+    while top > 0:
+        top -= 1
+        m = stack[top]
+        if tree.depth[m] == depths:
+            if tree.count[m] >= MANY:
+                tree.slot[m] = slots
+                slots += 1
+                found = settle(tree, m, found)
+            continue
+        if tree.count[m] < split_count:
+            continue
+        nodes, runs, slots = _split(tree, m, (nodes, runs, slots), version)
+        if m != leaf:
+            touched[count] = m
+            count += 1
+        for q in range(4):
+            stack[top] = tree.child[m] + q
+            top += 1
+    return (nodes, runs, slots), count, found
+
+
+@kernel()
+def insert(tree, key, base, begin, used, split_count, version):
+    """Insert a sorted batch that lies in the pool from `base` on.
+
+    Goes on from point `begin` of the batch until it is in or an array might be too small.
+
+    Returns
+    -------
+    at, nodes, runs, slots
+        First point not inserted; nodes, runs and sums in use.
+    """
+    nodes, runs, slots = used
+    touched = np.empty(tree.child.size, np.int32)
+    count = 0
+    found = np.empty(256, np.int64)
+    depths = tree.depths
+    i = begin
+    while i < key.size:
+        leaf, depth = _leaf_of(tree, key[i])
+        j = _end_of_cell(key, i, 2 * (depths - depth))
+        # At each depth below at most total / split_count cells split; each cut run has a point.
+        total = tree.count[leaf] + (j - i)
+        divided = (depths - depth) * (total // split_count)
+        if (
+            nodes + 4 * divided >= tree.child.size
+            or runs + total + 1 >= tree.start.size
+            or slots + divided + total // MANY >= tree.sums.shape[0]
+        ):
+            break
+        count = _count_down_to(tree, leaf, key[i], j - i, version, touched, count)
+        tree.start[runs] = base + i
+        tree.length[runs] = j - i
+        tree.following[runs] = tree.head[leaf]
+        tree.head[leaf] = runs
+        tree.apart[base + i : base + j] = False
+        (nodes, runs, slots), count, found = _enter(
+            tree, leaf, runs, split_count, (nodes, runs + 1, slots), version, touched, count, found
+        )
+        i = j
+    # A child is always touched after its parent.
+    for t in range(count - 1, -1, -1):
+        if tree.child[touched[t]] >= 0:
+            found = settle(tree, touched[t], found)
+    return i, nodes, runs, slots
