@@ -9,13 +9,16 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
 from scipy.special import expit
 
 from lunarsim.errors import InputError
 
 Array = NDArray[np.float64]
 
+# Newton steps at most, and the least fall of the loss for another one.
+_NEWTON_STEPS, _CONVERGED = 60, 1e-9
 # Ridge on the coefficients, so that a feature that separates the data does not run away.
 _RIDGE = 1e-5
 
@@ -56,18 +59,15 @@ class Logistic:
         if not 0.0 < y.mean() < 1.0:
             raise InputError("calibration.safe", float(y.mean()), "both safe and unsafe sites")
 
-        def loss(w: Array) -> tuple[float, Array]:
-            z = x @ w
-            value = np.mean(np.logaddexp(0.0, z) - y * z) + 0.5 * _RIDGE * w @ w
-            return float(value), x.T @ (expit(z) - y) / len(y) + _RIDGE * w
-
-        start = np.zeros(x.shape[1])
-        if rising == 0:
-            found = minimize(loss, start, jac=True, method="BFGS")
-        else:
-            bounds = [(None, None)] * (len(start) - rising) + [(0.0, None)] * rising
-            found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
-        return cls(tuple(float(w) for w in found.x), note)
+        least = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]
+        w = np.zeros(x.shape[1])
+        before = np.inf
+        for _ in range(_NEWTON_STEPS):
+            loss, gradient, curvature = _likelihood(x, y, w)
+            if before - loss < _CONVERGED:
+                break
+            before, w = loss, _better(x, y, w, least, loss, gradient, curvature)
+        return cls(tuple(float(v) for v in w), note)
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
@@ -94,3 +94,30 @@ class Logistic:
         if len(model.weights) != features:
             raise InputError("calibration", name, f"{features} weights, one a feature")
         return model
+
+
+def _likelihood(x: Array, y: Array, w: Array) -> tuple[float, Array, Array]:
+    """Return the mean loss with its ridge, its gradient (k,) and its curvature (k, k)."""
+    p = expit(x @ w)
+    gradient = x.T @ (p - y) / len(y) + _RIDGE * w
+    curvature = (x.T * (p * (1.0 - p) / len(y))) @ x
+    curvature[np.diag_indices_from(curvature)] += _RIDGE
+    return _loss(x, y, w), gradient, curvature
+
+
+def _loss(x: Array, y: Array, w: Array) -> float:
+    z = x @ w
+    return float(np.mean(np.logaddexp(0.0, z) - y * z) + 0.5 * _RIDGE * w @ w)
+
+
+def _better(
+    x: Array, y: Array, w: Array, least: Array, loss: float, gradient: Array, curvature: Array
+) -> Array:
+    """Return the weights (k,) a Newton step on: least of the local parabola within the bounds."""
+    root = cholesky(curvature)
+    aim = root @ w - solve_triangular(root, gradient, trans="T")
+    step = lsq_linear(root, aim, (least, np.inf), method="bvls").x - w
+    share = 1.0
+    while share > 1e-6 and _loss(x, y, w + share * step) > loss:
+        share *= 0.5
+    return np.asarray(w + share * step if share > 1e-6 else w)

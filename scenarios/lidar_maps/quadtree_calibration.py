@@ -21,9 +21,9 @@ from lunarsim.campaign.pool import gathered
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     RISING,
-    SiteEvidence,
     bound,
     ceiling,
+    evidence_of,
     features,
 )
 from lunarsim.rocks.population import RockExpectation
@@ -31,6 +31,8 @@ from lunarsim.safety import exact_safety
 from lunarsim.safety.logistic import Logistic
 
 FLASHES = 4
+# Half side of the landing zone over that of the lander's footprint, as in the paper.
+ZONE = 1.35
 # The paper's map wants five points on a square metre: farther away there is none.
 NEAREST, FARTHEST = 80.0, 420.0
 
@@ -45,9 +47,13 @@ def judge(scene: Scene) -> Judged:
         nearer = replace(scene, distance=scene.distance * (1.0 - 0.08 * n))
         scan, position = nearer.flash(terrain)
         quadtree.insert(scan.points(position, UPRIGHT))
-    settings = SiteSettings()
-    selection = SiteSelector(quadtree, settings, thorough=True).update()
-    evidence = SiteEvidence.of(selection, settings, lander, RockExpectation())
+        noise = float(np.nanmedian(scan.height_sigma(UPRIGHT)))
+    footprint = lander.leg_radius + 0.5 * lander.pad_diameter
+    settings = replace(
+        SiteSettings(), zone=ZONE * footprint, roughness_limit=lander.roughness_limit
+    )
+    selection = SiteSelector(quadtree, settings, thorough=True, footprint=footprint).update()
+    evidence = evidence_of(quadtree, selection, settings.zone, noise, lander, RockExpectation())
     truth = exact_safety(terrain.raster(grid), grid, lander)
     row, col = grid.cell(selection.position[:, :2])
     inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
@@ -56,7 +62,6 @@ def judge(scene: Scene) -> Judged:
     sites = np.sort(scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False))
     where = np.zeros(len(row), bool)
     where[sites] = True
-    near = selection.near[np.isfinite(selection.near)]
     return Judged(
         scene,
         features(evidence, where).astype(np.float32),
@@ -64,7 +69,7 @@ def judge(scene: Scene) -> Judged:
         ceiling(evidence)[where],
         bound(evidence)[where],
         evidence.slope[where],
-        float(near.mean()) if near.size else 0.0,
+        float(evidence.curve.at(lander.roughness_limit)),
         truth.safe[row, col][where],
     )
 

@@ -87,21 +87,23 @@ def steepest_plane(xy, corners, normals):
 
 
 def exceptions(points, corner, side, squares, on_mesh, normal, tolerance):
-    """Return share and greatest distance of exceptions by the squares (n, n) of a cell.
+    """Return share of exceptions, and how far points reach, by the squares (n, n) of a cell.
 
     Off the mesh through `on_mesh`, or off the plane parallel to it in the middle of the points
     (m, 3). A square without a point where twelve would be expected is NaN.
     """
     d = (points - on_mesh) @ normal
-    far = np.maximum(np.abs(d), np.abs(d - np.median(d)))
+    off_middle = np.abs(d - np.median(d))
+    far = np.maximum(np.abs(d), off_middle)
+    reach = np.where(far > tolerance, far, off_middle)
     place = np.floor((points[:, :2] - corner) / (side / squares)).astype(int)
     ratio, relief = np.zeros((squares, squares)), np.zeros((squares, squares))
     for row in range(squares):
         for col in range(squares):
-            mine = far[(place[:, 0] == col) & (place[:, 1] == row)]
-            if len(mine):
-                ratio[row, col] = np.mean(mine > tolerance)
-                relief[row, col] = np.max(mine[mine > tolerance], initial=0.0)
+            mine = (place[:, 0] == col) & (place[:, 1] == row)
+            if mine.any():
+                ratio[row, col] = np.mean(far[mine] > tolerance)
+                relief[row, col] = np.max(reach[mine])
             elif len(points) >= 12 * squares**2:
                 ratio[row, col] = relief[row, col] = np.nan
     return ratio, relief
@@ -133,3 +135,31 @@ def roughness(points, r, normal, zone, printed):
     if printed:
         return float(np.sum(np.sqrt(d**2 / len(d))))
     return float(np.sqrt(np.mean(d**2)))
+
+
+def surface(cells, centres, posting):
+    """Return the ground at the centres (rows, cols, 2) of a raster from cells x, y, size, height.
+
+    Cells larger than the raster's have the slope of a bell of 3 postings over all cells, each in
+    the raster's cell just north-east of its middle.
+    """
+    bells = np.exp(-0.5 * (np.arange(-12, 13) / 3.0) ** 2)
+    bells /= bells.sum()
+    rows, cols = centres.shape[:2]
+    trend = np.full((rows, cols), np.nan)
+    corner = centres[0, 0] - 0.5 * posting
+    place = np.floor((cells[:, :2] + 1e-6 - corner) / posting).astype(int)
+    for row in range(rows):
+        for col in range(cols):
+            total = weight = 0.0
+            for (i, j), z in zip(place, cells[:, 3], strict=True):
+                if abs(i - col) <= 12 and abs(j - row) <= 12:
+                    w = bells[12 + i - col] * bells[12 + j - row]
+                    total, weight = total + w * z, weight + w
+            if weight > 1e-3:
+                trend[row, col] = total / weight
+    out = trend.copy()
+    for x, y, size, z in cells:
+        inside = (np.abs(centres - (x, y)) < 0.5 * size).all(axis=-1)
+        out[inside] = z if size < 1.5 * posting else z + trend[inside] - np.mean(trend[inside])
+    return out

@@ -24,6 +24,7 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.unseen_rocks import HeightCurve, law_share
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -95,8 +96,23 @@ def test_the_calibrated_map_says_where_it_holds():
     middle = (np.abs(MAP.centres()) < 3.0).all(axis=-1)
     assert drawn.in_domain[middle].all()
     assert not drawn.in_domain[~drawn.observed].any()
-    # What of the quadtree's fit holds elsewhere is too little to say so.
-    assert mapped("quadtree", tilted(0.0)).in_domain is None
+    seen = mapped("quadtree", tilted(0.0))
+    assert seen.in_domain[middle].all()
+    assert not seen.in_domain[~seen.observed].any()
+
+
+def test_a_map_of_few_points_among_large_rocks_claims_no_domain():
+    for name, mapper in (
+        ("calibrated", MAPPERS["calibrated"]()),
+        ("quadtree", MAPPERS["quadtree"]()),
+    ):
+        rough = tilted(0.0, 150)
+        for scan, estimate in flashes(rough):
+            # One return in a hundred.
+            thin = np.full_like(scan.range, np.nan)
+            thin[::100] = scan.range[::100]
+            mapper.update(replace(scan, range=thin), estimate)
+        assert not mapper.hazard_map().in_domain.any(), name
 
 
 weights = st.integers(0, 10_000).map(
@@ -109,28 +125,42 @@ weights = st.integers(0, 10_000).map(
 )
 
 
-def site(**changes) -> SiteEvidence:
-    """Return one site, gentle and without an exception."""
-    own = dict.fromkeys(("slope", "fitted", "roughness"), np.array([0.4]))
-    own |= dict.fromkeys(("relief", "ratio", "near", "unseen"), np.array([0.0]))
-    return replace(
-        SiteEvidence(**own, density=np.array([30.0])),
-        **{k: np.array([v]) for k, v in changes.items()},
-    )
+SITE = {
+    "slope": 0.4, "roughness": 0.3, "mesh_slope": 0.4, "fitted_slope": 0.4, "mesh_spread": 0.1,
+    "fitted_spread": 0.1, "ratio": 0.0, "near": 0.0, "relief": 0.2, "top": 0.2,
+}  # fmt: skip
+
+
+def site(rocks: float, **changes: float) -> SiteEvidence:
+    """Return one site, gentle and without an exception but for changes, among so many rocks."""
+    lander = Lander()
+    height = lander.roughness_limit * np.geomspace(0.08, 8.0, 40)
+    curve = HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
+    own = {k: np.array([v]) for k, v in (SITE | changes).items()}
+    return SiteEvidence(**own, density=np.array([30.0]), curve=curve, lander=lander, noise=0.02)
 
 
 @given(
-    weights, st.floats(0.0, 1.5), st.floats(0.0, 1.5), st.floats(0.0, 0.3), st.floats(0.0, 0.1),
+    weights, st.floats(0.0, 1.5), st.floats(0.0, 1.5), st.floats(0.0, 0.3), st.floats(0.01, 10.0),
     st.floats(0.0, 0.6),
 )  # fmt: skip
-def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, unseen, worse):
+def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, worse):
     here = {
-        "slope": slope, "fitted": slope, "roughness": rough, "ratio": ratio, "near": 0.5 * ratio,
-        "unseen": unseen, "relief": 2.0 * ratio,
+        "slope": slope, "fitted_slope": slope, "mesh_slope": 0.8 * slope, "roughness": rough,
+        "mesh_spread": 0.4 * rough, "fitted_spread": 0.3 * rough, "top": 0.8 * rough,
+        "relief": rough, "ratio": ratio, "near": 0.5 * ratio,
     }  # fmt: skip
-    p = site_safety(site(**here), model)[0]
+    p = site_safety(site(rocks, **here), model)[0][0]
     for name, value in here.items():
-        assert site_safety(site(**here | {name: value + worse}), model)[0] <= p + 1e-12, name
+        assert site_safety(site(rocks, **here | {name: value + worse}), model)[0][0] <= p, name
+    assert site_safety(site(rocks * (1.0 + worse), **here), model)[0][0] <= p + 1e-12
+
+
+def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
+    assert site_safety(site(0.02))[0][0] > 0.95
+    fatal = {"slope": 1.3, "mesh_slope": 1.15, "fitted_slope": 1.15, "roughness": 1.6, "top": 4.0}
+    for name, value in fatal.items():
+        assert site_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
 
 
 def test_the_packaged_weights_of_the_quadtree_do_not_fall():

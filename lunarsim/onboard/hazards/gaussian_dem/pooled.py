@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
@@ -18,6 +17,7 @@ from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
     without_gaps,
 )
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
+from lunarsim.onboard.hazards.planes import Squares
 from lunarsim.triangulation import delaunay
 
 Array = NDArray[np.float64]
@@ -88,13 +88,13 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     longest = k.longest_edges(vertices, triangles, np.zeros(0, np.int64), 1)
     # Thinned to one a cell they are no nearer than that.
     usable = without_gaps(longest, triangles, np.maximum(spacing, grid.posting))
-    squares = _Squares.of(grid, longest[usable])
+    squares = Squares.of(grid, longest[usable])
     middles = vertices[triangles].mean(axis=1)
     planes = squares.planes(vertices)
     gradient = squares.at(planes[..., 1:], middles)
     grown = np.empty((len(triangles), 2))
     sk.triangle_growth(vertices, noise, triangles, gradient, grown)
-    growth = squares.growth(middles[usable], grown[usable])
+    growth = _growth(squares, middles[usable], grown[usable])
     weight = np.ascontiguousarray(pool.splat[..., 0], dtype=np.float32)
     sk.measured_pool(
         pool.splat, pool.base or 0.0, DENSE, growth, squares.cells, _SUB * grid.posting,
@@ -122,7 +122,7 @@ def _sampling(
     vertices: Array,
     noise: Array,
     spacing: Array,
-    squares: _Squares,
+    squares: Squares,
     planes: Array,
 ) -> Sampling:
     if not len(vertices):
@@ -145,97 +145,32 @@ def _edge_noise(noise: Array, triangles: IntArray) -> Array:
     return np.asarray(2.0 * noise[triangles].sum(axis=1))
 
 
-@dataclass(frozen=True)
-class _Squares:
-    """Squares of a few samples, in which slope and growth are measured.
+def _growth(squares: Squares, points: Array, grown: Array) -> Array:
+    """Return how fast the variogram rises from its origin (rows, cols), m.
 
-    Attributes
+    Parameters
     ----------
-    grid
-        The map.
-    cells
-        Side in its cells.
+    squares
+        In which it is measured.
+    points
+        Middles of triangles (m, 2 or more).
+    grown
+        See `triangle_growth` (m, 2).
     """
-
-    grid: Grid
-    cells: int
-
-    @classmethod
-    def of(cls, grid: Grid, edges: Array) -> _Squares:
-        """Return squares of some two edges (m,), m."""
-        if not len(edges):
-            return cls(grid, 8)
-        return cls(grid, int(np.clip(np.ceil(2.0 * np.median(edges) / grid.posting), 2, 64)))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return -(-self.grid.rows // self.cells), -(-self.grid.cols // self.cells)
-
-    def at(self, values: Array, points: Array) -> Array:
-        """Return the values of the squares in which points (n, 2 or more) lie (n, ...)."""
-        row, col = self.grid.cell(points[:, :2])
-        rows, cols = self.shape
-        at = np.clip(row // self.cells, 0, rows - 1), np.clip(col // self.cells, 0, cols - 1)
-        return np.ascontiguousarray(values[at])
-
-    def growth(self, points: Array, grown: Array) -> Array:
-        """Return how fast the variogram rises from its origin (rows, cols), m.
-
-        Parameters
-        ----------
-        points
-            Middles of triangles (m, 2 or more).
-        grown
-            See `triangle_growth` (m, 2).
-        """
-        row, col = self.grid.cell(points[:, :2])
-        rows, cols = self.shape
-        index = np.clip(row // self.cells, 0, rows - 1) * cols
-        index = index + np.clip(col // self.cells, 0, cols - 1)
-        rise, length = (
-            np.bincount(index, weights=grown[:, n], minlength=rows * cols).reshape(self.shape)
-            for n in range(2)
-        )
-        if length.sum() <= 0.0:
-            return np.full(self.shape, _LEAST_GROWTH)
-        whole = max(rise.sum() / length.sum(), _LEAST_GROWTH)
-        usual = _PRIOR * length.sum() / np.count_nonzero(length)
-        own = (_around(rise) + usual * whole) / (_around(length) + usual)
-        return np.asarray(np.maximum(own, _LEAST_GROWTH), dtype=np.float64)
-
-    def planes(self, vertices: Array) -> Array:
-        """Return the planes through the vertices of 5 x 5 squares (rows, cols, 3).
-
-        Height at the middle of the squares' raster, m, and slope to the east and north.
-        """
-        west, _, south, _ = self.grid.extent
-        sums = np.zeros((*self.shape, 9))
-        sk.plane_sums(vertices, west, south, self.cells * self.grid.posting, sums)
-        s = 25.0 * ndimage.uniform_filter(sums, (5, 5, 1), mode="constant")
-        n = np.maximum(s[..., 0], 1.0)
-        xx = s[..., 4] - s[..., 1] ** 2 / n
-        xy = s[..., 5] - s[..., 1] * s[..., 2] / n
-        yy = s[..., 6] - s[..., 2] ** 2 / n
-        xz = s[..., 7] - s[..., 1] * s[..., 3] / n
-        yz = s[..., 8] - s[..., 2] * s[..., 3] / n
-        determinant = xx * yy - xy * xy
-        sound = (s[..., 0] > 5.5) & (determinant > 1e-9 * np.maximum(xx * yy, 1e-12))
-        safe = np.where(sound, determinant, 1.0)
-        east = np.where(sound, (yy * xz - xy * yz) / safe, 0.0)
-        north = np.where(sound, (xx * yz - xy * xz) / safe, 0.0)
-        level = (s[..., 3] - east * s[..., 1] - north * s[..., 2]) / n
-        return np.stack((level, east, north), axis=-1)
-
-    def heights(self, planes: Array, points: Array) -> Array:
-        """Return the heights of the planes of their squares at points (n, 2 or more), m."""
-        west, _, south, _ = self.grid.extent
-        side = self.cells * self.grid.posting
-        rows, cols = self.shape
-        x = points[:, 0] - west - 0.5 * side * cols
-        y = points[:, 1] - south - 0.5 * side * rows
-        own = self.at(planes, points)
-        return np.asarray(own[:, 0] + own[:, 1] * x + own[:, 2] * y)
+    row, col = squares.grid.cell(points[:, :2])
+    rows, cols = squares.shape
+    index = np.clip(row // squares.cells, 0, rows - 1) * cols
+    index = index + np.clip(col // squares.cells, 0, cols - 1)
+    rise, length = (
+        np.bincount(index, weights=grown[:, n], minlength=rows * cols).reshape(squares.shape)
+        for n in range(2)
+    )
+    if length.sum() <= 0.0:
+        return np.full(squares.shape, _LEAST_GROWTH)
+    whole = max(rise.sum() / length.sum(), _LEAST_GROWTH)
+    usual = _PRIOR * length.sum() / np.count_nonzero(length)
+    own = (_around(rise) + usual * whole) / (_around(length) + usual)
+    return np.asarray(np.maximum(own, _LEAST_GROWTH), dtype=np.float64)
 
 
 def _around(values: NDArray[Any]) -> Array:

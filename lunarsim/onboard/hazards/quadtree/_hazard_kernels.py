@@ -24,8 +24,8 @@ EXPECTED = 12
 
 
 @kernel()
-def _distances(tree, node, plane, stack, keep, off):
-    """Return the greatest distance of a cell's points to a plane, and their number.
+def _distances(tree, node, plane, wide, stack, off, square):
+    """Write the distances (n,) of a cell's points to a plane, and in which squares they lie (n,).
 
     Points that stand apart are left out.
 
@@ -33,11 +33,18 @@ def _distances(tree, node, plane, stack, keep, off):
     ----------
     plane
         A point of it and its normal (6,).
-    keep
-        Write the distances into `off` (n,).
+    wide
+        Squares along a side of the cell.
+
+    Returns
+    -------
+    n
+        Number of points.
     """
     x, y, z, a, b, c = plane
-    furthest = 0.0
+    reach = tree.half / (1 << tree.depth[node])
+    mid_x, mid_y = cell_centre(tree, node)
+    per_metre = wide / (2.0 * reach)
     n = 0
     stack[0] = node
     top = 1
@@ -56,53 +63,33 @@ def _distances(tree, node, plane, stack, keep, off):
             for i in range(begin, begin + tree.length[run]):
                 if tree.apart[i]:
                     continue
-                d = (tree.xyz[i, 0] - x) * a + (tree.xyz[i, 1] - y) * b + (tree.xyz[i, 2] - z) * c
-                furthest = max(furthest, abs(d))
-                if keep:
-                    off[n] = d
+                px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
+                off[n] = (px - x) * a + (py - y) * b + (tree.xyz[i, 2] - z) * c
+                row = min(max(int((py - mid_y + reach) * per_metre), 0), wide - 1)
+                col = min(max(int((px - mid_x + reach) * per_metre), 0), wide - 1)
+                square[n] = row * wide + col
                 n += 1
             run = tree.following[run]
-    return furthest, n
+    return n
 
 
 @kernel()
-def _count_exceptions(tree, node, plane, middle, tolerance, stack, ratio, relief):
-    """Write share and greatest distance of exceptions by the squares (w, w) of a cell.
+def _count_exceptions(off, square, middle, tolerance, ratio, relief):
+    """Write share of exceptions, and how far points reach, by the squares (w, w) of a cell.
 
-    Distances are told from a plane and from the one parallel to it at a distance of `middle`.
+    Distances (n,) are told from a plane and from the one parallel to it at a distance of `middle`.
     """
-    x, y, z, a, b, c = plane
     wide = ratio.shape[0]
-    reach = tree.half / (1 << tree.depth[node])
-    mid_x, mid_y = cell_centre(tree, node)
-    per_metre = wide / (2.0 * reach)
     number = np.zeros((wide, wide))
-    stack[0] = node
-    top = 1
-    while top > 0:
-        top -= 1
-        m = stack[top]
-        if tree.child[m] >= 0:
-            for q in range(4):
-                if tree.count[tree.child[m] + q] > 0:
-                    stack[top] = tree.child[m] + q
-                    top += 1
-            continue
-        run = tree.head[m]
-        while run >= 0:
-            begin = tree.start[run]
-            for i in range(begin, begin + tree.length[run]):
-                if tree.apart[i]:
-                    continue
-                d = (tree.xyz[i, 0] - x) * a + (tree.xyz[i, 1] - y) * b + (tree.xyz[i, 2] - z) * c
-                row = min(max(int((tree.xyz[i, 1] - mid_y + reach) * per_metre), 0), wide - 1)
-                col = min(max(int((tree.xyz[i, 0] - mid_x + reach) * per_metre), 0), wide - 1)
-                number[row, col] += 1.0
-                far = max(abs(d), abs(d - middle))
-                if far > tolerance:
-                    ratio[row, col] += 1.0
-                    relief[row, col] = max(relief[row, col], far)
-            run = tree.following[run]
+    for i in range(off.size):
+        row, col = square[i] // wide, square[i] % wide
+        number[row, col] += 1.0
+        reach = abs(off[i] - middle)
+        far = max(abs(off[i]), reach)
+        if far > tolerance:
+            ratio[row, col] += 1.0
+            reach = far
+        relief[row, col] = max(relief[row, col], reach)
     for row in range(wide):
         for col in range(wide):
             if number[row, col] > 0.0:
@@ -132,25 +119,21 @@ def _clear_gaps(tree, node, ratio, relief):
 
 @kernel()
 def _judge_cell(tree, node, plane, tolerance, ratio, relief):
-    """Write share and greatest distance of exceptions by the squares (w, w) of a cell.
+    """Write share of exceptions, and how far points reach, by the squares (w, w) of a cell.
 
     A point is one if it is farther than `tolerance` from the mesh, or from the plane parallel to it
     in whose middle the cell's points lie: the floor of a crater agrees with the one, a boulder in
     a hollow with the other. The median is hardly higher for a boulder on less than half the cell.
     """
     stack = np.empty(STACK, np.int32)
-    off = np.empty(0)
-    furthest, n = _distances(tree, node, plane, stack, False, off)
+    off, square = np.empty(tree.count[node]), np.empty(tree.count[node], np.int32)
+    n = _distances(tree, node, plane, ratio.shape[0], stack, off, square)
     if n == 0:
         ratio[:] = np.nan
         relief[:] = np.nan
         return
-    # Where nothing is half as far away as it may be, the median is not either.
-    if furthest > 0.5 * tolerance:
-        off = np.empty(n)
-        _distances(tree, node, plane, stack, True, off)
-        middle = np.median(off)
-        _count_exceptions(tree, node, plane, middle, tolerance, stack, ratio, relief)
+    middle = np.median(off[:n])
+    _count_exceptions(off[:n], square[:n], middle, tolerance, ratio, relief)
     _clear_gaps(tree, node, ratio, relief)
 
 
@@ -190,8 +173,9 @@ def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
     per_area
         Least number of points on a square metre of each quarter of a cell.
     ratios, reliefs
-        Share of exceptions among a square's points, and the greatest distance of one, m (0 without
-        any); NaN where points are too few or there is no plane.
+        Share of exceptions among a square's points, and how far one reaches at most from the middle
+        of its cell's points, exceptions from the mesh if that is farther, m; NaN where points are
+        too few or there is no plane.
 
     Returns
     -------

@@ -29,7 +29,7 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import (
 # Why a site is not to be landed on; 0: it may be.
 ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
 # What is found of a site, in columns.
-COSINE, ROUGHNESS, RATIO, NEAR, RELIEF, POINTS, FITTED, SIGMA = range(8)
+COSINE, ROUGHNESS, RATIO, NEAR, RELIEF, TOP, POINTS, FITTED, SIGMA = range(9)
 
 
 @kernel(inline=True)
@@ -412,17 +412,17 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
         Exception ratios and greatest exceptions of squares over the whole map; NaN: hazardous for
         want of points.
     limits
-        Least cosine of the slope, exception tolerance, half sides of the zone and of its middle,
-        how far hazards reach from where they were seen, m.
+        Least cosine of the slope, exception tolerance, half sides of the zone and of the lander's
+        footprint, how far hazards reach from where they were seen, m.
     printed
         Roughness by Eq. 8 as printed, else root mean square.
     thorough
         Find the roughness of rejected sites too, where there are points.
     found, status
-        What is found (N, 8) and the verdict (N,), a row a square of the smallest cells.
+        What is found (N, 9) and the verdict (N,), a row a square of the smallest cells.
     """
     ratios, reliefs = rasters
-    least_cosine, exception, zone, middle, margin = limits
+    least_cosine, exception, zone, footprint, margin = limits
     per_square = 2.0 * tree.half / ratios.shape[0]
     for i in prange(nodes.size):
         node = nodes[i]
@@ -438,7 +438,7 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
             continue
         out[COSINE] = normal[2]
         x, y = cell_centre(tree, node)
-        if max(abs(x), abs(y)) + zone > tree.half:
+        if max(abs(x), abs(y)) + max(zone, footprint) > tree.half:
             status[place] = OFF_MAP
             continue
         sums_of(tree, node, s)
@@ -451,8 +451,9 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
             reach = (zone + margin) / per_square
             worst = _worst_seen(ratios, column, row, reach)
             out[RATIO] = worst
-            out[NEAR] = _worst(ratios, column, row, middle / per_square)
+            out[NEAR] = _worst(ratios, column, row, footprint / per_square)
             out[RELIEF] = _worst_seen(reliefs, column, row, reach)
+            out[TOP] = _worst_seen(reliefs, column, row, footprint / per_square)
         status[place] = _verdict(normal[2], worst, least_cosine, exception)
         if status[place] == ELIGIBLE or (thorough and not np.isnan(worst)):
             _measure_zone(tree, node, zone, normal, printed, stack, s, out)

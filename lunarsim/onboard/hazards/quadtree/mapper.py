@@ -17,7 +17,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import SiteEvidence, site_safety
+from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
@@ -143,10 +143,10 @@ class QuadtreeMapper(HazardMapper):
         self._quadtree = (least, split_count)
         self._settings = settings
         self._interest = interest
-        self._lay(grid, elevation)
         self.selection: Selection | None = None
         self._model = model
         self._lander = lander or Lander()
+        self._lay(grid, elevation)
         self._rocks = rocks or RockExpectation()
         self._hold_sigma = hold_sigma
         self._held: list[_Held] = []
@@ -165,7 +165,11 @@ class QuadtreeMapper(HazardMapper):
             (*grid.centre, elevation), max(east - west, north - south), least,
             split_count=split_count,
         )  # fmt: skip
-        self.selector = SiteSelector(self.map, self._settings, self._interest, thorough=True)
+        footprint = self._lander.leg_radius + 0.5 * self._lander.pad_diameter
+        self.selector = SiteSelector(
+            self.map, self._settings, self._interest, thorough=True, footprint=footprint
+        )
+        self._noise = 0.0
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (3,), local frame, m; what was of interest moves too."""
@@ -193,9 +197,14 @@ class QuadtreeMapper(HazardMapper):
             )
             return
         for held in self._held:
-            self.map.insert(_returns(held.scan, held.position, held.attitude))
+            self._insert(held.scan, held.position, held.attitude)
         self._held.clear()
-        self.map.insert(_returns(measurement, estimate.position, estimate.attitude))
+        self._insert(measurement, estimate.position, estimate.attitude)
+
+    def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
+        self.map.insert(_returns(scan, position, attitude))
+        # The noisiest scan's: the points of all are on the map.
+        self._noise = max(self._noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
     def correct(self, before: Estimate, after: Estimate) -> None:
         """Move the scans held by what navigation has just learnt of pose and velocity.
@@ -264,18 +273,21 @@ class QuadtreeMapper(HazardMapper):
         g = self.grid
         if len(selection.nodes) == 0:
             return self._nothing(g)
-        evidence = SiteEvidence.of(selection, self.selector.settings, self._lander, self._rocks)
-        p, known = site_safety(evidence, self._model), evidence.judged
+        evidence = evidence_of(
+            self.map, selection, self.selector.settings.zone, self._noise, self._lander, self._rocks
+        )
+        p, known = site_safety(evidence, self._model)
         xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
         eligible = rasterised(g, xy, size, selection.status == STATUS.index("eligible"), 0.0) > 0.0
         value = self._value(g)
         return HazardMap(
             g,
             rasterised(g, xy, size, p, 0.0).astype(np.float32),
-            rasterised(g, xy, size, known, 0.0) > 0.0,
+            rasterised(g, xy, size, evidence.judged, 0.0) > 0.0,
             rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
             eligible=eligible if value is None else eligible & (value > 0.0),
             value=value,
+            in_domain=rasterised(g, xy, size, known, 0.0) > 0.0,
         )
 
     def _nothing(self, grid: Grid) -> HazardMap:

@@ -1,11 +1,12 @@
 """From what a site looks like on the quadtree to how often such sites are safe.
 
-All is dimensionless: slopes and heights count by the lander's limits. Weights on all but the
-intercept and the number of points are not negative, so that the probability never rises with slope,
-roughness, exceptions, their height, or the rocks that may stand unseen. Where too many of these
-are to be expected it is a bound and no frequency. It is one on worlds like those of the fit only:
-kept out of it, rock laws, slopes near the limit and other landers are misjudged by up to 0.2, so
-that the map does not claim a domain.
+The paper's limits tell which sites are eligible; they are no probability. Here the lander is also
+put on the mean ground under its legs, at every heading, and what the points of its footprint and of
+the zone tell is added: how far they reach, how they spread, what may stand between them unseen. All
+is dimensionless: slopes and heights count by the lander's limits. Weights on all but the first
+`FREE` are not negative, so that the probability never rises with slope, roughness, exceptions,
+their height, or the rocks that may stand unseen. Where too many of these are to be expected it is
+a bound and no frequency, as on the Gaussian DEM (`lunarsim.safety.calibration`).
 """
 
 from __future__ import annotations
@@ -19,110 +20,200 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.quadtree.settings import SiteSettings
 from lunarsim.onboard.hazards.quadtree.sites import Selection
+from lunarsim.onboard.hazards.quadtree.surface import rises, surface
+from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import MOST_HAZARDS
+from lunarsim.safety import SafetyMap, bounded_safety
+from lunarsim.safety.calibration import MOST_HAZARDS, MOST_TILTING, NOISES
 from lunarsim.safety.logistic import Logistic
-from lunarsim.safety.unseen_rocks import HeightCurve, law_share
+from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+# See `ceiling`: from a share of the limit on, what chance is left.
+_LEFT_OF_SLOPE = np.array([[0.95, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.9, 0.75, 0.45, 0.2, 0.0]])
+_LEFT_OF_ROUGHNESS = np.array([[1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.6, 0.35, 0.15, 0.0]])
+_LEFT_OF_TOP = np.array([[1.3, 2.2, 4.0], [1.0, 0.7, 0.4]])
+# Cells on which the mean ground is judged, and the largest that count as seen, m.
+_GROUND_BAND = (0.4, 1.6)
 # Between these the regression may bend: shares of the limits, decades of ratios and of rocks.
-_SLOPES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.5, 2.5])
-_ROUGH = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
+_SLOPES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.6, 2.2])
+_HEIGHTS = np.array([0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.6, 2.2, 4.0])
+_SPREADS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
 _RATIOS = np.array([-4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-_RELIEF = np.array([0.0, 0.5, 0.8, 1.0, 1.25, 1.6, 2.2, 4.0])
-_ROCKS = np.array([-5.0, -4.0, -3.0, -2.0, -1.5, -1.0, 0.0, 1.0])
-FREE = 2
-RISING = sum(
-    len(knots) - 1 for knots in (_SLOPES, _SLOPES, _ROUGH, _RATIOS, _RATIOS, _RELIEF, _ROCKS)
-)
+_TIPS = np.array([-1.7, -1.4, -1.2, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.2, 0.5, 1.0])
+_ROCKS = np.array([-5.0, -4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
+_COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
+_BENDS = (
+    _SLOPES, _HEIGHTS, _HEIGHTS, _HEIGHTS, _TIPS, _TIPS, _SLOPES, _SLOPES, _SPREADS, _SPREADS,
+    _RATIOS, _RATIOS, _HEIGHTS, _HEIGHTS, _ROCKS, _ROCKS,
+)  # fmt: skip
+# Heights, over the limit, above which the share of ground counts.
+_ABOVE = np.array([0.3, 0.6, 1.0, 1.6])
+# Intercept, noise, density and its square: nothing is claimed for these.
+FREE = 4
+RISING = sum(len(knots) - 1 for knots in _BENDS) + len(_ABOVE) * (len(_COVER) - 1)
 COUNT = FREE + RISING
-# The mission's rock law counts as much as this many points.
-_PRIOR_POINTS = 60.0
 
 
 @dataclass(frozen=True)
 class SiteEvidence:
-    """What the quadtree says of sites (n,); all but `unseen` and `density` NaN where not judged.
+    """What the quadtree says of sites (n,); NaN where not judged.
 
     Attributes
     ----------
-    slope, fitted
-        Of the mesh and of the zone's points, tangents over that of the lander's limit.
-    roughness, relief
-        Root mean square distance from the plane, and the highest exception, over its limit.
+    slope, roughness
+        Of the lander on the mean ground, worst heading: tangent and height over its limits.
+    mesh_slope, fitted_slope
+        Of the mesh and of the zone's points, tangents over that of the limit.
+    mesh_spread, fitted_spread
+        Root mean square distance of the zone's points from these planes, over the limit.
     ratio, near
-        Greatest exception ratio in the zone and in its middle.
-    unseen
-        Rocks over the limit that stand in the lander's footprint without a point on them.
+        Greatest exception ratio in the zone and in the footprint.
+    relief, top
+        How far a point reaches in the zone and in the footprint, over the limit.
     density
         Points on a square metre.
+    curve
+        How high the ground stands, from the points and the mission's rock law.
+    lander
+        Geometry and limits.
+    noise
+        Standard deviation of a point's height, m.
     """
 
     slope: Array
-    fitted: Array
     roughness: Array
-    relief: Array
+    mesh_slope: Array
+    fitted_slope: Array
+    mesh_spread: Array
+    fitted_spread: Array
     ratio: Array
     near: Array
-    unseen: Array
+    relief: Array
+    top: Array
     density: Array
-
-    @classmethod
-    def of(
-        cls,
-        selection: Selection,
-        settings: SiteSettings,
-        lander: Lander,
-        rocks: RockExpectation,
-    ) -> SiteEvidence:
-        """Return what a selection says, for a lander on ground with such rocks expected."""
-        s = selection
-        steepest = np.tan(lander.slope_limit)
-        density = np.nan_to_num(s.points, nan=0.0) / (2.0 * settings.zone) ** 2
-        curve = _curve(s, settings, lander, rocks)
-        unseen = curve.unseen(lander.roughness_limit, density) * np.pi * lander.leg_radius**2
-        return cls(
-            np.tan(s.slope) / steepest,
-            np.tan(s.fitted) / steepest,
-            s.roughness / lander.roughness_limit,
-            s.relief / lander.roughness_limit,
-            s.ratio,
-            s.near,
-            unseen,
-            density,
-        )
+    curve: HeightCurve
+    lander: Lander
+    noise: float
 
     @property
     def judged(self) -> BoolArray:
-        """Where the whole zone was seen (n,)."""
-        judged = np.isfinite(self.slope) & np.isfinite(self.roughness) & np.isfinite(self.ratio)
-        return np.asarray(judged & np.isfinite(self.near))
+        """Where the whole zone and footprint were seen (n,)."""
+        needed = (self.slope, self.mesh_slope, self.mesh_spread, self.ratio, self.near)
+        return np.asarray(np.logical_and.reduce([np.isfinite(a) for a in needed]))
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where few enough hazards stand unseen for the regression to be asked (n,)."""
-        return np.asarray(self.judged & (self.unseen <= MOST_HAZARDS))
+        """Where few enough rocks can stand unseen for the regression to hold (n,)."""
+        noise = self.noise / self.lander.roughness_limit
+        if not NOISES[0] <= noise <= NOISES[1]:
+            return np.zeros(len(self.slope), np.bool_)
+        with np.errstate(invalid="ignore"):
+            few = (self.hazards() <= MOST_HAZARDS) & (self.tilting() <= MOST_TILTING)
+        return np.asarray(self.judged & few)
+
+    def highest(self) -> Array:
+        """Return what is rough, by the mean ground or by a point (n,), over the limit."""
+        return np.maximum(self.roughness, self.top)
+
+    def raised(self) -> tuple[Array, Array]:
+        """Return what of the highest point and of the spread is not noise (n,), over the limit."""
+        noise = self.noise / self.lander.roughness_limit
+        spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))
+        return np.maximum(self.top - 3.0 * noise, 0.0), spread
+
+    def tipping(self, height: Array) -> Array:
+        """Return how far a pad raised by a height (n,), over the limit, tilts the lander (n,).
+
+        Over what is left of the slope.
+        """
+        left = np.maximum(1.0 - self.slope, 0.02) * np.tan(self.lander.slope_limit)
+        rise = height * self.lander.roughness_limit / (1.4 * self.lander.leg_radius)
+        return np.asarray((rise + 2e-4) / left)
+
+    def tilting(self) -> Array:
+        """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
+        lander = self.lander
+        height = (1.0 - self.fitted_slope) * np.tan(lander.slope_limit) * 1.4 * lander.leg_radius
+        ring = 2.0 * np.pi * lander.leg_radius * (lander.pad_diameter + 0.2)
+        return np.asarray(ring * self.curve.unseen(height, self.density))
+
+    def piercing(self) -> Array:
+        """Return how many unseen rocks in the footprint rise above what roughness is left."""
+        height = (1.0 - self.top) * self.lander.roughness_limit
+        return np.asarray(self._footprint() * self.curve.unseen(height, self.density))
+
+    def hazards(self) -> Array:
+        """Return how many unseen rocks in the footprint alone would be too high."""
+        limit = self.lander.roughness_limit
+        return np.asarray(self._footprint() * self.curve.unseen(limit, self.density))
+
+    def _footprint(self) -> float:
+        return float(np.pi * self.lander.leg_radius**2)
 
 
-def _curve(
-    selection: Selection, settings: SiteSettings, lander: Lander, rocks: RockExpectation
-) -> HeightCurve:
-    """Return how high the ground stands: the law's shape, as much of it as points are exceptions.
+def evidence_of(
+    quadtree: QuadtreeMap,
+    selection: Selection,
+    zone: float,
+    noise: float,
+    lander: Lander,
+    rocks: RockExpectation,
+) -> SiteEvidence:
+    """Return what a map and its sites say, for a lander on ground with such rocks expected.
 
-    An exception lies farther than the settings' roughness limit from its plane.
+    Parameters
+    ----------
+    quadtree, selection
+        The map, and what a thorough selector with the lander's footprint says of its sites.
+    zone
+        Half side of the landing zones, m.
+    noise
+        Standard deviation of a point's height, m.
+    lander, rocks
+        Geometry and limits, and what the mission expects.
     """
-    height = lander.roughness_limit * np.geomspace(0.08, 8.0, 40)
-    law = law_share(height, rocks.cover, rocks.height_ratio[0])
-    at = law_share([settings.roughness_limit], rocks.cover, rocks.height_ratio[0])[0]
-    near = selection.near[np.isfinite(selection.near)]
-    points = float(np.nansum(selection.points))
-    share = float(near.mean()) if near.size else 0.0
-    found = (share * points + _PRIOR_POINTS * at) / (points + _PRIOR_POINTS)
-    return HeightCurve(height, np.minimum(law * found / at, 0.5))
+    s = selection
+    steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
+    height, grid = surface(quadtree, *_GROUND_BAND)
+    slope, roughness = _worst_about(bounded_safety(height, grid, lander), s.position[:, :2])
+    mesh_slope = np.tan(s.slope) / steepest
+    # The standard error of the slope over a square tells the spread about the plane. Points that
+    # span no plane have the mesh's.
+    fitted_spread = s.slope_sigma * np.sqrt(np.maximum(s.points - 3.0, 0.0) / 6.0) * zone
+    spans = np.isfinite(s.fitted)
+    return SiteEvidence(
+        np.tan(slope) / steepest,
+        roughness / limit,
+        mesh_slope,
+        np.where(spans, np.tan(s.fitted) / steepest, mesh_slope),
+        s.roughness / limit,
+        np.where(spans, fitted_spread, s.roughness) / limit,
+        s.ratio,
+        s.near,
+        s.relief / limit,
+        s.top / limit,
+        np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
+        height_curve(rises(quadtree), noise, limit, rocks.cover, rocks.height_ratio[0]),
+        lander,
+        noise,
+    )
+
+
+def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
+    """Return the greatest slope and roughness of the four cells about places (n, 2); or NaN."""
+    g = safety.grid
+    row, col = g.cell(xy - 0.5 * g.posting)
+    slope, rough = np.full(len(xy), -np.inf), np.full(len(xy), -np.inf)
+    for i in (0, 1):
+        for j in (0, 1):
+            at = np.clip(row + i, 0, g.rows - 1), np.clip(col + j, 0, g.cols - 1)
+            slope = np.maximum(slope, safety.slope[at])
+            rough = np.maximum(rough, safety.roughness[at])
+    return slope, rough
 
 
 def _left(values: Array, knots: Array) -> Array:
@@ -135,20 +226,21 @@ def _left(values: Array, knots: Array) -> Array:
 def features(evidence: SiteEvidence, where: BoolArray) -> Array:
     """Return what the probability is computed from, at sites chosen by a mask (m, `COUNT`)."""
     e = evidence
-    # Without a plane of its own points the mesh's slope stands for it; without an exception 0.
-    fitted = np.where(np.isfinite(e.fitted), e.fitted, e.slope)[where]
-    relief = np.nan_to_num(e.relief, nan=0.0)[where]
-    columns = [
-        _left(e.slope[where], _SLOPES),
-        _left(fitted, _SLOPES),
-        _left(e.roughness[where], _ROUGH),
-        _left(np.log10(np.maximum(e.ratio[where], 1e-4)), _RATIOS),
-        _left(np.log10(np.maximum(e.near[where], 1e-4)), _RATIOS),
-        _left(relief, _RELIEF),
-        _left(np.log10(e.unseen[where] + 1e-6), _ROCKS),
-    ]
-    density = np.log(np.maximum(e.density[where], 0.1))
-    return np.column_stack([np.ones(len(density)), density, *columns])
+    point, spread = e.raised()
+    values = (
+        e.slope, e.roughness, e.highest(), e.top + 2.0 * spread, np.log10(e.tipping(point)),
+        np.log10(e.tipping(spread)), e.mesh_slope, e.fitted_slope,
+        e.mesh_spread, e.fitted_spread, np.log10(np.maximum(e.ratio, 1e-4)),
+        np.log10(np.maximum(e.near, 1e-4)), e.relief, e.top, np.log10(e.tilting() + 1e-6),
+        np.log10(e.piercing() + 1e-6),
+    )  # fmt: skip
+    columns = [_left(v[where], knots) for v, knots in zip(values, _BENDS, strict=True)]
+    n = int(np.count_nonzero(where))
+    for share in np.log10(e.curve.at(_ABOVE * e.lander.roughness_limit)):
+        columns.append(_left(np.full(n, share), _COVER))
+    density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
+    noise = np.full(n, np.log(e.noise / e.lander.roughness_limit + 1e-3))
+    return np.column_stack([np.ones(n), noise, density, density**2, *columns])
 
 
 @lru_cache(maxsize=1)
@@ -157,10 +249,10 @@ def measured() -> Logistic:
     return Logistic.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT)
 
 
-def site_safety(evidence: SiteEvidence, model: Logistic | None = None) -> Array:
-    """Return the probability that sites are safe (n,); 0 where not judged.
+def site_safety(evidence: SiteEvidence, model: Logistic | None = None) -> tuple[Array, BoolArray]:
+    """Return the probability that sites are safe (n,), and where it is a frequency (n,).
 
-    Outside the domain no more than `bound`.
+    Outside the domain no more than `bound`; 0 where not judged.
 
     Parameters
     ----------
@@ -169,30 +261,31 @@ def site_safety(evidence: SiteEvidence, model: Logistic | None = None) -> Array:
     model
         Left out: the packaged one.
     """
-    e = evidence
+    e, known = evidence, evidence.in_domain
     p = np.zeros(len(e.slope))
     if e.judged.any():
         weights = np.array((model or measured()).weights)
         p[e.judged] = expit(features(e, e.judged) @ weights)
     p = np.minimum(p, ceiling(e))
-    return np.where(e.in_domain, p, np.minimum(p, bound(e)))
+    return np.where(known, p, np.minimum(p, bound(e))), known
 
 
 def ceiling(evidence: SiteEvidence) -> Array:
     """Return what the probability cannot exceed, by what was seen (n,).
 
-    Sums of evidence let much that is good make up for one thing that is fatal: from a slope at the
-    limit on, none is left 15 % above it, and from roughness at the limit on, none at twice.
+    Sums of evidence let much that is good make up for one thing that is fatal. Of sites with a
+    slope or roughness beyond the limit so few were safe in the worlds of the fit, whatever else.
     """
     e = evidence
-    steep = np.maximum(e.slope, np.nan_to_num(e.fitted, nan=0.0))
-    left = np.minimum(1.0, np.minimum((1.15 - steep) / 0.15, 2.0 - e.roughness))
-    return np.asarray(np.maximum(np.nan_to_num(left, nan=0.0), 0.0), dtype=np.float64)
+    steep = np.maximum(e.slope, np.maximum(e.mesh_slope, e.fitted_slope))
+    least = np.minimum(
+        np.interp(steep, *_LEFT_OF_SLOPE),
+        np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
+    )
+    return np.asarray(np.nan_to_num(np.minimum(least, np.interp(e.top, *_LEFT_OF_TOP)), nan=0.0))
 
 
 def bound(evidence: SiteEvidence) -> Array:
-    """Return a bound where no fit to other worlds tells how often sites are safe (n,).
-
-    As many unseen rocks as the domain allows are taken for two in three.
-    """
-    return np.asarray(np.exp(-evidence.unseen / MOST_HAZARDS))
+    """Return the chance that no unseen rock stands there (n,)."""
+    none = np.exp(-evidence.piercing() - np.maximum(evidence.tilting(), 0.0))
+    return np.nan_to_num(none, nan=0.0)

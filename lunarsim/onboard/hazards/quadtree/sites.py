@@ -19,8 +19,8 @@ from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Width of the middle of a zone over that of the zone.
-_MIDDLE = 0.6
+# Half side of the lander's footprint over that of the zone, if it is not given.
+_FOOTPRINT = 0.6
 # Meaning of a site's status.
 STATUS = (
     "eligible",
@@ -76,12 +76,14 @@ class Selection:
         Greatest exception ratio in the zone and `margin` around it (n,); NaN where a cell of the
         zone has too few points.
     near
-        The same in the middle of the zone, 0.6 of its width: about what the lander covers (n,).
+        The same in the lander's footprint (n,).
     roughness
         (n,), m; NaN where not evaluated.
     relief
-        Greatest distance of an exception in the zone from its ground plane (n,), m; 0 without one,
-        NaN as for `ratio`.
+        How far a point in the zone and `margin` around it reaches at most from the middle of the
+        points about it, or an exception from its ground plane (n,), m; NaN as for `ratio`.
+    top
+        The same in the lander's footprint (n,), m.
     points
         In the zone (n,), without those that stand apart; NaN where not evaluated.
     fitted, slope_sigma
@@ -103,6 +105,7 @@ class Selection:
     near: Array
     roughness: Array
     relief: Array
+    top: Array
     points: Array
     fitted: Array
     slope_sigma: Array
@@ -132,6 +135,8 @@ class SiteSelector:
         Left out: 1 everywhere.
     thorough
         Also find the roughness of sites that are rejected (for a probability of landing safely).
+    footprint
+        Half side of what the lander covers, m; left out: 0.6 of that of the zone.
     """
 
     def __init__(
@@ -141,11 +146,13 @@ class SiteSelector:
         interest: InterestMap | None = None,
         *,
         thorough: bool = False,
+        footprint: float | None = None,
     ) -> None:
         self.map = quadtree
         self.settings = settings or SiteSettings()
         self._interest = interest
         self._thorough = thorough
+        self.footprint = _FOOTPRINT * self.settings.zone if footprint is None else footprint
         s = self.settings
         self.mesh = GroundMesh(quadtree, *s.mesh_band, s.density)
         self._hazard = tuple(quadtree.depth_of(size) for size in s.hazard_band)
@@ -158,7 +165,7 @@ class SiteSelector:
         self._calls = 0
         # A row a square of the smallest cells; what is never a site takes no memory.
         self._seen = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
-        self._found = np.zeros((1 << 2 * self._site[0], 8))
+        self._found = np.zeros((1 << 2 * self._site[0], 9))
         self._status = np.full(1 << 2 * self._site[0], k.NO_PLANE, np.int8)
 
     @property
@@ -176,7 +183,7 @@ class SiteSelector:
 
     @property
     def reliefs(self) -> NDArray[np.float32]:
-        """Greatest distance of an exception from its plane by squares, m; as `ratios`."""
+        """How far points reach by squares, m, see `Selection.relief`; as `ratios`."""
         return _read_only(self._reliefs)
 
     @property
@@ -262,7 +269,7 @@ class SiteSelector:
             self._site[0],
             self.mesh.arrays,
             (self._ratios, self._reliefs),
-            (np.cos(s.slope_limit), s.exception_limit, s.zone, _MIDDLE * s.zone, s.margin),
+            (np.cos(s.slope_limit), s.exception_limit, s.zone, self.footprint, s.margin),
             s.roughness == "printed",
             self._thorough,
             self._found,
@@ -304,12 +311,13 @@ class SiteSelector:
             )
             for i in best_apart(score, position[:, :2], s.count, s.separation)
         )
-        ratio, near, relief, points, fitted, sigma = (
-            found[:, c].copy() for c in (k.RATIO, k.NEAR, k.RELIEF, k.POINTS, k.FITTED, k.SIGMA)
+        ratio, near, relief, top, points, fitted, sigma = (
+            found[:, c].copy()
+            for c in (k.RATIO, k.NEAR, k.RELIEF, k.TOP, k.POINTS, k.FITTED, k.SIGMA)
         )
         return Selection(
-            nodes, position, interest, slope, ratio, near, roughness.copy(), relief, points, fitted,
-            sigma, status, score, ranked,
+            nodes, position, interest, slope, ratio, near, roughness.copy(), relief, top, points,
+            fitted, sigma, status, score, ranked,
         )  # fmt: skip
 
 

@@ -47,8 +47,8 @@ def swept(seed=0, n=20_000, side=19.0):
 
 
 FIELDS = (
-    "nodes", "position", "interest", "slope", "ratio", "near", "roughness", "relief", "points",
-    "fitted", "slope_sigma", "status", "score",
+    "nodes", "position", "interest", "slope", "ratio", "near", "roughness", "relief", "top",
+    "points", "fitted", "slope_sigma", "status", "score",
 )  # fmt: skip
 
 
@@ -181,6 +181,8 @@ def test_sites_follow_the_equations(form):
             assert selection.relief[i] == np.nanmax(tall)
             middle = squares_within(selector.ratios, r[:2] - corner, 0.6 * s.zone)
             assert selection.near[i] == middle.max()
+            top = squares_within(selector.reliefs, r[:2] - corner, 0.6 * s.zone)
+            assert selection.top[i] == np.nanmax(top)
             inside = points[(np.abs(points[:, :2] - r[:2]) <= s.zone).all(1)]
             assert selection.points[i] == pytest.approx(len(inside), abs=2)
             slope, sigma = reference.fitted_slope(inside)
