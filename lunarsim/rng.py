@@ -16,6 +16,14 @@ def flight_seed(root: int, flight: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(root, spawn_key=(flight,))
 
 
+def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
+    """Return the seed sequence of flight `flight` of a calibration; no campaign flies it.
+
+    A calibration is so never judged on what it was fitted to, whatever the root seeds of both.
+    """
+    return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"calibration"), flight))
+
+
 class Streams:
     """Random generators of one flight, one a component.
 

@@ -46,6 +46,14 @@ def brier_score(probability: ArrayLike, happened: ArrayLike) -> float:
     return float(np.mean((p - np.asarray(happened, dtype=np.float64)) ** 2))
 
 
+def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
+    """Return the Brier skill over the base rate; NaN where all is alike."""
+    base = float(np.mean(happened))
+    if base in (0.0, 1.0):
+        return float("nan")
+    return 1.0 - brier_score(probability, happened) / (base * (1.0 - base))
+
+
 def calibration_error(table: Array) -> float:
     """Return the mean distance of the two, weighted by number (ECE); NaN of an empty table."""
     count = table[:, 0].sum()

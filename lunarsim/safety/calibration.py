@@ -7,7 +7,8 @@ dimensionless: heights count by the lander's limits, distances by its legs, rock
 
 The regression holds where few hazards stand unseen. Elsewhere no fit to other worlds can know how
 often a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance
-that no unseen rock stands there, and says that it does.
+that no unseen rock stands there, and says that it does. A calibration of a scenario's own
+(`lunarsim.safety.refit`) brings its own last stage and its own domain.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from scipy.special import expit, ndtri
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety.conservative import StochasticSafety
+from lunarsim.safety.domain import Domain
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import HeightCurve
 
 Array = NDArray[np.float64]
@@ -55,6 +58,7 @@ MOST_TILTING = 2.0
 # Landers and scans of the fit: noise over the roughness limit, spacing over the legs' radius.
 NOISES = (0.0, 0.5)
 SPACINGS = (0.01, 1.0)
+PACKAGED = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,16 @@ class Evidence:
     def roughness(self) -> Array:
         """Nominal roughness over the limit; NaN where not observed."""
         return np.asarray(self.nominal.roughness / np.float64(self.lander.roughness_limit))
+
+    @property
+    def noise_ratio(self) -> float:
+        """Noise of a sample over the roughness limit."""
+        return self.noise / self.lander.roughness_limit
+
+    @property
+    def spacing_ratio(self) -> float:
+        """Distance of neighbouring samples over the radius of the legs."""
+        return self.spacing / self.lander.leg_radius
 
     def tilting(self) -> Array:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
@@ -178,24 +192,28 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     n = len(columns[0])
     for share in np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit)):
         columns.append(1.0 - _steps(np.full(n, share), _COVER))
-    noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
-    spacing = np.log(e.spacing / e.lander.leg_radius)
+    noise = np.log(e.noise_ratio + 1e-3)
+    spacing = np.log(e.spacing_ratio)
     free = np.tile([1.0, noise, spacing, spacing**2], (n, 1))
     return np.column_stack([free, *columns])
 
 
-def in_domain(evidence: Evidence) -> BoolMap:
+def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
     """Tell where few enough rocks can stand unseen for the regression to hold (rows, cols).
 
     It does so by the map's own samples; noise and spacing must be within those of the fit.
+
+    Parameters
+    ----------
+    evidence
+        Of the map.
+    domain
+        Left out: that of the packaged regression.
     """
     e = evidence
-    noise, spacing = e.noise / e.lander.roughness_limit, e.spacing / e.lander.leg_radius
-    if not (NOISES[0] <= noise <= NOISES[1] and SPACINGS[0] <= spacing <= SPACINGS[1]):
+    if not domain.measured(e.noise_ratio, e.spacing_ratio):
         return np.zeros(e.level.grid.shape, np.bool_)
-    with np.errstate(invalid="ignore"):
-        few = (e.hazards() <= MOST_HAZARDS) & (e.tilting() <= MOST_TILTING)
-    return e.observed & few
+    return e.observed & domain.few(e.hazards(), e.tilting())
 
 
 @lru_cache(maxsize=1)
@@ -205,7 +223,9 @@ def measured() -> Logistic:
 
 
 def calibrated_safety(
-    evidence: Evidence, model: Logistic | None = None
+    evidence: Evidence,
+    model: Logistic | None = None,
+    refit: ScenarioCalibration | None = None,
 ) -> tuple[FloatMap, BoolMap]:
     """Return the probability that a site is safe (rows, cols), and where it is a frequency.
 
@@ -218,14 +238,53 @@ def calibrated_safety(
         Of the map.
     model
         Left out: the packaged one.
+    refit
+        Last stage and domain of a scenario's own; left out: those of the packaged regression.
+
+    Raises
+    ------
+    InputError
+        If `refit` was fitted for another lander or to another regression.
     """
-    seen, known = evidence.observed, in_domain(evidence)
+    model = model or measured()
+    if refit is not None:
+        refit.check(evidence.lander, model)
+    seen, known = evidence.observed, in_domain(evidence, refit.domain if refit else PACKAGED)
     p = np.zeros(seen.shape, np.float32)
     if seen.any():
-        found = expit(features(evidence, seen) @ np.array((model or measured()).weights))
-        p[seen] = np.minimum(found, ceiling(evidence)[seen])
-        p[seen & ~known] = np.minimum(p, bound(evidence))[seen & ~known]
+        log_odds = features(evidence, seen) @ np.array(model.weights)
+        p[seen] = judged(
+            log_odds, ceiling(evidence)[seen], bound(evidence)[seen], known[seen], refit
+        )
     return p, known
+
+
+def judged(
+    log_odds: Array,
+    most: Array,
+    least: Array,
+    known: BoolMap,
+    refit: ScenarioCalibration | None = None,
+) -> Array:
+    """Return the probability of sites (n,).
+
+    Outside the domain no stage gives more than any of the others.
+
+    Parameters
+    ----------
+    log_odds
+        By the regression (n,).
+    most, least
+        `ceiling` and `bound` of the sites (n,).
+    known
+        Which of them lie in the domain (n,): of the refit, where there is one.
+    refit
+        As for `calibrated_safety`.
+    """
+    plain = expit(log_odds)
+    p = plain if refit is None else refit.probability(log_odds)
+    p = np.minimum(p, most)
+    return np.asarray(np.where(known, p, np.minimum(np.minimum(p, plain), least)))
 
 
 def ceiling(evidence: Evidence) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass
 from importlib import resources
@@ -37,6 +38,11 @@ class Logistic:
 
     weights: tuple[float, ...]
     note: str = ""
+
+    @property
+    def digest(self) -> str:
+        """Sixteen hexadecimal digits that tell these weights from others."""
+        return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
 
     def probability(self, features: ArrayLike) -> Array:
         """Return the probability (n,) of features (n, k)."""

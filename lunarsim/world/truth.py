@@ -60,6 +60,13 @@ class Truth:
         safe = self.safety.safe[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
         return np.asarray(inside & safe)
 
+    def known_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
+        """Tell at which true points (..., 2) the exact test has a verdict (nearest cell)."""
+        grid = self.safety.grid
+        row, col = grid.cell(xy)
+        known = self.safety.observed[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
+        return np.asarray(grid.contains(xy) & known)
+
     def safe_share(
         self, centre: ArrayLike, half_sides: ArrayLike, heading: float | None = None
     ) -> float:

@@ -22,7 +22,7 @@ from rich.table import Table
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.evaluation.reliability import brier_score, calibration_error, reliability
+from lunarsim.evaluation.reliability import brier_skill, calibration_error, reliability
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
@@ -145,20 +145,12 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     return {
         "base": base,
         "ece": calibration_error(reliability(p, safe)),
-        "skill": skill(p, safe),
+        "skill": brier_skill(p, safe),
         "share": sure.mean(),
         "gap": p[sure].mean() - safe[sure].mean() if sure.any() else np.nan,
         "surer": surer.mean(),
         "right": safe[surer].mean() if surer.any() else np.nan,
     }
-
-
-def skill(p: np.ndarray, safe: np.ndarray) -> float:
-    """Return the Brier skill over the base rate; NaN where all sites are alike."""
-    base = safe.mean()
-    if base in (0.0, 1.0):
-        return float("nan")
-    return 1.0 - brier_score(p, safe) / (base * (1.0 - base))
 
 
 def worst_stratum(p: np.ndarray, sites: Sites, least: int = 20) -> tuple[float, str]:
@@ -177,7 +169,7 @@ def worst_stratum(p: np.ndarray, sites: Sites, least: int = 20) -> tuple[float, 
             # At least so many of either kind.
             if min(safe.sum(), (~safe).sum()) < least:
                 continue
-            own = skill(p[k][inside], safe)
+            own = brier_skill(p[k][inside], safe)
             if own < worst[0]:
                 worst = own, f"slope {SLOPES[i]:g}-{SLOPES[i + 1]:g}, {100 * COVERS[j]:g}+ %"
     return worst

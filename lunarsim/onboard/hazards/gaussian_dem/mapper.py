@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -21,7 +22,8 @@ from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
-from lunarsim.safety.calibration import Evidence, calibrated_safety
+from lunarsim.safety.calibration import Evidence, calibrated_safety, measured
+from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import height_curve
 
 Array = NDArray[np.float64]
@@ -40,6 +42,13 @@ class GaussianDemMapping:
         Of the map, m.
     safety
         See `GaussianDemMapper`.
+    calibration_path
+        See `ScenarioCalibration.load`; None: the packaged calibration.
+
+    Raises
+    ------
+    InputError
+        If the calibration is missing or no such file, or `safety` has no use for it.
     """
 
     sensor: str = quantity("flash", help="whose scans it maps")
@@ -50,7 +59,34 @@ class GaussianDemMapping:
         help="a frequency, Eqs. 15 to 17 of the paper, or these through the real support planes",
     )
 
+    calibration_path: Path | None = quantity(
+        None,
+        help="last stage of the calibration that `lunarsim calibrate` wrote, relative to the "
+        "scenario file",
+    )
+
     takes: ClassVar[type] = LidarScan
+
+    def __post_init__(self) -> None:
+        if self.calibration_path is not None and self.safety != "calibrated":
+            raise InputError(
+                "calibration_path", str(self.calibration_path),
+                f"left out: safety = {self.safety!r} does not use it, safety = 'calibrated' does",
+            )  # fmt: skip
+        self.calibration()
+
+    def calibration(self) -> ScenarioCalibration | None:
+        """Return what the file at `calibration_path` holds, None without one."""
+        if self.calibration_path is None:
+            return None
+        try:
+            found = ScenarioCalibration.load(self.calibration_path)
+            found.check_regression(measured())
+        except InputError as error:
+            raise InputError(
+                "calibration_path", str(self.calibration_path), f"a calibration ({error})"
+            ) from None
+        return found
 
     def build(self, briefing: Briefing, navigation: Navigation) -> GaussianDemMapper:
         """Return the mapper of one flight."""
@@ -58,6 +94,7 @@ class GaussianDemMapping:
             map_grid(briefing.target, self.size, self.posting, briefing.lander),
             briefing.lander,
             safety=self.safety,
+            refit=self.calibration(),
             rocks=briefing.rocks,
         )
 
@@ -77,6 +114,13 @@ class GaussianDemMapper(HazardMapper):
         ``"planes"``: through the real support planes, which keeps safe sites on relief.
     rocks
         What the mission expects; left out, its defaults.
+    refit
+        Last stage of the calibration, of the scenario's own; left out, that of the package.
+
+    Raises
+    ------
+    InputError
+        If there is no such `safety`, or `refit` is not for it or for this lander.
     """
 
     def __init__(
@@ -86,11 +130,17 @@ class GaussianDemMapper(HazardMapper):
         *,
         safety: Judgement = "calibrated",
         rocks: RockExpectation | None = None,
+        refit: ScenarioCalibration | None = None,
     ) -> None:
         if safety not in {"calibrated", "level", "planes"}:
             raise InputError("safety", safety, "calibrated, level or planes")
+        if refit is not None:
+            if safety != "calibrated":
+                raise InputError("safety", safety, "calibrated: the others know no calibration")
+            refit.check(lander, measured())
         self.grid = grid
         self.lander = lander
+        self.refit = refit
         self.safety = safety
         self.rocks = rocks or RockExpectation()
         self.pool = SamplePool(grid)
@@ -122,7 +172,7 @@ class GaussianDemMapper(HazardMapper):
         map_of = (seen, dem.variance, self.grid, self.lander)
         if self.safety == "calibrated":
             evidence = evidence_of(dem, self.lander, self.rocks)
-            p, known = calibrated_safety(evidence)
+            p, known = calibrated_safety(evidence, refit=self.refit)
             return HazardMap(
                 self.grid, p, evidence.observed, dem.mean, dem.variance, in_domain=known
             )

@@ -1,0 +1,313 @@
+"""A scenario's own sites: the last stage fitted to them, and how good it is on flights left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.evaluation.reliability import EDGES, reliability
+from lunarsim.models.lander import Lander
+from lunarsim.safety.calibration import (
+    Evidence,
+    bound,
+    ceiling,
+    features,
+    in_domain,
+    judged,
+    measured,
+)
+from lunarsim.safety.domain import Domain
+from lunarsim.safety.refit import ScenarioCalibration
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_SURE = 0.95
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Sites of maps (n,), by column.
+
+    Attributes
+    ----------
+    flight
+        Index of the flight.
+    log_odds
+        By the packaged regression.
+    ceiling, bound, known
+        What p cannot exceed, the bound outside the domain, and whether it lies in the packaged one.
+    hazards, tilting, noise, spacing
+        See `Domain`.
+    safe
+        Exactly.
+    """
+
+    flight: NDArray[np.int64]
+    log_odds: Array
+    ceiling: Array
+    bound: Array
+    known: BoolArray
+    hazards: Array
+    tilting: Array
+    noise: Array
+    spacing: Array
+    safe: BoolArray
+
+    def __len__(self) -> int:
+        """Return the number of sites."""
+        return len(self.safe)
+
+    @classmethod
+    def of(cls, evidence: Evidence, where: BoolArray, safe: BoolArray, flight: int) -> Sites:
+        """Take sites of a map.
+
+        Parameters
+        ----------
+        evidence
+            Of the map.
+        where, safe
+            The sites, observed ones, and whether they are safe (rows, cols).
+        flight
+            Index of the flight.
+        """
+        n = int(where.sum())
+        e = evidence
+        return cls(
+            np.full(n, flight, np.int64),
+            features(e, where) @ np.array(measured().weights),
+            ceiling(e)[where],
+            bound(e)[where],
+            in_domain(e)[where],
+            e.hazards()[where],
+            e.tilting()[where],
+            np.full(n, e.noise_ratio),
+            np.full(n, e.spacing_ratio),
+            safe[where],
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Sites]) -> Sites:
+        """Put sites end to end; at least one part."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+    def at(self, where: BoolArray) -> Sites:
+        """Return the sites of a mask (n,)."""
+        return Sites(*(getattr(self, f.name)[where] for f in fields(self)))
+
+    def domain(self) -> Domain:
+        """Return the domain that the sites cover."""
+        return Domain.of(self.hazards, self.tilting, self.noise, self.spacing)
+
+    def inside(self, domain: Domain) -> BoolArray:
+        """Tell which sites lie in a domain (n,)."""
+        few = domain.few(self.hazards, self.tilting)
+        return np.asarray(few & domain.measured(self.noise, self.spacing))
+
+    def probability(self, refit: ScenarioCalibration | None = None) -> Array:
+        """Return what a map says of the sites (n,): the packaged way, or with a refit."""
+        known = self.known if refit is None else self.inside(refit.domain)
+        return judged(self.log_odds, self.ceiling, self.bound, known, refit)
+
+    def fitted(self, lander: Lander) -> ScenarioCalibration:
+        """Fit the last stage to the sites in their domain.
+
+        Raises
+        ------
+        InputError
+            If all of them are safe, or none is.
+        """
+        domain = self.domain()
+        s = self.at(self.inside(domain))
+        return ScenarioCalibration.fit(s.log_odds, s.safe, domain, lander, measured())
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How well probabilities tell which sites are safe; each with the ends of its 95 % interval.
+
+    Attributes
+    ----------
+    sites
+        Number of them.
+    share
+        Of all sites, those in the domain that is looked at.
+    safe
+        Share safe.
+    ece, skill
+        Expected calibration error, and Brier skill over the base rate.
+    sure
+        Number with p > 0.95.
+    gap
+        Mean p of these less the share safe.
+    """
+
+    sites: int
+    share: Array
+    safe: Array
+    ece: Array
+    skill: Array
+    sure: int
+    gap: Array
+
+    def plain(self) -> dict[str, float | None]:
+        """Return the figures without intervals; None for those that there are not."""
+        found = {"sites": float(self.sites), "sure": float(self.sure)}
+        found |= {n: float(getattr(self, n)[0]) for n in ("share", "safe", "ece", "skill", "gap")}
+        return {name: value if np.isfinite(value) else None for name, value in found.items()}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Packaged probability and refit on the same sites.
+
+    Attributes
+    ----------
+    packaged, refit
+        Figures of either.
+    gain
+        Brier score of the packaged less that of the refit, and the ends of its 95 % interval (3,).
+    """
+
+    packaged: Figures
+    refit: Figures
+    gain: Array
+
+    @property
+    def better(self) -> bool:
+        """Whether the refit is nearer the truth beyond what the flights' chance explains."""
+        return bool(self.gain[1] > 0.0)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A refit judged by flights that it was not fitted to.
+
+    Attributes
+    ----------
+    packaged_domain, refit_domain
+        On the sites in the domain of the packaged regression, and in that of the refit.
+    """
+
+    packaged_domain: Judgement
+    refit_domain: Judgement
+
+
+def judged_by_flights_left_out(
+    sites: Sites, flights: int, lander: Lander, rng: np.random.Generator
+) -> LeftOut:
+    """Judge each flight by a refit to all others.
+
+    Parameters
+    ----------
+    sites
+        Of all flights.
+    flights
+        Their number; those without a site count as well.
+    lander
+        Whose safety it is.
+    rng
+        Draws flights for the intervals.
+
+    Raises
+    ------
+    InputError
+        If without some flight all sites are safe, or none is.
+    """
+    after, inside = np.zeros(len(sites)), np.zeros(len(sites), np.bool_)
+    for flight in np.unique(sites.flight):
+        mine = sites.flight == flight
+        check_both_kinds(sites.safe[~mine], f"without flight {flight}")
+        refit = sites.at(~mine).fitted(lander)
+        kept = sites.at(mine)
+        after[mine], inside[mine] = kept.probability(refit), kept.inside(refit.domain)
+    before = sites.probability()
+    drawn = rng.multinomial(flights, np.full(flights, 1.0 / flights), _RESAMPLES)
+    weights = np.vstack((np.ones(flights), drawn))
+    groups = (
+        _judgement(sites, before, after, where, weights) for where in (sites.known, inside)
+    )
+    return LeftOut(*groups)
+
+
+def check_both_kinds(safe: BoolArray, what: str = "of all flights") -> None:
+    """Raise `InputError` unless some sites (n,) are safe and some are not."""
+    if not 0 < safe.sum() < len(safe):
+        share = float(safe.mean()) if len(safe) else float("nan")
+        raise InputError(
+            "share of safe sites", share,
+            f"both safe and unsafe sites, {what}: take more flights or more sites, or a scenario "
+            "whose ground has both",
+        )  # fmt: skip
+
+
+def _judgement(
+    sites: Sites, before: Array, after: Array, where: BoolArray, weights: Array
+) -> Judgement:
+    """Judge two probabilities (n,) on the sites of a mask (n,); see `_figures`."""
+    flights = weights.shape[1]
+    score = [(p - sites.safe) ** 2 for p in (before, after)]
+    gain = _per_flight(sites.flight[where], (score[0] - score[1])[where], flights)
+    with np.errstate(invalid="ignore"):
+        gains = (weights @ gain) / (weights @ _per_flight(sites.flight[where], None, flights))
+    return Judgement(
+        _figures(sites, before, where, weights), _figures(sites, after, where, weights),
+        _interval(gains),
+    )  # fmt: skip
+
+
+def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figures:
+    """Return the figures of probabilities (n,) on the sites of a mask (n,).
+
+    The first of `weights` (samples, flights) are ones, the others how often each flight was drawn.
+    """
+    flights = weights.shape[1]
+    s, p = sites.at(where), p[where]
+    sure = p > _SURE
+
+    def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
+        at = s.flight if among is None else s.flight[among]
+        given = values if values is None or among is None else values[among]
+        return np.asarray(weights @ _per_flight(at, given, flights))
+
+    bins = np.array(
+        [reliability(p[s.flight == f], s.safe[s.flight == f], EDGES) for f in range(flights)]
+    )
+    table = np.tensordot(weights, bins, axes=1)
+    number, safe = total(None), total(s.safe)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        base = safe / number
+        spread = base * (1.0 - base)
+        skill = 1.0 - total((p - s.safe) ** 2) / number / np.where(spread > 0.0, spread, np.nan)
+        gap = total(p - s.safe, sure) / total(None, sure)
+        share = number / (weights @ _per_flight(sites.flight, None, flights))
+        ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
+    return Figures(
+        len(s), _interval(share), _interval(base), _interval(ece), _interval(skill),
+        int(sure.sum()), _interval(gap),
+    )  # fmt: skip
+
+
+def _per_flight(flight: NDArray[np.int64], values: Array | None, flights: int) -> Array:
+    """Return the sums of values (n,), or the numbers, of each flight (flights,)."""
+    return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
+
+
+def _interval(samples: Array) -> Array:
+    """Return the first sample, and the ends of the 95 % interval of the others (3,)."""
+    rest = samples[1:][np.isfinite(samples[1:])]
+    ends = np.quantile(rest, [0.025, 0.975]) if rest.size else np.full(2, np.nan)
+    return np.array([samples[0], *ends])
+
+
+def with_figures(refit: ScenarioCalibration, left_out: LeftOut) -> ScenarioCalibration:
+    """Return a calibration that holds how good it is by the flights left out."""
+    return replace(
+        refit,
+        before=left_out.packaged_domain.packaged.plain(),
+        after=left_out.refit_domain.refit.plain(),
+    )
