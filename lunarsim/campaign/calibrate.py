@@ -16,7 +16,7 @@ from lunarsim.errors import InputError
 from lunarsim.evaluation.site_calibration import (
     LeftOut,
     Sites,
-    check_both_kinds,
+    check_enough,
     judged_by_flights_left_out,
     with_figures,
 )
@@ -110,7 +110,7 @@ def calibrate(
             "sites", 0, "some: no map that a decision was made on had observed any ground"
         )
     everything = Sites.joined(parts)
-    check_both_kinds(everything.safe)
+    check_enough(everything)
     lander = plain.vehicle.make()
     rng = np.random.default_rng(calibration_seed(seed, _INTERVALS))
     left_out = judged_by_flights_left_out(everything, flights, lander, rng)

@@ -48,7 +48,7 @@ def brier_score(probability: ArrayLike, happened: ArrayLike) -> float:
 
 def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
     """Return the Brier skill over the base rate; NaN where all is alike."""
-    base = float(np.mean(happened))
+    base = float(np.mean(np.asarray(happened, dtype=np.float64)))
     if base in (0.0, 1.0):
         return float("nan")
     return 1.0 - brier_score(probability, happened) / (base * (1.0 - base))

@@ -20,7 +20,7 @@ from lunarsim.safety.calibration import (
     measured,
 )
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.safety.refit import LEAST_SITES, ScenarioCalibration, enough
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -100,8 +100,12 @@ class Sites:
         return Sites(*(getattr(self, f.name)[where] for f in fields(self)))
 
     def domain(self) -> Domain:
-        """Return the domain that the sites cover."""
-        return Domain.of(self.hazards, self.tilting, self.noise, self.spacing)
+        """Return the domain that the sites cover.
+
+        Sites outside the packaged domain count where there are enough to fit a stage to.
+        """
+        s = self if enough(self.safe[~self.known]) else self.at(self.known)
+        return Domain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
     def inside(self, domain: Domain) -> BoolArray:
         """Tell which sites lie in a domain (n,)."""
@@ -110,8 +114,8 @@ class Sites:
 
     def probability(self, refit: ScenarioCalibration | None = None) -> Array:
         """Return what a map says of the sites (n,): the packaged way, or with a refit."""
-        known = self.known if refit is None else self.inside(refit.domain)
-        return judged(self.log_odds, self.ceiling, self.bound, known, refit)
+        covered = self.known if refit is None else self.inside(refit.domain)
+        return judged(self.log_odds, self.ceiling, self.bound, self.known, covered, refit)
 
     def fitted(self, lander: Lander) -> ScenarioCalibration:
         """Fit the last stage to the sites in their domain.
@@ -119,11 +123,12 @@ class Sites:
         Raises
         ------
         InputError
-            If all of them are safe, or none is.
+            If there are not enough safe and unsafe ones.
         """
+        check_enough(self)
         domain = self.domain()
         s = self.at(self.inside(domain))
-        return ScenarioCalibration.fit(s.log_odds, s.safe, domain, lander, measured())
+        return ScenarioCalibration.fit(s.log_odds, s.safe, s.known, domain, lander, measured())
 
 
 @dataclass(frozen=True)
@@ -216,32 +221,29 @@ def judged_by_flights_left_out(
     Raises
     ------
     InputError
-        If without some flight all sites are safe, or none is.
+        If without some flight there are not enough safe and unsafe sites.
     """
     after, inside = np.zeros(len(sites)), np.zeros(len(sites), np.bool_)
     for flight in np.unique(sites.flight):
         mine = sites.flight == flight
-        check_both_kinds(sites.safe[~mine], f"without flight {flight}")
         refit = sites.at(~mine).fitted(lander)
         kept = sites.at(mine)
         after[mine], inside[mine] = kept.probability(refit), kept.inside(refit.domain)
     before = sites.probability()
     drawn = rng.multinomial(flights, np.full(flights, 1.0 / flights), _RESAMPLES)
-    weights = np.vstack((np.ones(flights), drawn))
-    groups = (
-        _judgement(sites, before, after, where, weights) for where in (sites.known, inside)
-    )
+    weights = np.vstack((np.ones(flights), drawn)).astype(np.float64)
+    groups = (_judgement(sites, before, after, where, weights) for where in (sites.known, inside))
     return LeftOut(*groups)
 
 
-def check_both_kinds(safe: BoolArray, what: str = "of all flights") -> None:
-    """Raise `InputError` unless some sites (n,) are safe and some are not."""
-    if not 0 < safe.sum() < len(safe):
-        share = float(safe.mean()) if len(safe) else float("nan")
+def check_enough(sites: Sites) -> None:
+    """Raise `InputError` unless a stage can be fitted in the packaged domain or outside of it."""
+    safe, known = sites.safe, sites.known
+    if not (enough(safe[known]) or enough(safe[~known])):
         raise InputError(
-            "share of safe sites", share,
-            f"both safe and unsafe sites, {what}: take more flights or more sites, or a scenario "
-            "whose ground has both",
+            "safe sites", f"{safe.sum()} of {len(safe)}",
+            f"at least {LEAST_SITES} safe and as many unsafe ones, with any one flight left out: "
+            "take more flights or more sites, or a scenario whose ground has both",
         )  # fmt: skip
 
 
@@ -272,7 +274,8 @@ def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figure
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
         given = values if values is None or among is None else values[among]
-        return np.asarray(weights @ _per_flight(at, given, flights))
+        sums: Array = weights @ _per_flight(at, given, flights)
+        return sums
 
     bins = np.array(
         [reliability(p[s.flight == f], s.safe[s.flight == f], EDGES) for f in range(flights)]
@@ -292,7 +295,7 @@ def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figure
     )  # fmt: skip
 
 
-def _per_flight(flight: NDArray[np.int64], values: Array | None, flights: int) -> Array:
+def _per_flight(flight: NDArray[np.int64], values: Array | BoolArray | None, flights: int) -> Array:
     """Return the sums of values (n,), or the numbers, of each flight (flights,)."""
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 
@@ -306,8 +309,12 @@ def _interval(samples: Array) -> Array:
 
 def with_figures(refit: ScenarioCalibration, left_out: LeftOut) -> ScenarioCalibration:
     """Return a calibration that holds how good it is by the flights left out."""
+    groups = {
+        "packaged_domain": left_out.packaged_domain,
+        "refit_domain": left_out.refit_domain,
+    }
     return replace(
         refit,
-        before=left_out.packaged_domain.packaged.plain(),
-        after=left_out.refit_domain.refit.plain(),
+        before={name: group.packaged.plain() for name, group in groups.items()},
+        after={name: group.refit.plain() for name, group in groups.items()},
     )

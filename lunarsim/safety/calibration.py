@@ -249,14 +249,14 @@ def calibrated_safety(
     model = model or measured()
     if refit is not None:
         refit.check(evidence.lander, model)
-    seen, known = evidence.observed, in_domain(evidence, refit.domain if refit else PACKAGED)
+    seen, known = evidence.observed, in_domain(evidence)
+    covered = known if refit is None else in_domain(evidence, refit.domain)
     p = np.zeros(seen.shape, np.float32)
     if seen.any():
         log_odds = features(evidence, seen) @ np.array(model.weights)
-        p[seen] = judged(
-            log_odds, ceiling(evidence)[seen], bound(evidence)[seen], known[seen], refit
-        )
-    return p, known
+        most, least = ceiling(evidence)[seen], bound(evidence)[seen]
+        p[seen] = judged(log_odds, most, least, known[seen], covered[seen], refit)
+    return p, covered
 
 
 def judged(
@@ -264,11 +264,12 @@ def judged(
     most: Array,
     least: Array,
     known: BoolMap,
+    covered: BoolMap,
     refit: ScenarioCalibration | None = None,
 ) -> Array:
     """Return the probability of sites (n,).
 
-    Outside the domain no stage gives more than any of the others.
+    Where a fit has not seen their like, it is the lowest of all that there is.
 
     Parameters
     ----------
@@ -276,15 +277,16 @@ def judged(
         By the regression (n,).
     most, least
         `ceiling` and `bound` of the sites (n,).
-    known
-        Which of them lie in the domain (n,): of the refit, where there is one.
+    known, covered
+        Which of them lie in the domain of the regression, and in that of the refit (n,); the same
+        without one.
     refit
         As for `calibrated_safety`.
     """
     plain = expit(log_odds)
-    p = plain if refit is None else refit.probability(log_odds)
+    p = plain if refit is None else refit.probability(log_odds, known)
     p = np.minimum(p, most)
-    return np.asarray(np.where(known, p, np.minimum(np.minimum(p, plain), least)))
+    return np.asarray(np.where(covered, p, np.minimum(np.minimum(p, plain), least)))
 
 
 def ceiling(evidence: Evidence) -> Array:

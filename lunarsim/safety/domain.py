@@ -62,7 +62,7 @@ class Domain:
         hazards, tilting, noise, spacing
             As of the attributes, of each site; at least one site.
         """
-        h, t = (float(np.quantile(v, _QUANTILE)) for v in (hazards, tilting))
+        h, t = (float(np.quantile(np.asarray(v), _QUANTILE)) for v in (hazards, tilting))
         ranges = [(float(np.min(v)) / _WIDER, float(np.max(v)) * _WIDER) for v in (noise, spacing)]
         return cls(max(h, _LEAST_HAZARDS), max(t, _LEAST_TILTING), *ranges)
 

@@ -1,8 +1,9 @@
 """The last stage of the Gaussian DEM's calibration, fitted to one scenario's own flights.
 
 The packaged regression was fitted to a matrix of worlds. Where a scenario's own differ from these,
-two numbers more bring its probabilities to how often sites are safe there: the log odds are
-stretched and shifted. The stretch is never negative, so that worse ground is never called safer.
+its log odds are stretched and shifted to how often sites are safe there: once for sites in the
+regression's domain, and once for those outside of it, where it was never fitted. A stretch is never
+negative, and outside the lower of both holds, so that worse ground is never called safer.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from lunarsim.errors import InputError
@@ -24,7 +25,8 @@ from lunarsim.safety.domain import Domain
 from lunarsim.safety.logistic import Logistic
 
 Array = NDArray[np.float64]
-Figures = Mapping[str, float | None]
+BoolArray = NDArray[np.bool_]
+Figures = Mapping[str, Mapping[str, float | None]]
 
 # What the safety of a site depends on.
 _LANDER = ("legs", "leg_radius", "pad_diameter", "slope_limit", "roughness_limit")
@@ -33,27 +35,18 @@ _COMMAND = "`lunarsim calibrate` writes such files"
 _ADVICE = "fit it anew with `lunarsim calibrate`, or leave the calibration out"
 
 
+# So many sites of either kind, at least, make a stage.
+LEAST_SITES = 20
+
+
 @dataclass(frozen=True)
-class ScenarioCalibration:
-    """The last stage ``p = expit(intercept + slope * log_odds)``, and what it was fitted to.
+class Stage:
+    """``p = expit(intercept + slope * log_odds)``.
 
     Attributes
     ----------
     intercept, slope
-        Of the log odds that the packaged regression gives; `slope` is at least 0.
-    domain
-        Of the sites of the fit.
-    lander
-        Figures of the lander that sites were judged for, by key and unit of `[vehicle]`.
-    regression
-        `Logistic.digest` of the regression before it.
-    scenario, mapper
-        Names.
-    flights, sites, seed
-        Numbers of flights and sites of the fit, and root seed.
-    before, after
-        How good the packaged probability and this one are on the scenario's sites: each flight
-        judged by a fit to the others. None: there is no such figure.
+        Of the log odds that the packaged regression gives; left out, they stay as they are.
 
     Raises
     ------
@@ -61,18 +54,8 @@ class ScenarioCalibration:
         If a number is not finite, or `slope` negative.
     """
 
-    intercept: float
-    slope: float
-    domain: Domain
-    lander: Mapping[str, float]
-    regression: str
-    scenario: str = ""
-    mapper: str = ""
-    flights: int = 0
-    sites: int = 0
-    seed: int = 0
-    before: Figures = field(default_factory=dict)
-    after: Figures = field(default_factory=dict)
+    intercept: float = 0.0
+    slope: float = 1.0
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.intercept):
@@ -84,15 +67,73 @@ class ScenarioCalibration:
             )  # fmt: skip
 
     @classmethod
+    def fit(cls, log_odds: Array, safe: BoolArray) -> Stage:
+        """Fit to sites (n,) by maximum likelihood; some are safe and some are not."""
+        x = np.column_stack((np.ones_like(log_odds), log_odds))
+        return cls(*Logistic.fit(x, safe, rising=1).weights)
+
+    def probability(self, log_odds: Array) -> Array:
+        """Return the probability of sites (n,)."""
+        return np.asarray(expit(self.intercept + self.slope * log_odds))
+
+
+@dataclass(frozen=True)
+class ScenarioCalibration:
+    """The last stage of the calibration, and what it was fitted to.
+
+    Attributes
+    ----------
+    inside, outside
+        Stage for sites in the domain of the packaged regression, and for others; for these the
+        lower of both holds.
+    domain
+        Of the sites of the fit.
+    lander
+        Figures of the lander that sites were judged for, by key and unit of `[vehicle]`.
+    regression
+        `Logistic.digest` of the regression before it.
+    scenario, mapper
+        Names.
+    flights, sites, seed
+        Numbers of flights and sites of the fit, and root seed.
+    before, after
+        How good the packaged probability and this one are on the scenario's sites in either domain:
+        each flight judged by a fit to the others. None: there is no such figure.
+    """
+
+    inside: Stage
+    outside: Stage
+    domain: Domain
+    lander: Mapping[str, float]
+    regression: str
+    scenario: str = ""
+    mapper: str = ""
+    flights: int = 0
+    sites: int = 0
+    seed: int = 0
+    before: Figures = field(default_factory=dict)
+    after: Figures = field(default_factory=dict)
+
+    @classmethod
     def fit(
-        cls, log_odds: ArrayLike, safe: ArrayLike, domain: Domain, lander: Lander, model: Logistic
+        cls,
+        log_odds: Array,
+        safe: BoolArray,
+        known: BoolArray,
+        domain: Domain,
+        lander: Lander,
+        model: Logistic,
     ) -> ScenarioCalibration:
         """Fit the last stage by maximum likelihood.
 
+        Where too few sites of either kind lie in the regression's domain, its probabilities stay as
+        they are there; where too few lie outside, the same stage serves for both.
+
         Parameters
         ----------
-        log_odds, safe
-            By the regression, and exactly, of sites in the domain (n,).
+        log_odds, safe, known
+            By the regression, whether safe exactly, and whether in the regression's domain, of
+            sites in `domain` (n,).
         domain
             Where they lie.
         lander, model
@@ -101,16 +142,29 @@ class ScenarioCalibration:
         Raises
         ------
         InputError
-            If all sites are safe, or none is.
+            If there are too few on either side.
         """
-        z = np.asarray(log_odds, dtype=np.float64)
-        stage = Logistic.fit(np.column_stack((np.ones_like(z), z)), safe, rising=1)
-        a, b = stage.weights
-        return cls(a, b, domain, lander_figures(lander), model.digest)
+        fits = [
+            Stage.fit(log_odds[of], safe[of]) if enough(safe[of]) else None
+            for of in (known, ~known)
+        ]
+        if fits == [None, None]:
+            raise InputError("sites", len(safe), f"{LEAST_SITES} safe and {LEAST_SITES} unsafe")
+        inside = fits[0] or Stage()
+        return cls(inside, fits[1] or inside, domain, lander_figures(lander), model.digest)
 
-    def probability(self, log_odds: ArrayLike) -> Array:
-        """Return the probability (n,) of sites with these log odds by the regression (n,)."""
-        return np.asarray(expit(self.intercept + self.slope * np.asarray(log_odds)))
+    def probability(self, log_odds: Array, known: BoolArray) -> Array:
+        """Return the probability of sites (n,).
+
+        Parameters
+        ----------
+        log_odds
+            By the regression (n,).
+        known
+            Which lie in the domain of the regression (n,).
+        """
+        p = self.inside.probability(log_odds)
+        return np.where(known, p, np.minimum(p, self.outside.probability(log_odds)))
 
     def check(self, lander: Lander, model: Logistic) -> None:
         """Refuse another lander, and another regression.
@@ -186,8 +240,8 @@ class ScenarioCalibration:
         texts = {key: _entry(data, key, str) for key in ("regression", "scenario", "mapper")}
         counts = {key: _entry(data, key, int) for key in ("flights", "sites", "seed")}
         return cls(
-            intercept=_number(data, "intercept"),
-            slope=_number(data, "slope"),
+            inside=_stage(data, "inside"),
+            outside=_stage(data, "outside"),
             domain=Domain(
                 _number(domain, "hazards"), _number(domain, "tilting"),
                 _range(domain, "noise"), _range(domain, "spacing"),
@@ -198,6 +252,11 @@ class ScenarioCalibration:
             **texts,
             **counts,
         )  # fmt: skip
+
+
+def enough(safe: BoolArray) -> bool:
+    """Tell whether there are enough sites (n,) of both kinds to fit a stage to."""
+    return bool(min(safe.sum(), (~safe).sum()) >= LEAST_SITES)
 
 
 def lander_figures(lander: Lander) -> dict[str, float]:
@@ -238,6 +297,11 @@ def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
     return float(value)
 
 
+def _stage(data: dict[str, Any], key: str) -> Stage:
+    table = _table(data, key)
+    return Stage(_number(table, "intercept"), _number(table, "slope"))
+
+
 def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
     value = data.get(key)
     if not isinstance(value, list) or len(value) != 2:
@@ -246,5 +310,9 @@ def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
 
 
 def _figures(data: dict[str, Any], key: str) -> Figures:
-    table = _table(data, key)
-    return {k: None if v is None else _number(table, k) for k, v in table.items()}
+    groups = _table(data, key)
+    return {
+        name: {k: None if v is None else _number(table, k) for k, v in table.items()}
+        for name in groups
+        for table in [_table(groups, name)]
+    }
