@@ -21,7 +21,7 @@ def run(*args: str):
 
 @pytest.mark.parametrize(
     "command",
-    [(), ("fly",), ("compare",), ("render",)],
+    [(), ("fly",), ("compare",), ("calibrate",), ("render",)],
     ids=str,
 )
 def test_help(command):

@@ -57,6 +57,7 @@ def _ranged(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
 
 def verdicts(found: Calibrated) -> Iterator[str]:
     """Yield in words whether the refit is better, and what it is."""
+    left = found.left_out.refit_domain
     for name, judgement in _groups(found):
         gain = judgement.gain
         if not np.isfinite(gain).all():
@@ -66,6 +67,11 @@ def verdicts(found: Calibrated) -> Iterator[str]:
         yield (
             f"In the {name} domain the refit is {word} than the packaged probability, by flights "
             f"left out: Brier score lower by {_ranged(gain, '{:+.4f}')}."
+        )
+    if left.refit.skill[0] <= 0.0:
+        yield (
+            "Its probabilities tell less of flights left out than the share of safe sites alone "
+            "does: take more flights."
         )
     if not any(judgement.better for _, judgement in _groups(found)):
         yield "Nothing is gained by this file: the packaged calibration alone does as well."

@@ -9,6 +9,7 @@ negative, and outside the lower of both holds, so that worse ground is never cal
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -292,7 +293,7 @@ def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
             raise InputError("calibration", key, f"an entry of that name; {_COMMAND}")
         value = data[key]
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and abs(value) <= np.finfo(np.float64).max):  # NaN is not
+    if not (number and abs(value) <= sys.float_info.max):  # NaN is not
         raise InputError(f"calibration.{key}", value, "a finite number")
     return float(value)
 

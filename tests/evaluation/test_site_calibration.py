@@ -1,0 +1,110 @@
+"""A refit judged by flights left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from lunarsim.errors import InputError
+from lunarsim.evaluation.reliability import brier_score, brier_skill, calibration_error, reliability
+from lunarsim.evaluation.site_calibration import Sites, judged_by_flights_left_out
+from lunarsim.models.lander import Lander
+
+LANDER = Lander()
+
+
+def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, seed: int = 1):
+    rng = np.random.default_rng([seed, flight])
+    z = rng.normal(0.0, 3.0, n)
+    inside = rng.random(n) < known
+    return Sites(
+        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n), bound=np.full(n, 0.1),
+        known=inside, hazards=np.where(inside, 0.01, 0.2), tilting=np.full(n, 0.1),
+        noise=np.full(n, 0.05), spacing=np.full(n, 0.2), safe=rng.random(n) < expit(z + shift),
+    )  # fmt: skip
+
+
+def judged(*flights: Sites, count: int | None = None):
+    rng = np.random.default_rng(7)
+    return judged_by_flights_left_out(
+        Sites.joined(list(flights)), count or len(flights), LANDER, rng
+    )
+
+
+def test_figures_are_those_of_plain_counting():
+    parts = [sites(i) for i in range(3)]
+    every = Sites.joined(parts)
+    found = judged(*parts)
+    k = every.known
+    p, safe = every.probability()[k], every.safe[k]
+    f = found.packaged_domain.packaged
+    assert (f.sites, f.sure) == (k.sum(), (p > 0.95).sum())
+    assert f.share[0] == pytest.approx(k.mean())
+    assert f.safe[0] == pytest.approx(safe.mean())
+    assert f.ece[0] == pytest.approx(calibration_error(reliability(p, safe)))
+    assert f.skill[0] == pytest.approx(brier_skill(p, safe))
+    sure = p > 0.95
+    assert f.gap[0] == pytest.approx(p[sure].mean() - safe[sure].mean())
+    for figure in (f.share, f.safe, f.skill, f.gap):
+        assert figure[1] <= figure[0] <= figure[2]
+        assert figure[1] < figure[2]
+    # The refit of each flight by hand.
+    after = np.concatenate(
+        [
+            parts[i].probability(Sites.joined(parts[:i] + parts[i + 1 :]).fitted(LANDER))
+            for i in range(3)
+        ]
+    )
+    group = found.packaged_domain
+    assert group.refit.skill[0] == pytest.approx(brier_skill(after[k], safe))
+    gain = brier_score(p, safe) - brier_score(after[k], safe)
+    assert group.gain[0] == pytest.approx(gain)
+    assert found.refit_domain.refit.sites == len(every)
+    assert found.refit_domain.better
+
+
+def test_no_flight_is_judged_by_a_fit_to_itself():
+    # Two flights that say the opposite: each refit is wrong about the other.
+    found = judged(sites(0, shift=4.0), sites(1, shift=-4.0))
+    assert found.packaged_domain.refit.ece[0] > 0.4
+    assert found.packaged_domain.gain[0] < 0.0
+    assert not found.packaged_domain.better
+
+
+def test_a_packaged_probability_that_is_right_is_not_bettered():
+    found = judged(*(sites(i) for i in range(6)))
+    assert not found.packaged_domain.better
+    shifted = judged(*(sites(i, shift=1.5) for i in range(6)))
+    assert shifted.packaged_domain.better
+    assert shifted.packaged_domain.refit.ece[0] < 0.5 * shifted.packaged_domain.packaged.ece[0]
+
+
+def test_flights_alike_leave_no_interval():
+    one = sites(0)
+    same = Sites(**{**vars(one), "flight": np.full(len(one), 1)})
+    f = judged(one, same).packaged_domain.packaged
+    assert f.skill[1] == pytest.approx(f.skill[2])
+    # A flight that saw nothing counts as a flight.
+    f = judged(one, sites(2), count=4).packaged_domain.packaged
+    assert np.isfinite(f.skill).all()
+
+
+def test_without_both_kinds_of_sites_there_is_no_fit():
+    safe = sites(0, shift=60.0)
+    with pytest.raises(InputError, match="20 safe and as many unsafe"):
+        safe.fitted(LANDER)
+    # One flight holds all that is unsafe.
+    with pytest.raises(InputError, match="one flight left out"):
+        judged(safe, sites(1, shift=60.0), sites(2))
+
+
+def test_ground_that_no_flight_was_fitted_to_is_left_out_of_the_domain():
+    near = [sites(i, known=1.0) for i in range(2)]
+    far = sites(2, n=30, known=0.0)
+    refit = Sites.joined([*near, far]).fitted(LANDER)
+    assert not far.inside(refit.domain).any()
+    assert near[0].inside(refit.domain).all()
+    assert (far.probability(refit) <= 0.1).all()
+    many = Sites.joined([*near, sites(2, known=0.0)]).fitted(LANDER)
+    assert far.inside(many.domain).all()

@@ -1,0 +1,267 @@
+"""The last stage of a scenario: sound whatever it is, and refused where it does not belong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import expit
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.safety.calibration import (
+    bound,
+    calibrated_safety,
+    ceiling,
+    features,
+    in_domain,
+    measured,
+)
+from lunarsim.safety.domain import Domain
+from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
+from tests.map_evidence import LANDER, evidence, rocky
+
+WIDE = Domain(0.5, 1e6, (0.0, 1.0), (0.0, 1.0))
+
+
+def refit(inside=(0.3, 0.8), outside=(-0.5, 0.6), domain=WIDE, **more) -> ScenarioCalibration:
+    figures = {"inside": Stage(*inside), "outside": Stage(*outside), "domain": domain}
+    figures |= {"lander": lander_figures(LANDER), "regression": measured().digest}
+    return ScenarioCalibration(**figures | more)
+
+
+stages = st.tuples(st.floats(-4.0, 4.0), st.floats(0.0, 3.0))
+domains = st.builds(
+    lambda h, t, n, s: Domain(h, t, (0.0, n), (0.0, s)),
+    st.floats(1e-3, 1.0), st.floats(1e-2, 1e3), st.floats(0.02, 1.0), st.floats(0.02, 1.0),
+)  # fmt: skip
+
+
+@given(
+    stages,
+    stages,
+    domains,
+    st.floats(0.0, 1.6),
+    st.floats(0.0, 1.6),
+    st.floats(0.02, 30.0),
+    st.floats(2.0, 200.0),
+    st.floats(0.0, 0.5),
+)
+def test_worse_ground_is_never_called_safer(
+    inside, outside, domain, slope, rough, times, density, worse
+):
+    """Whatever a fit finds, in either domain, outside, and across their edges."""
+    one = refit(inside, outside, domain)
+    here = {"slope": slope, "rough": rough, "density": density, "curve": rocky(times)}
+    p, _ = calibrated_safety(evidence(**here), refit=one)
+    most = p.max() + 1e-5
+    for change in (
+        {"slope": slope + worse},
+        {"rough": rough + worse},
+        {"curve": rocky(times * (1.0 + 3.0 * worse))},
+        {"curve": rocky(times * (1.0 + 100.0 * worse))},
+        {"level": 1.0 - 5.0 * worse},
+        {"planes": 2.0 - 5.0 * worse},
+    ):
+        q, _ = calibrated_safety(evidence(**here | change), refit=one)
+        assert (q <= most).all(), change
+
+
+def test_each_side_of_the_packaged_domain_has_its_stage():
+    near, far = evidence(slope=0.2), evidence(slope=0.2, density=3.0)
+    assert in_domain(near).all()
+    assert not in_domain(far).any()
+    for e, stages_of in ((near, ((0.3, 0.8),)), (far, ((0.3, 0.8), (-0.5, 0.6)))):
+        z = (features(e, e.observed) @ np.array(measured().weights)).reshape(e.level.grid.shape)
+        p, known = calibrated_safety(e, refit=refit())
+        assert known.all()
+        expected = np.min([expit(a + b * z) for a, b in stages_of], axis=0)
+        assert (expected < ceiling(e)).all()
+        assert p == pytest.approx(expected, rel=1e-5)
+    # The lower of both outside, whichever that is.
+    p, _ = calibrated_safety(far, refit=refit(outside=(3.0, 1.0)))
+    assert p == pytest.approx(expit(0.3 + 0.8 * z), rel=1e-5)
+
+
+def test_outside_the_domain_of_the_fit_it_is_a_bound():
+    e = evidence(slope=0.1, rough=0.1, level=3.0, planes=6.0, density=3.0)
+    plain, _ = calibrated_safety(e)
+    for narrow in (
+        replace(WIDE, hazards=1e-3), replace(WIDE, tilting=1e-9), replace(WIDE, noise=(0.5, 1.0)),
+        replace(WIDE, noise=(0.0, 0.01)), replace(WIDE, spacing=(0.5, 1.0)),
+        replace(WIDE, spacing=(0.0, 0.01)),
+    ):  # fmt: skip
+        p, known = calibrated_safety(e, refit=refit((3.0, 1.0), (3.0, 1.0), narrow))
+        assert not known.any(), narrow
+        assert (p <= bound(e) + 1e-6).all()
+        assert (p <= plain + 1e-6).all()
+        # Never above what it says where it knows.
+        low, _ = calibrated_safety(e, refit=refit((-40.0, 1.0), (3.0, 1.0), narrow))
+        assert (low < 0.01).all()
+
+
+def test_the_ceiling_holds_after_it():
+    p, _ = calibrated_safety(evidence(planes=-3.0), refit=refit((9.0, 0.1), (9.0, 0.1)))
+    assert (p <= 4.0 * 0.00136).all()
+    assert (p > 0.0).all()
+
+
+def sites(n=4000, inside=(0.5, 0.7), outside=(-0.6, 0.4), seed=1):
+    rng = np.random.default_rng(seed)
+    z, known = rng.normal(0.0, 3.0, n), rng.random(n) < 0.5
+    p = np.where(known, expit(inside[0] + inside[1] * z), expit(outside[0] + outside[1] * z))
+    return z, rng.random(n) < p, known
+
+
+def test_a_fit_finds_both_stages():
+    z, safe, known = sites()
+    found = ScenarioCalibration.fit(z, safe, known, WIDE, LANDER, measured())
+    assert (found.inside.intercept, found.inside.slope) == pytest.approx((0.5, 0.7), abs=0.12)
+    assert (found.outside.intercept, found.outside.slope) == pytest.approx((-0.6, 0.4), abs=0.12)
+    # Sites on the wrong side of the odds do not turn the stage round.
+    found = ScenarioCalibration.fit(-z, safe, known, WIDE, LANDER, measured())
+    assert found.inside.slope == found.outside.slope == 0.0
+
+
+def test_a_side_with_too_few_sites_is_left_as_it_is():
+    z, safe, known = sites()
+    few = known & (np.cumsum(known & ~safe) <= 15)
+    found = ScenarioCalibration.fit(
+        z[few | ~known], safe[few | ~known], known[few | ~known], WIDE, LANDER, measured()
+    )
+    assert found.inside == Stage(0.0, 1.0)
+    assert found.outside != found.inside
+    only = ScenarioCalibration.fit(z[known], safe[known], known[known], WIDE, LANDER, measured())
+    assert only.outside == only.inside != Stage(0.0, 1.0)
+    with pytest.raises(InputError, match="20 safe"):
+        ScenarioCalibration.fit(z[safe], safe[safe], known[safe], WIDE, LANDER, measured())
+
+
+def test_the_domain_is_that_of_nearly_all_sites():
+    hazards, tilting = np.linspace(0.0, 1.0, 1001), np.linspace(0.0, 100.0, 1001)
+    domain = Domain.of(hazards, tilting, [0.05, 0.1], [0.2, 0.3])
+    assert (domain.hazards, domain.tilting) == pytest.approx((0.99, 99.0))
+    assert domain.noise == pytest.approx((0.04, 0.125))
+    assert domain.spacing == pytest.approx((0.16, 0.375))
+    assert list(domain.few([0.98, 1.0, 0.0, np.nan], [0.0, 0.0, 99.5, 0.0])) == [True] + 3 * [False]
+    for name, value in (("hazards", np.nan), ("tilting", -1.0), ("noise", (0.2, 0.1)),
+                        ("spacing", (0.0, np.inf))):  # fmt: skip
+        with pytest.raises(InputError, match=rf"domain\.{name}"):
+            replace(domain, **{name: value})
+
+
+# --- whom it belongs to -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "right"),
+    [
+        ({"legs": 3}, "legs", "4"),
+        ({"leg_radius": 2.0}, "leg_radius_m", "2.35"),
+        ({"pad_diameter": 0.4}, "pad_diameter_m", "0.3"),
+        ({"slope_limit": np.deg2rad(12.0)}, "slope_limit_deg", "10"),
+        ({"roughness_limit": 0.3}, "roughness_limit_m", "0.25"),
+    ],
+)
+def test_another_lander_is_refused(change, key, right):
+    e = evidence()
+    other = replace(e, lander=replace(LANDER, **change))
+    with pytest.raises(InputError, match=rf"vehicle\.{key} = .*: {right}, for which"):
+        calibrated_safety(other, refit=refit())
+    # What safety does not depend on may differ.
+    calibrated_safety(replace(e, lander=replace(LANDER, dry_mass=900.0)), refit=refit())
+
+
+def test_another_regression_is_refused():
+    weights = measured().weights
+    other = Logistic((*weights[:-1], weights[-1] + 1e-9))
+    assert other.digest != measured().digest
+    with pytest.raises(InputError, match=r"calibration\.regression"):
+        calibrated_safety(evidence(), other, refit())
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def test_what_is_saved_is_loaded(tmp_path):
+    figures = {"packaged_domain": {"ece": 0.1, "skill": None}}
+    one = refit(
+        scenario="mine", mapper="dem", flights=12, sites=7200, seed=3, before=figures, after=figures
+    )
+    one.save(tmp_path / "c.json")
+    assert ScenarioCalibration.load(tmp_path / "c.json") == one
+    assert [p.name for p in tmp_path.iterdir()] == ["c.json"]
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "c.json"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="JSON"):
+        refit(before={"x": {"ece": np.nan}}).save(path)
+    assert path.read_text() == "old"
+    (tmp_path / "d.json").mkdir()
+    with pytest.raises(OSError, match=r"d\.json"):
+        refit().save(tmp_path / "d.json")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "d.json"]
+
+
+GONE = object()
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "says"),
+    [
+        (("inside", "slope"), -0.1, r"calibration\.slope.*at least 0"),
+        (("outside", "slope"), float("nan"), r"calibration\.slope.*finite"),
+        (("inside", "intercept"), "1", r"calibration\.intercept.*finite"),
+        (("inside", "intercept"), 10**400, r"calibration\.intercept.*finite"),
+        (("inside", "intercept"), True, r"calibration\.intercept.*finite"),
+        (("outside",), GONE, "outside"),
+        (("outside",), [1.0], r"calibration\.outside.*table"),
+        (("domain", "hazards"), GONE, "hazards"),
+        (("domain", "hazards"), -1.0, r"domain\.hazards"),
+        (("domain", "noise"), [0.1], r"calibration\.noise"),
+        (("domain", "spacing"), [0.1, float("inf")], r"calibration\.spacing"),
+        (("lander", "leg_radius_m"), GONE, "leg_radius_m"),
+        (("regression",), 5, r"calibration\.regression.*text"),
+        (("flights",), 1.5, r"calibration\.flights.*whole"),
+        (("before",), {"x": 1.0}, r"calibration\.x.*table"),
+        (("format",), "other", "format"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, keys, value, says):
+    path = tmp_path / "c.json"
+    refit().save(path)
+    data = json.loads(path.read_text())
+    at = data
+    for key in keys[:-1]:
+        at = at[key]
+    if value is GONE:
+        del at[keys[-1]]
+    else:
+        at[keys[-1]] = value
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=says):
+        ScenarioCalibration.load(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"weights": [1.0]}', b"\xff\xfe"])
+def test_no_such_file(tmp_path, text):
+    with pytest.raises(InputError, match=r"none\.json.*lunarsim calibrate"):
+        ScenarioCalibration.load(tmp_path / "none.json")
+    path = tmp_path / "c.json"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=r"c\.json.*lunarsim calibrate"):
+        ScenarioCalibration.load(path)
+
+
+def test_figures_are_those_of_the_scenario_file():
+    assert lander_figures(Lander()) == {
+        "legs": 4, "leg_radius_m": 2.35, "pad_diameter_m": 0.3, "slope_limit_deg": 10.0,
+        "roughness_limit_m": 0.25,
+    }  # fmt: skip
