@@ -101,7 +101,7 @@ def test_without_both_kinds_of_sites_there_is_no_fit():
 
 def test_ground_that_no_flight_was_fitted_to_is_left_out_of_the_domain():
     near = [sites(i, known=1.0) for i in range(2)]
-    far = sites(2, n=30, known=0.0)
+    far = sites(2, n=400, shift=60.0, known=0.0)  # all safe: nothing to fit to
     refit = Sites.joined([*near, far]).fitted(LANDER)
     assert not far.inside(refit.domain).any()
     assert near[0].inside(refit.domain).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -198,11 +199,19 @@ def test_what_is_saved_is_loaded(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["c.json"]
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+def interrupted(*_):
+    raise KeyboardInterrupt
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     path = tmp_path / "c.json"
     path.write_text("old")
     with pytest.raises(ValueError, match="JSON"):
         refit(before={"x": {"ece": np.nan}}).save(path)
+    assert path.read_text() == "old"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "replace", interrupted)
+        refit().save(path)
     assert path.read_text() == "old"
     (tmp_path / "d.json").mkdir()
     with pytest.raises(OSError, match=r"d\.json"):
