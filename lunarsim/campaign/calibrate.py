@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.campaign.pool import outcomes
 from lunarsim.errors import InputError
@@ -17,6 +16,7 @@ from lunarsim.evaluation.site_calibration import (
     LeftOut,
     Sites,
     check_enough,
+    drawn_sites,
     judged_by_flights_left_out,
     with_figures,
 )
@@ -166,23 +166,8 @@ def _fly(task: _Task) -> list[Sites]:
             drawn = mapper.hazard_map()
             if drawn is not last:
                 last = drawn
-                found.append(_drawn_sites(simulation, mapper, error, task, rng))
+                evidence = evidence_of(mapper.dem(), mapper.lander, mapper.rocks)
+                truth = simulation.truth
+                found.append(drawn_sites(evidence, truth, error, task.sites, task.flight, rng))
         simulation.step()
     return found
-
-
-def _drawn_sites(
-    simulation: Simulation,
-    mapper: GaussianDemMapper,
-    error: NDArray[np.float64],
-    task: _Task,
-    rng: np.random.Generator,
-) -> Sites:
-    """Draw sites of a map as it stands; `error` is map less true coordinates (3,), m."""
-    evidence = evidence_of(mapper.dem(), mapper.lander, mapper.rocks)
-    truth = simulation.truth
-    xy = mapper.grid.centres() - error[:2]
-    sites = np.flatnonzero(evidence.observed & truth.known_at(xy))
-    where = np.zeros(mapper.grid.shape, np.bool_)
-    where.ravel()[rng.choice(sites, min(task.sites, len(sites)), replace=False)] = True
-    return Sites.of(evidence, where, truth.safe_at(xy), task.flight)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import EDGES, reliability
@@ -21,6 +21,7 @@ from lunarsim.safety.calibration import (
 )
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.refit import LEAST_SITES, ScenarioCalibration, enough
+from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -129,6 +130,35 @@ class Sites:
         domain = self.domain()
         s = self.at(self.inside(domain))
         return ScenarioCalibration.fit(s.log_odds, s.safe, s.known, domain, lander, measured())
+
+
+def drawn_sites(
+    evidence: Evidence,
+    truth: Truth,
+    error: ArrayLike,
+    count: int,
+    flight: int,
+    rng: np.random.Generator,
+) -> Sites:
+    """Draw sites of a map at random, where it has observed and the truth has a verdict.
+
+    Parameters
+    ----------
+    evidence, truth
+        Of the map, and what judges it.
+    error
+        Map less true coordinates (3,), m.
+    count
+        Of sites; fewer where there are no more.
+    flight, rng
+        Index of the flight, and what draws.
+    """
+    grid = evidence.level.grid
+    xy = grid.centres() - np.asarray(error)[:2]
+    sites = np.flatnonzero(evidence.observed & truth.known_at(xy))
+    where = np.zeros(grid.shape, np.bool_)
+    where.ravel()[rng.choice(sites, min(count, len(sites)), replace=False)] = True
+    return Sites.of(evidence, where, truth.safe_at(xy), flight)
 
 
 @dataclass(frozen=True)
@@ -290,7 +320,7 @@ def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figure
         share = number / (weights @ _per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
     return Figures(
-        len(s), _interval(share), _interval(base), _interval(ece), _interval(skill),
+        len(s), _interval(share), _interval(base), _unbiased(ece), _interval(skill),
         int(sure.sum()), _interval(gap),
     )  # fmt: skip
 
@@ -305,6 +335,17 @@ def _interval(samples: Array) -> Array:
     rest = samples[1:][np.isfinite(samples[1:])]
     ends = np.quantile(rest, [0.025, 0.975]) if rest.size else np.full(2, np.nan)
     return np.array([samples[0], *ends])
+
+
+def _unbiased(samples: Array) -> Array:
+    """Return the same for what is never negative and grows by chance alone, as the ECE does.
+
+    Drawing flights anew adds chance: by the mean of what it adds the interval is moved back.
+    """
+    value, low, high = _interval(samples)
+    rest = samples[1:][np.isfinite(samples[1:])]
+    added = float(rest.mean() - value) if rest.size else 0.0
+    return np.array([value, max(low - added, 0.0), max(high - added, 0.0)])
 
 
 def with_figures(refit: ScenarioCalibration, left_out: LeftOut) -> ScenarioCalibration:

@@ -8,10 +8,38 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import brier_score, brier_skill, calibration_error, reliability
-from lunarsim.evaluation.site_calibration import Sites, judged_by_flights_left_out
+from lunarsim.evaluation.site_calibration import Sites, drawn_sites, judged_by_flights_left_out
+from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.safety import SafetyMap
+from lunarsim.world.truth import Truth
+from tests.map_evidence import evidence
 
 LANDER = Lander()
+
+
+def test_sites_are_judged_where_they_truly_are():
+    grid = Grid(-2.0, -2.0, 0.5, 17, 17)
+    xy = grid.centres()
+    safe, known = xy[..., 0] < 1.9, xy[..., 1] < 2.9
+    none = np.zeros(grid.shape, np.float32)
+    truth = Truth(SafetyMap(grid, none, none, safe, known), none, LANDER)
+    seen = np.ones((9, 9), bool)
+    seen[0] = False
+    e = evidence(seen=seen, slope=np.linspace(0.1, 0.9, 81).reshape(9, 9))
+    # A cell of the map at (x, y) truly lies at (x - 1, y + 1).
+    found = drawn_sites(e, truth, (1.0, -1.0, 9.0), 1000, 5, np.random.default_rng(1))
+    x, y = np.moveaxis(e.level.grid.centres(), -1, 0)
+    taken = seen & (y + 1.0 < 2.9)
+    assert taken.sum() == len(found) > 20
+    assert np.array_equal(found.safe, (x - 1.0 < 1.9)[taken])
+    assert 0 < found.safe.sum() < len(found)
+    assert np.array_equal(found.tilting, e.tilting()[taken])
+    assert (found.flight == 5).all()
+    some = [drawn_sites(e, truth, np.zeros(3), 20, 0, np.random.default_rng(i)) for i in (1, 1, 2)]
+    assert [len(s) for s in some] == [20, 20, 20]
+    assert np.array_equal(some[0].tilting, some[1].tilting)
+    assert not np.array_equal(some[0].tilting, some[2].tilting)
 
 
 def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, seed: int = 1):
@@ -46,7 +74,7 @@ def test_figures_are_those_of_plain_counting():
     assert f.skill[0] == pytest.approx(brier_skill(p, safe))
     sure = p > 0.95
     assert f.gap[0] == pytest.approx(p[sure].mean() - safe[sure].mean())
-    for figure in (f.share, f.safe, f.skill, f.gap):
+    for figure in (f.share, f.safe, f.ece, f.skill, f.gap):
         assert figure[1] <= figure[0] <= figure[2]
         assert figure[1] < figure[2]
     # The refit of each flight by hand.
