@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +23,7 @@ from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
+from lunarsim.safety.bends import Term, columns, score
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.exact import SafetyMap
@@ -159,13 +159,6 @@ class Evidence:
         return np.asarray(area * ndimage.uniform_filter(each, width, mode="nearest"))
 
 
-def _steps(values: Array, knots: Array) -> Array:
-    """Return how much of each interval between knots values (n,) have passed (n, k)."""
-    return np.column_stack(
-        [np.clip((values - low) / (high - low), 0.0, 1.0) for low, high in pairwise(knots)]
-    )
-
-
 def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     """Return what the probability is computed from, at sites (n, `COUNT`).
 
@@ -180,22 +173,29 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     where
         The sites (rows, cols).
     """
-    e = evidence
-    columns = []
+    terms = _terms(evidence, where)
+    n = int(np.count_nonzero(where))
+    return np.column_stack((np.tile(_free(evidence), (n, 1)), columns(terms, n)))
+
+
+def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
+    """Return what speaks for and against sites (rows, cols)."""
+    terms = []
     for p in (e.level.p_slope, e.level.p_roughness, e.planes.p_slope, e.planes.p_roughness):
         probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
-        columns.append(_steps(probit, _PROBITS))
-    for share in (e.slope, e.roughness):
-        columns.append(1.0 - _steps(share[where], _SHARES))
+        terms.append(Term(probit, _PROBITS, falls=False))
+    terms += [Term(share[where], _SHARES) for share in (e.slope, e.roughness)]
     for rocks in (e.tilting(), e.piercing()):
-        columns.append(1.0 - _steps(np.log10(rocks[where] + 1e-6), _ROCKS))
-    n = len(columns[0])
-    for share in np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit)):
-        columns.append(1.0 - _steps(np.full(n, share), _COVER))
-    noise = np.log(e.noise_ratio + 1e-3)
-    spacing = np.log(e.spacing_ratio)
-    free = np.tile([1.0, noise, spacing, spacing**2], (n, 1))
-    return np.column_stack([free, *columns])
+        terms.append(Term(np.log10(rocks[where] + 1e-6), _ROCKS))
+    shares = np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit))
+    return terms + [Term(share, _COVER) for share in shares]
+
+
+def _free(e: Evidence) -> Array:
+    """Return what says how well was measured (`FREE`,)."""
+    noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
+    spacing = np.log(e.spacing / e.lander.leg_radius)
+    return np.array([1.0, noise, spacing, spacing**2])
 
 
 def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
@@ -253,7 +253,9 @@ def calibrated_safety(
     covered = known if refit is None else in_domain(evidence, refit.domain)
     p = np.zeros(seen.shape, np.float32)
     if seen.any():
-        log_odds = features(evidence, seen) @ np.array(model.weights)
+        weights = np.array(model.weights)
+        free = float(_free(evidence) @ weights[:FREE])
+        log_odds = free + score(_terms(evidence, seen), weights[FREE:])
         most, least = ceiling(evidence)[seen], bound(evidence)[seen]
         p[seen] = judged(log_odds, most, least, known[seen], covered[seen], refit)
     return p, covered

@@ -1,14 +1,13 @@
-"""Flights of one world on the map of each mapper, and what each map said when it was first asked.
+"""Flights of one world on the map of each mapper, and what all maps said on the way.
 
-Flights that share an index have the same world, start and noise; until the first decision they are
-one flight, so that the maps of that moment are made of the same returns and can be set side by
+Flights that share an index have the same world, start and noise. The first of them carries all
+mappers at once and decides on one: their maps are made of the same returns and can be set side by
 side.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,13 +33,18 @@ from lunarsim.world.truth import Truth
 SCENARIOS = Path(__file__).resolve().parents[1]
 # File and what is changed in it.
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
-    "hazard field": ("morpheus.toml", {}),
     "HiRISE, c = 0.2": ("hirise.toml", {}),
     "HiRISE, c = 0.5": ("hirise.toml", {"terrain": {"relief_scale": 0.5}}),
     "cratered highland": ("highland.toml", {}),
     "Apollo 15": ("apollo15.toml", {}),
+    "hazard field": ("morpheus.toml", {}),
 }
-# Mapper and policy.
+MAPPERS = {
+    "calibrated": "Gaussian DEM, calibrated",
+    "level": "Gaussian DEM, Eqs. 15-17",
+    "quadtree": "quadtree",
+}
+# Mapper and policy; the first flies with all mappers.
 WAYS: dict[str, tuple[str, str]] = {
     "Gaussian DEM, calibrated": ("calibrated", "safest"),
     "Gaussian DEM, Eqs. 15-17": ("level", "safest"),
@@ -74,40 +78,52 @@ class Judged:
     ----------
     counts
         Hits, false safe, missed, rejected (strata, 4).
-    squares
-        Sums over cells of the squared error of the probability (strata,).
+    claimed
+        Cells where the map says that its probability is a frequency: number, safe ones, sum of the
+        squared error (strata, 3).
     table
-        Of `reliability`, for all ground together (bins, 3).
-    observed
-        Cells that the map has seen.
+        Of `reliability` over these, all strata together (bins, 3).
     """
 
     counts: np.ndarray
-    squares: np.ndarray
+    claimed: np.ndarray
     table: np.ndarray
-    observed: int
 
 
 @dataclass(frozen=True)
-class Flown:
-    """One flight on one map: its row of results, its map at the first decision, what it took.
+class Mapped:
+    """What a mapper made of one flight.
 
     Attributes
     ----------
-    row
-        As `lunarsim.evaluation.outcome.evaluate` gives it.
-    judged
-        None without a decision.
+    first, last
+        Its map at the first and the last decision that had one; None without.
     seconds
-        That the mapper worked during the flight.
+        That it worked.
     megabytes
         That it kept at the end.
     """
 
-    row: dict[str, Any]
-    judged: Judged | None
+    first: Judged | None
+    last: Judged | None
     seconds: float
     megabytes: float
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One index.
+
+    Attributes
+    ----------
+    rows
+        By way: as `lunarsim.evaluation.outcome.evaluate` gives it.
+    maps
+        By mapper.
+    """
+
+    rows: dict[str, dict[str, Any]]
+    maps: dict[str, Mapped]
 
 
 def scenario_of(world: str) -> Scenario:
@@ -116,22 +132,30 @@ def scenario_of(world: str) -> Scenario:
     return Scenario.load(SCENARIOS / file).changed(**changes)
 
 
-def with_mapper(scenario: Scenario, mapper: str) -> Scenario:
-    """Return a scenario whose one mapper is of another kind, over the same ground."""
-    (name, own), *_ = scenario.mappers.items()
-    ground = {"sensor": own.sensor, "size_m": own.size_m, "posting_m": own.posting_m}
+def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
+    """Return a scenario with other mappers over the same ground; it decides on the first."""
+    name = next(iter(scenario.mappers))
+    tables: dict[str, Any] = {m: _table(scenario, m) for m in mappers}
+    if name not in tables:
+        tables[name] = None
+    return scenario.changed(mappers=tables, decisions={"map": mappers[0]})
+
+
+def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
+    own = next(iter(scenario.mappers.values()))
+    table = {"sensor": own.sensor, "size_m": own.size_m, "posting_m": own.posting_m}
+    # As often as anybody decides.
+    table["interval_s"] = scenario.decisions.interval_s
     if mapper != "quadtree":
-        table = ground | {"kind": "gaussian-dem", "safety": mapper}
-    elif own.kind == "quadtree":
-        return scenario
-    else:
-        lander = scenario.vehicle.make()
-        sites = {
-            "zone_m": ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
-            "roughness_limit_m": lander.roughness_limit,
-        }
-        table = ground | {"kind": "quadtree", "sites": sites}
-    return scenario.changed(mappers={name: None}).changed(mappers={name: table})
+        return table | {"kind": "gaussian-dem", "safety": mapper}
+    if own.kind == "quadtree":
+        return table | {"kind": "quadtree"}
+    lander = scenario.vehicle.make()
+    sites = {
+        "zone_m": ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
+        "roughness_limit_m": lander.roughness_limit,
+    }
+    return table | {"kind": "quadtree", "sites": sites}
 
 
 class Clock:
@@ -186,20 +210,13 @@ def judge(hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np
         [np.bincount(k[c], minlength=len(STRATA))
          for c in (called & s, called & ~s, ~called & s, ~called & ~s)], axis=-1,
     )  # fmt: skip
-    squares = np.bincount(k, weights=(p - s) ** 2, minlength=len(STRATA))
-    seen = hazard_map.observed[where]
-    table = reliability(p[seen], s[seen], EDGES)
-    return Judged(counts, squares, table, int(hazard_map.observed.sum()))
-
-
-def first_map(simulation: Simulation) -> Iterator[tuple[HazardMap, np.ndarray]]:
-    """Fly to the end; yield the map of the first decision and the error of its place (3,), m."""
-    asked = False
-    while not simulation.done:
-        if simulation.decision_due and not asked:
-            asked = True
-            yield simulation.observe().hazard_map, simulation.navigation_error
-        simulation.step()
+    claim = hazard_map.observed if hazard_map.in_domain is None else hazard_map.in_domain
+    c = (claim & hazard_map.observed)[where]
+    claimed = np.stack(
+        [np.bincount(k[c], weights=w[c], minlength=len(STRATA))
+         for w in (np.ones(p.size), s.astype(np.float64), (p - s) ** 2)], axis=-1,
+    )  # fmt: skip
+    return Judged(counts, claimed, reliability(p[c], s[c], EDGES))
 
 
 def under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np.ndarray:
@@ -211,40 +228,59 @@ def under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np
     return raster[at]
 
 
-def fly(task: Task) -> dict[str, Flown]:
+Maps = dict[str, HazardMap]
+
+
+def fly(task: Task) -> Flown:
     """Fly one index of one world on each map."""
-    seed = flight_seed(task.seed, task.flight)
     plain = scenario_of(task.world)
-    world = build_world(plain, Streams(seed))
+    world = build_world(plain, Streams(flight_seed(task.seed, task.flight)))
     truth = Truth.of(world, plain.vehicle.make())
-    strata = strata_of(world, truth)
-    flown: dict[str, Any] = {}
-    maps: dict[str, tuple[HazardMap, np.ndarray]] = {}
-    for way, (mapper, policy) in WAYS.items():
-        scenario = with_mapper(plain, mapper)
-        simulation = Simulation(scenario, flight_seed(task.seed, task.flight), policy,
-                                world=world, truth=truth)  # fmt: skip
-        (own,) = simulation.computer.mappers.values()
-        clock = Clock(own)
-        for first in first_map(simulation):
-            maps[way] = first
-        row = evaluate(simulation.flight(), truth)
-        flown[way] = (row, clock.seconds, megabytes(own))
-    # Ground that any of the maps has seen: what a map has not seen it does not call safe.
-    seen = np.logical_or.reduce([m.observed for m, _ in maps.values()]) if maps else None
-    return {
-        way: Flown(
-            row, _judged(*maps[way], seen, truth, strata) if way in maps else None, seconds, size
+    rows: dict[str, dict[str, Any]] = {}
+    maps: dict[str, Mapped] = {}
+    for n, (way, (mapper, policy)) in enumerate(WAYS.items()):
+        seed = flight_seed(task.seed, task.flight)
+        carried = tuple(MAPPERS) if n == 0 else (mapper,)
+        simulation = Simulation(
+            with_mappers(plain, carried), seed, policy, world=world, truth=truth
         )
-        for way, (row, seconds, size) in flown.items()
-    }
+        if n == 0:
+            maps = _with_all(simulation, strata_of(world, truth))
+        else:
+            simulation.run()
+        rows[way] = evaluate(simulation.flight(), truth)
+    return Flown(rows, maps)
 
 
-def _judged(
-    hazard_map: HazardMap, error: np.ndarray, seen: Any, truth: Truth, strata: np.ndarray
-) -> Judged:
-    grid = hazard_map.grid
-    inside = truth.safety.grid.contains(grid.centres() - error[:2])
-    safe = under(grid, error, truth, truth.safety.safe)
-    known = under(grid, error, truth, truth.safety.observed)
-    return judge(hazard_map, seen & inside & known, safe, under(grid, error, truth, strata))
+def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, Mapped]:
+    """Fly to the end and judge all maps as they were at the first and the last decision."""
+    mappers = simulation.computer.mappers
+    clocks = {name: Clock(mapper) for name, mapper in mappers.items()}
+    seen: list[tuple[Maps, np.ndarray]] = []
+    while not simulation.done:
+        if simulation.decision_due:
+            drawn = {name: mapper.hazard_map() for name, mapper in mappers.items()}
+            if any(m.observed.any() for m in drawn.values()):
+                seen = [*seen[:1], (drawn, simulation.navigation_error)]
+        simulation.step()
+    ends = [judge_all(*moment, simulation.truth, strata) for moment in seen[:1] + seen[-1:]]
+    return {
+        name: Mapped(
+            *((ends[0][name], ends[-1][name]) if ends else (None, None)), clocks[name].seconds,
+            megabytes(mappers[name]),
+        )
+        for name in mappers
+    }  # fmt: skip
+
+
+def judge_all(maps: Maps, error: np.ndarray, truth: Truth, strata: np.ndarray) -> dict[str, Judged]:
+    """Judge maps on one grid over all ground that any of them has seen.
+
+    What a map has not seen it does not call safe.
+    """
+    grid = next(iter(maps.values())).grid
+    where = np.logical_or.reduce([m.observed for m in maps.values()])
+    where &= truth.safety.grid.contains(grid.centres() - error[:2])
+    where &= under(grid, error, truth, truth.safety.observed)
+    safe, own = under(grid, error, truth, truth.safety.safe), under(grid, error, truth, strata)
+    return {name: judge(m, where, safe, own) for name, m in maps.items()}

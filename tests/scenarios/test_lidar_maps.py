@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.safety.calibration import COUNT, FREE
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.conftest import SCENARIOS
 
 
 def first(module, **changes):
@@ -70,3 +76,77 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
     assert flat["ece"] < 0.01
     assert flat["skill"] == pytest.approx(0.0, abs=1e-9)
     assert study.table_of([(name, p, sites)]).row_count == 1
+
+
+@pytest.fixture
+def small_world(script, monkeypatch, tmp_path):
+    """The comparison of mappers on one small world."""
+    flown = script("lidar_maps", "flown")
+    compare = script("lidar_maps", "compare_mappers")
+    small = Scenario.load(SCENARIOS / "golombek.toml").changed(
+        terrain={"size_m": 110.0}, target={"scatter_m": [10.0, 10.0]}
+    )
+    small.save(tmp_path / "small.toml")
+    monkeypatch.setattr(flown, "SCENARIOS", tmp_path)
+    worlds = {"small": ("small.toml", {"rocks": {"cover": 0.04}})}
+    for module in (flown, compare):
+        monkeypatch.setattr(module, "WORLDS", worlds)
+    monkeypatch.setattr(compare, "fly", flown.fly)
+    monkeypatch.setattr(compare, "Task", flown.Task)
+    return flown, compare
+
+
+def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path):
+    flown, compare = small_world
+    options = ["--flights", "2", "--worlds", "small", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(compare.main, options)
+    assert done.exit_code == 0, done.output
+    figures = json.loads((tmp_path / "out" / "figures.json").read_text())["small"]
+    assert [f["flights"] for f in figures["landings"].values()] == [2] * len(flown.WAYS)
+    cells = {
+        tuple(s["cells"] for s in m["last"]["strata"].values()) for m in figures["maps"].values()
+    }
+    assert len(cells) == 1, "all maps are judged on the same cells"
+    assert figures["maps"]["calibrated"]["last"]["precision"][0] > 0.8
+    assert (tmp_path / "out" / "mappers.png").stat().st_size > 20_000
+    wrong = CliRunner().invoke(compare.main, ["--worlds", "Mars"])
+    assert wrong.exit_code == 2
+    assert "Mars" in wrong.output
+
+
+def test_a_flight_that_carries_all_mappers_is_the_one_that_carries_its_own(small_world):
+    flown, _ = small_world
+    plain = flown.scenario_of("small")
+    both = [
+        Simulation(flown.with_mappers(plain, carried), 3, "safest").run()
+        for carried in (("calibrated",), tuple(flown.MAPPERS))
+    ]
+    for column, values in both[0].trajectory.items():
+        assert np.array_equal(values, both[1].trajectory[column], equal_nan=True), column
+
+
+def test_maps_are_judged_by_counting_cells(script):
+    flown = script("lidar_maps", "flown")
+    rng = np.random.default_rng(2)
+    grid = Grid.centred((0.0, 0.0), 8.0, 0.2)
+    p = rng.random(grid.shape).astype(np.float32)
+    seen, known = rng.random(grid.shape) < 0.7, rng.random(grid.shape) < 0.5
+    hazard_map = HazardMap(grid, np.where(seen, p, 0).astype(np.float32), seen, in_domain=known)
+    safe, where = rng.random(grid.shape) < 0.4, rng.random(grid.shape) < 0.9
+    strata = rng.integers(0, 4, grid.shape)
+    judged = flown.judge(hazard_map, where, safe, strata)
+    for k in range(4):
+        hits = false = missed = rejected = 0
+        number = good = squares = 0.0
+        for cell in zip(*np.nonzero(where & (strata == k)), strict=True):
+            called = bool(seen[cell] and p[cell] > 0.5)
+            hits += called and safe[cell]
+            false += called and not safe[cell]
+            missed += safe[cell] and not called
+            rejected += not safe[cell] and not called
+            if seen[cell] and known[cell]:
+                number, good = number + 1, good + safe[cell]
+                squares += (float(p[cell]) - safe[cell]) ** 2
+        assert judged.counts[k].tolist() == [hits, false, missed, rejected]
+        assert judged.claimed[k] == pytest.approx([number, good, squares])
+    assert judged.table[:, 0].sum() == judged.claimed[:, 0].sum()

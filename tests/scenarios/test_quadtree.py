@@ -58,18 +58,3 @@ def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path):
     assert again.exit_code == 0
     assert json.loads((tmp_path / "b.json").read_text()) == data
     assert CliRunner().invoke(experiment.main, ["--fields", "0"]).exit_code == 2
-
-
-def test_mappers_are_compared_on_the_same_scans(small, tmp_path):
-    experiment = small("compare_mappers")
-    arguments = ["--fields", "1", "--boulders", "120", "--seed", "5"]
-    files = ["--json", str(tmp_path / "c.json"), "--out", str(tmp_path)]
-    done = CliRunner().invoke(experiment.main, arguments + files)
-    assert done.exit_code == 0, done.output
-    (result,) = json.loads((tmp_path / "c.json").read_text())
-    assert set(result["rows"]) == set(experiment.NAMES)
-    for row in result["rows"].values():
-        assert row["precision"] > 0.8
-        assert row["elevation_rms"] < 0.1
-    assert result["rows"]["eligible"]["recall"] < result["rows"]["quadtree"]["recall"]
-    assert (tmp_path / "mappers.png").stat().st_size > 20_000

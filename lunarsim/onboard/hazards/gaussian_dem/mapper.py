@@ -42,6 +42,8 @@ class GaussianDemMapping:
         Of the map, m.
     safety
         See `GaussianDemMapper`.
+    interval
+        See `GaussianDemMapper`, s.
     calibration_path
         See `ScenarioCalibration.load`; None: the packaged calibration.
 
@@ -58,7 +60,7 @@ class GaussianDemMapping:
         "calibrated",
         help="a frequency, Eqs. 15 to 17 of the paper, or these through the real support planes",
     )
-
+    interval: float = quantity(1.0, "s", ge=0, help="least time between two drawings of the map")
     calibration_path: Path | None = quantity(
         None,
         help="last stage of the calibration that `lunarsim calibrate` wrote, relative to the "
@@ -95,6 +97,7 @@ class GaussianDemMapping:
             briefing.lander,
             safety=self.safety,
             refit=self.calibration(),
+            interval=self.interval,
             rocks=briefing.rocks,
         )
 
@@ -116,6 +119,9 @@ class GaussianDemMapper(HazardMapper):
         What the mission expects; left out, its defaults.
     refit
         Last stage of the calibration, of the scenario's own; left out, that of the package.
+    interval
+        Least time between two drawings of the map, s; where nobody tells the time it is drawn
+        whenever something has come in.
 
     Raises
     ------
@@ -131,6 +137,7 @@ class GaussianDemMapper(HazardMapper):
         safety: Judgement = "calibrated",
         rocks: RockExpectation | None = None,
         refit: ScenarioCalibration | None = None,
+        interval: float = 0.0,
     ) -> None:
         if safety not in {"calibrated", "level", "planes"}:
             raise InputError("safety", safety, "calibrated, level or planes")
@@ -144,7 +151,9 @@ class GaussianDemMapper(HazardMapper):
         self.safety = safety
         self.rocks = rocks or RockExpectation()
         self.pool = SamplePool(grid)
-        self._map: HazardMap | None = HazardMap.unobserved(grid)
+        self._map = HazardMap.unobserved(grid)
+        self._interval = interval
+        self._time, self._due, self._stale = 0.0, -np.inf, False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; a scan without returns changes nothing."""
@@ -154,18 +163,22 @@ class GaussianDemMapper(HazardMapper):
             measurement.height_sigma(estimate.attitude),
             measurement.spacing(estimate.attitude),
         )
-        if taken:
-            self._map = None
+        self._stale |= taken > 0
 
     def dem(self) -> PooledDem:
         """Return mean and variance of the elevation."""
         return pooled_dem(self.pool)
 
     def hazard_map(self) -> HazardMap:
-        """Return the map as it stands; it is drawn when it is asked for."""
-        if self._map is None:
+        """Return the map as it was last drawn; it is drawn when it is asked for and due."""
+        if self._stale and self._time >= self._due - 1e-9:
             self._map = self._draw(self.dem())
+            self._stale, self._due = False, self._time + self._interval
         return self._map
+
+    def refresh(self, time: float) -> None:
+        """Note the time (s)."""
+        self._time = time
 
     def _draw(self, dem: PooledDem) -> HazardMap:
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
@@ -189,7 +202,7 @@ class GaussianDemMapper(HazardMapper):
         """Lay the map about another point (3,), local frame, m."""
         self.grid = self.grid.about(centre)
         self.pool = SamplePool(self.grid)
-        self._map = HazardMap.unobserved(self.grid)
+        self._map, self._stale = HazardMap.unobserved(self.grid), False
 
 
 def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from lunarsim.onboard.hazards.quadtree.surface import rises, surface
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
+from lunarsim.safety.bends import Term, columns, score
 from lunarsim.safety.calibration import MOST_HAZARDS, MOST_TILTING, NOISES
 from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
@@ -216,31 +216,31 @@ def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
     return slope, rough
 
 
-def _left(values: Array, knots: Array) -> Array:
-    """Return how much of each interval between knots values (n,) leave (n, k)."""
-    return np.column_stack(
-        [np.clip((high - values) / (high - low), 0.0, 1.0) for low, high in pairwise(knots)]
-    )
-
-
 def features(evidence: SiteEvidence, where: BoolArray) -> Array:
     """Return what the probability is computed from, at sites chosen by a mask (m, `COUNT`)."""
-    e = evidence
+    n = int(np.count_nonzero(where))
+    return np.column_stack((_free(evidence, where), columns(_terms(evidence, where), n)))
+
+
+def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
+    """Return what speaks against sites (n,)."""
     point, spread = e.raised()
     values = (
         e.slope, e.roughness, e.highest(), e.top + 2.0 * spread, np.log10(e.tipping(point)),
-        np.log10(e.tipping(spread)), e.mesh_slope, e.fitted_slope,
-        e.mesh_spread, e.fitted_spread, np.log10(np.maximum(e.ratio, 1e-4)),
-        np.log10(np.maximum(e.near, 1e-4)), e.relief, e.top, np.log10(e.tilting() + 1e-6),
-        np.log10(e.piercing() + 1e-6),
+        np.log10(e.tipping(spread)), e.mesh_slope, e.fitted_slope, e.mesh_spread, e.fitted_spread,
+        np.log10(np.maximum(e.ratio, 1e-4)), np.log10(np.maximum(e.near, 1e-4)), e.relief, e.top,
+        np.log10(e.tilting() + 1e-6), np.log10(e.piercing() + 1e-6),
     )  # fmt: skip
-    columns = [_left(v[where], knots) for v, knots in zip(values, _BENDS, strict=True)]
-    n = int(np.count_nonzero(where))
-    for share in np.log10(e.curve.at(_ABOVE * e.lander.roughness_limit)):
-        columns.append(_left(np.full(n, share), _COVER))
+    shares = np.log10(e.curve.at(_ABOVE * e.lander.roughness_limit))
+    own = [Term(v[where], knots) for v, knots in zip(values, _BENDS, strict=True)]
+    return own + [Term(share, _COVER) for share in shares]
+
+
+def _free(e: SiteEvidence, where: BoolArray) -> Array:
+    """Return what says how well was measured (m, `FREE`)."""
     density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
-    noise = np.full(n, np.log(e.noise / e.lander.roughness_limit + 1e-3))
-    return np.column_stack([np.ones(n), noise, density, density**2, *columns])
+    noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
+    return np.column_stack([np.ones(len(density)), noise, density, density**2])
 
 
 @lru_cache(maxsize=1)
@@ -265,7 +265,8 @@ def site_safety(evidence: SiteEvidence, model: Logistic | None = None) -> tuple[
     p = np.zeros(len(e.slope))
     if e.judged.any():
         weights = np.array((model or measured()).weights)
-        p[e.judged] = expit(features(e, e.judged) @ weights)
+        free = _free(e, e.judged) @ weights[:FREE]
+        p[e.judged] = expit(free + score(_terms(e, e.judged), weights[FREE:]))
     p = np.minimum(p, ceiling(e))
     return np.where(known, p, np.minimum(p, bound(e))), known
 

@@ -1,0 +1,296 @@
+"""Both LiDAR maps flown to touchdown over five worlds.
+
+Flight i of a world has the same ground, start and noise on every map; `safest` lands where the map
+gives the highest probability, `scoreboard` where the quadtree's own ranking does. One flight of
+each index carries all mappers: their maps are judged by exact safety at its first and its last
+decision, by stratum of the true ground, over all ground that any of them has seen. Where a map
+claims that its probability is a frequency it is judged as one, elsewhere it is a bound. Intervals
+are 95 %: Wilson's for landings, bootstrap over flights for maps.
+
+python scenarios/lidar_maps/compare_mappers.py --flights 100 --jobs 2 --out out/mappers
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from flown import MAPPERS, STRATA, WAYS, WORLDS, Flown, Judged, Task, fly
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import binomtest
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.map_quality import MapQuality
+from lunarsim.evaluation.reliability import calibration_error
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.viz.style import COLOURS, new_figure, save
+
+RESAMPLES = 1000
+Flights = list[Flown]
+Figures = dict[str, dict[str, Any]]
+
+
+def counts_of(judged: list[Judged]) -> np.ndarray:
+    """Return hits, false safe, missed, rejected of each map (n, strata, 4)."""
+    return np.array([j.counts for j in judged], dtype=np.float64).reshape(-1, len(STRATA), 4)
+
+
+def ratio_interval(
+    counts: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
+) -> tuple[float, float, float]:
+    """Return a figure of pooled counts (n, ...), and its interval by bootstrap over flights."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, len(counts), (RESAMPLES, len(counts)))
+    weights = np.stack([np.bincount(d, minlength=len(counts)) for d in drawn]).astype(np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = float(of(counts.sum(axis=0)[None])[0])
+        spread = of(np.tensordot(weights, counts, 1))
+    spread = spread[np.isfinite(spread)]
+    if not spread.size:
+        return value, float("nan"), float("nan")
+    low, high = np.percentile(spread, [2.5, 97.5])
+    return value, float(low), float(high)
+
+
+def precision(c: np.ndarray) -> np.ndarray:
+    """Return the share of cells called safe that are, of counts (..., 4)."""
+    return c[..., 0] / (c[..., 0] + c[..., 1])
+
+
+def recall(c: np.ndarray) -> np.ndarray:
+    """Return the share of safe cells called so, of counts (..., 4)."""
+    return c[..., 0] / (c[..., 0] + c[..., 2])
+
+
+def text(figure: tuple[float, float, float]) -> str:
+    """Return a figure with its interval."""
+    value, low, high = figure
+    return "-" if np.isnan(value) else f"{value:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def skill_of(claim: np.ndarray) -> float:
+    """Return the Brier skill of claimed cells (3,) over their own share of safe ones.
+
+    NaN where all are alike.
+    """
+    n, safe, squares = claim
+    base = safe / max(n, 1.0)
+    return float(1.0 - squares / (n * base * (1.0 - base))) if 0 < base < 1 else float("nan")
+
+
+def landings(flights: Flights) -> Figures:
+    """Return how flights ended, by way."""
+    first = [f.rows[next(iter(WAYS))]["safe"] for f in flights]
+    out = {}
+    for way in WAYS:
+        mine = [f.rows[way]["safe"] for f in flights]
+        landed = Proportion(sum(mine), len(mine))
+        won = sum(a and not b for a, b in zip(mine, first, strict=True))
+        lost = sum(b and not a for a, b in zip(mine, first, strict=True))
+        out[way] = {
+            "flights": len(mine),
+            "landed": landed.count,
+            "interval": landed.interval,
+            "won": won,
+            "lost": lost,
+            "p_value": float(binomtest(won, won + lost).pvalue) if won + lost else 1.0,
+            "divert_median_m": float(np.median([f.rows[way]["divert_m"] for f in flights])),
+            "propellant_median_kg": float(
+                np.median([f.rows[way]["propellant_kg"] for f in flights])
+            ),
+        }
+    return out
+
+
+def quality(judged: list[Judged]) -> dict[str, Any]:
+    """Return the figures of a mapper's maps of one moment."""
+    counts = counts_of(judged)
+    claims = np.sum([j.claimed for j in judged], axis=0).reshape(-1, 3)
+    if not judged:
+        return {}
+    return {
+        "precision": ratio_interval(counts.sum(axis=1), precision),
+        "recall": ratio_interval(counts.sum(axis=1), recall),
+        "claimed": float(claims[:, 0].sum() / max(counts.sum(), 1.0)),
+        "ece": calibration_error(np.sum([j.table for j in judged], axis=0)),
+        "skill": skill_of(claims.sum(axis=0)),
+        "strata": {
+            name: {
+                "cells": float(counts[:, k].sum()),
+                "safe": MapQuality(*counts[:, k].sum(axis=0).astype(int)).safe_share,
+                "precision": ratio_interval(counts[:, k], precision),
+                "recall": ratio_interval(counts[:, k], recall),
+                "skill": skill_of(claims[k]),
+            }
+            for k, name in enumerate(STRATA)
+        },
+    }
+
+
+def maps(flights: Flights) -> Figures:
+    """Return what the maps were worth, by mapper."""
+    out = {}
+    for mapper in MAPPERS:
+        mine = [f.maps[mapper] for f in flights]
+        out[mapper] = {
+            "first": quality([m.first for m in mine if m.first is not None]),
+            "last": quality([m.last for m in mine if m.last is not None]),
+            "seconds": float(np.mean([m.seconds for m in mine])),
+            "megabytes": float(np.max([m.megabytes for m in mine])),
+        }
+    return out
+
+
+def table_of(title: str, *headings: str, left: int) -> Table:
+    """Return an empty table whose first columns are text."""
+    table = Table(title=title)
+    for n, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if n < left else "right", no_wrap=n < left)
+    return table
+
+
+def landing_table(worlds: dict[str, Figures]) -> Table:
+    """Return how flights ended."""
+    table = table_of(
+        "Landings", "world", "map and policy", "flights", "landed safe",
+        "against the first:\nwon, lost (p)", "divert\nmedian (m)", "propellant\nmedian (kg)",
+        left=2,
+    )  # fmt: skip
+    for world, figures in worlds.items():
+        for n, (way, f) in enumerate(figures["landings"].items()):
+            low, high = f["interval"]
+            table.add_row(
+                world if n == 0 else "", way, str(f["flights"]),
+                f"{f['landed'] / f['flights']:.2f} [{low:.2f}, {high:.2f}]",
+                "" if n == 0 else f"{f['won']}, {f['lost']} ({f['p_value']:.2f})",
+                f"{f['divert_median_m']:.1f}", f"{f['propellant_median_kg']:.1f}",
+                end_section=n == len(WAYS) - 1,
+            )  # fmt: skip
+    return table
+
+
+def map_table(worlds: dict[str, Figures]) -> Table:
+    """Return maps as a whole at both moments, time and memory."""
+    table = table_of(
+        "Maps at the first and the last decision (p > 0.5 is called safe)", "world", "map",
+        "decision", "precision", "recall", "claimed\nshare", "ECE of\nclaimed",
+        "its Brier\nskill", "mapper\n(s a flight)", "kept\n(MB)", left=3,
+    )  # fmt: skip
+    for world, figures in worlds.items():
+        for n, (mapper, f) in enumerate(figures["maps"].items()):
+            for moment in ("first", "last"):
+                if not (q := f[moment]):
+                    continue
+                top = moment == "first"
+                table.add_row(
+                    world if n == 0 and top else "", MAPPERS[mapper] if top else "", moment,
+                    text(q["precision"]), text(q["recall"]), f"{q['claimed']:.2f}",
+                    number(q["ece"], ".3f"), number(q["skill"], "+.2f"),
+                    f"{f['seconds']:.2f}" if top else "", f"{f['megabytes']:.1f}" if top else "",
+                )  # fmt: skip
+        table.add_section()
+    return table
+
+
+def number(value: float, form: str) -> str:
+    """Return a number, a dash for none."""
+    return "-" if np.isnan(value) else format(value, form)
+
+
+def stratum_table(worlds: dict[str, Figures]) -> Table:
+    """Return maps by stratum of the true ground."""
+    table = table_of(
+        "Maps at the last decision by stratum of the true ground", "world", "stratum", "map",
+        "share\nsafe", "precision", "recall", "Brier skill\nof claimed", left=3,
+    )  # fmt: skip
+    for world, figures in worlds.items():
+        for k, stratum in enumerate(STRATA):
+            for n, (mapper, f) in enumerate(figures["maps"].items()):
+                if not f["last"] or not (s := f["last"]["strata"][stratum])["cells"]:
+                    continue
+                table.add_row(
+                    world if k == n == 0 else "", stratum if n == 0 else "", MAPPERS[mapper],
+                    f"{s['safe']:.3f}" if n == 0 else "", text(s["precision"]),
+                    text(s["recall"]), number(s["skill"], "+.2f"),
+                )  # fmt: skip
+        table.add_section()
+    return table
+
+
+def draw(worlds: dict[str, Figures], path: Path) -> None:
+    """Draw landings by way, and precision and recall of the last maps, by world."""
+    figure = new_figure(12.0, 5.0)
+    panels = figure.subplots(1, 3, sharey=True)
+    colours = dict(zip(WAYS, COLOURS, strict=False))
+    for way, colour in colours.items():
+        rows = [figures["landings"][way] for figures in worlds.values()]
+        values = [(f["landed"] / f["flights"], *f["interval"]) for f in rows]
+        _points(panels[0], values, list(WAYS).index(way), len(WAYS), colour, way)
+    for n, (mapper, name) in enumerate(MAPPERS.items()):
+        last = [figures["maps"][mapper]["last"] for figures in worlds.values()]
+        for panel, key in zip(panels[1:], ("precision", "recall"), strict=True):
+            values = [q[key] if q else (np.nan,) * 3 for q in last]
+            _points(panel, values, n, len(MAPPERS), colours[name], name)
+    for panel, label in zip(
+        panels,
+        ("landed safe", "precision of the last map", "recall of the last map"),
+        strict=True,
+    ):
+        panel.set_xlabel(f"{label} (95 % interval)")
+        panel.set_yticks(np.arange(len(worlds)), list(worlds))
+        panel.set_ylim(len(worlds) - 0.5, -0.5)
+        panel.grid(axis="x", alpha=0.3)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    save(figure, path)
+
+
+def _points(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -> None:
+    v = np.array(values, dtype=np.float64)
+    y = np.arange(len(v)) + 0.18 * (n - 0.5 * (of - 1))
+    spread = np.maximum(np.stack((v[:, 0] - v[:, 1], v[:, 2] - v[:, 0])), 0.0)
+    panel.errorbar(
+        v[:, 0], y, xerr=spread, fmt="o", color=colour, capsize=3, markersize=5, label=label
+    )
+
+
+@click.command()
+@click.option("--flights", type=click.IntRange(min=2), default=10, show_default=True,
+              help="Of each world.")  # fmt: skip
+@click.option("--worlds", default="; ".join(WORLDS), show_default=True,
+              help="Worlds, separated by semicolons.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results but for times do not depend on it.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder for figures.json and the picture.")  # fmt: skip
+def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
+    """Fly every map over every world and compare."""
+    console = Console(width=200)
+    names = [w.strip() for w in worlds.split(";")]
+    for name in names:
+        if name not in WORLDS:
+            raise click.UsageError(f"--worlds = {name!r}: one of {'; '.join(WORLDS)}")
+    tasks = [Task(world, i, seed) for world in names for i in range(flights)]
+    done = gathered(fly, tasks, jobs, console, "flights")
+    by_world: dict[str, Flights] = {}
+    for task, flown in zip(tasks, done, strict=False):
+        by_world.setdefault(task.world, []).append(flown)
+    worlds_figures = {
+        world: {"landings": landings(own), "maps": maps(own)} for world, own in by_world.items()
+    }
+    for table in (landing_table, map_table, stratum_table):
+        console.print(table(worlds_figures))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        text_of = json.dumps(worlds_figures, indent=1)
+        (out / "figures.json").write_text(text_of, encoding="utf-8")
+        draw(worlds_figures, out / "mappers.png")
+
+
+if __name__ == "__main__":
+    main()
