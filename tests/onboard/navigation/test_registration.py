@@ -72,6 +72,29 @@ def test_surface_of_a_plane_is_the_plane():
     assert surface.normal == pytest.approx(np.tile([-0.2, 0.1, 1.0], (len(x), 1)), abs=0.02)
 
 
+def test_surface_takes_the_slope_between_the_squares_on_either_side():
+    rng = np.random.default_rng(2)
+    row, col = np.nonzero(rng.random((12, 15)) < 0.85)
+    row, col = row - 4, col - 6
+    x, y = 0.3 + 0.5 * col, -0.2 + 0.5 * row
+    mean = np.column_stack((x, y, np.zeros(len(x)))) + rng.normal(0.0, 0.1, (len(x), 3))
+    height, slope, good = k.surface(col, row, mean, 0.3, -0.2, 0.5, 0.2)
+    at = {(int(c), int(r)): m for c, r, m in zip(col, row, mean, strict=True)}
+    for i, (c, r) in enumerate(zip(col.tolist(), row.tolist(), strict=True)):
+        west, east, south, north = (
+            at.get(place) for place in ((c - 1, r), (c + 1, r), (c, r - 1), (c, r + 1))
+        )
+        whole = all(m is not None for m in (west, east, south, north))
+        off = mean[i, :2] - [x[i], y[i]]
+        assert good[i] == (whole and np.abs(off).max() <= 0.2)
+        if good[i]:
+            gx = (east[2] - west[2]) / (east[0] - west[0])
+            gy = (north[2] - south[2]) / (north[1] - south[1])
+            assert slope[i] == pytest.approx([gx, gy])
+            assert height[i] == pytest.approx(mean[i, 2] - gx * off[0] - gy * off[1])
+    assert 20 < good.sum() < len(good)
+
+
 def test_jacobians_match_finite_differences():
     p, n = np.array([3.0, 4.0, 0.5]), np.array([0.1, -0.2, 1.0])
     body = quat_rotate(quat_conjugate(ATTITUDE), p - POSITION)

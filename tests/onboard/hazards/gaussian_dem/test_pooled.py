@@ -97,6 +97,26 @@ def test_a_bend_adds_to_the_variance_and_a_slope_does_not():
         assert (inner[:, :2] == 0.0).all()
 
 
+def test_a_bend_is_the_greatest_of_four_directions():
+    z = np.random.default_rng(0).normal(0.0, 0.1, GRID.shape).astype(np.float32)
+    z[4, 5] = np.nan
+    measured, noise = np.isfinite(z), np.full(GRID.shape, 1e-4)
+    variance = np.zeros(GRID.shape, np.float32)
+    sk.add_kinks(z, measured, noise, 0.5, variance)
+    for i in range(1, GRID.rows - 1):
+        for j in range(1, GRID.cols - 1):
+            pairs = [
+                (z[i, j - 1], z[i, j + 1]),
+                (z[i - 1, j], z[i + 1, j]),
+                (z[i - 1, j - 1], z[i + 1, j + 1]),
+                (z[i - 1, j + 1], z[i + 1, j - 1]),
+            ]
+            bends = [(0.5 * (a + b) - z[i, j]) ** 2 for a, b in pairs]
+            most = max((b for b in bends if np.isfinite(b)), default=0.0)
+            wanted = 0.5 * max(most - 13.5e-4, 0.0)
+            assert variance[i, j] == pytest.approx(wanted, rel=1e-4, abs=1e-7)
+
+
 def rough(seed: int) -> Terrain:
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
     rng = np.random.default_rng(seed)

@@ -195,6 +195,66 @@ def test_sites_follow_the_equations(form):
             assert np.isinf(selection.score[i])
 
 
+@pytest.mark.parametrize("footprint", [None, 1.5])
+def test_sites_too_near_to_any_edge_of_the_map_are_rejected(footprint):
+    quadtree = QuadtreeMap((3.0, -2.0), 6.4, 0.1)
+    quadtree.insert(flash(np.random.default_rng(9), np.array([3.0, -2.0]), 6.4, 8_000))
+    s = replace(SMALL, mesh_band=(0.8, 0.8), site_band=(0.4, 0.4))
+    selection = SiteSelector(quadtree, s, footprint=footprint).update()
+    offset = selection.position[:, :2] - [3.0, -2.0]
+    wanted = (np.abs(offset) + max(s.zone, footprint or 0.0) > 3.2).any(axis=1)
+    planned = selection.status != k.NO_PLANE
+    assert np.array_equal(selection.status[planned] == k.OFF_MAP, wanted[planned])
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        assert (planned & (sign * offset[:, axis] > 2.4)).any()
+
+
+def test_a_cell_whose_only_point_stands_apart_has_too_few_points():
+    rng = np.random.default_rng(10)
+    xy = rng.uniform(-3.2, 3.2, (8_000, 2))
+    xy = xy[~((xy >= 0.4) & (xy < 0.8)).all(axis=1)]
+    points = np.column_stack((xy, rng.normal(0.0, 0.01, len(xy))))
+    quadtree = QuadtreeMap((0.0, 0.0), 6.4, 0.1)
+    quadtree.insert(np.vstack((points, [[0.6, 0.6, 50.0]])))
+    assert quadtree.apart.sum() == 1
+    selection = SiteSelector(quadtree, replace(SMALL, site_band=(0.4, 0.4))).update()
+    i = np.argmin(np.hypot(*(selection.position[:, :2] - 0.6).T))
+    assert selection.position[i, :2] == pytest.approx([0.6, 0.6])
+    assert STATUS[selection.status[i]] == "too few points"
+
+
+def test_every_quarter_of_a_cell_is_to_be_seen():
+    rng = np.random.default_rng(11)
+    root = np.zeros(1, np.int32)
+    for sparse in (None, 0, 1, 2, 3):
+        quadtree = QuadtreeMap((0.0, 0.0), 3.2, 0.1)
+        for q in range(4):
+            xy = rng.uniform(0.0, 1.6, (25 if q == sparse else 26, 2))
+            xy -= [0.0 if q & 1 else 1.6, 0.0 if q & 2 else 1.6]
+            quadtree.insert(np.column_stack((xy, np.zeros(len(xy)))))
+        assert k.mesh_nodes(quadtree.tree, root, 10.0)[0] == (sparse is None)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_zone_that_ends_a_micrometre_within_a_cell_takes_all_of_it_in(axis, sign):
+    quadtree = QuadtreeMap((0.0, 0.0), 1.6, 0.2)
+    # The last point lies between the ends of the zone and of its cell.
+    xy = np.full((9, 2), 0.3)
+    xy[:, axis] = sign * np.append(np.linspace(0.21, 0.39, 8), 0.4 - 4e-7)
+    quadtree.insert(np.column_stack((xy, np.zeros(9))))
+    node = quadtree.cell_at(xy[-1])
+    cell = quadtree.centres(np.array([node]))[0]
+    end = cell[axis] + sign * (0.1 - 1e-6)
+    box = np.array([[-0.7, 0.7], [-0.7, 0.7]])
+    box[axis, int(sign > 0.0)] = end
+    assert quadtree.number(np.array([node]))[0] == 9
+    assert abs(xy[-1, axis]) > abs(end)
+    stack, sums = np.empty(64, np.int32), np.empty(12)
+    k._zone_sums(quadtree.tree, *box.ravel(), 0.0, 0.0, stack, sums)
+    assert sums[9] == 9.0
+
+
 def test_on_an_edge_the_steeper_side_counts():
     # Two triangles over a square; the diagonal runs through its middle.
     px, py = np.array([0, 8, 8, 0]), np.array([0, 0, 8, 8])

@@ -139,6 +139,19 @@ def test_points_that_cannot_be_placed_are_counted_and_left_out():
     assert quadtree.version == 1
 
 
+def test_a_point_that_rounds_over_the_edge_is_off_the_map():
+    # A hair less than half the side; in cells it rounds to one past the last.
+    least = float(np.nextafter(np.float64(np.float32(0.22)), 1.0))
+    half = 8.0 * least
+    edge = float(np.float32(half))
+    assert edge < half
+    assert (edge + half) * (16 / (2.0 * half)) == 16.0
+    for xy in ((edge, 0.1), (0.1, edge)):
+        quadtree = QuadtreeMap((0.0, 0.0), 2.0 * half, least)
+        done = quadtree.insert([[*xy, 0.0], [0.1, 0.1, 0.0]])
+        assert (done.added, done.outside) == (1, 1)
+
+
 def test_all_points_in_one_place_end_in_one_least_cell():
     quadtree = QuadtreeMap((0.0, 0.0), 10.0, 0.1)
     for _ in range(3):
