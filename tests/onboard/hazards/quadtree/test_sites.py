@@ -238,15 +238,15 @@ def test_every_quarter_of_a_cell_is_to_be_seen():
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_zone_that_ends_a_micrometre_within_a_cell_takes_all_of_it_in(axis, sign):
-    quadtree = QuadtreeMap((0.0, 0.0), 1.6, 0.2)
+    quadtree = QuadtreeMap((0.0, 0.0), 2.0, 0.25)
     # The last point lies between the ends of the zone and of its cell.
     xy = np.full((9, 2), 0.3)
-    xy[:, axis] = sign * np.append(np.linspace(0.21, 0.39, 8), 0.4 - 4e-7)
+    xy[:, axis] = sign * np.append(np.linspace(0.26, 0.49, 8), 0.5 - 4e-7)
     quadtree.insert(np.column_stack((xy, np.zeros(9))))
     node = quadtree.cell_at(xy[-1])
     cell = quadtree.centres(np.array([node]))[0]
-    end = cell[axis] + sign * (0.1 - 1e-6)
-    box = np.array([[-0.7, 0.7], [-0.7, 0.7]])
+    end = cell[axis] + sign * (0.125 - 1e-6)
+    box = np.array([[-0.9, 0.9], [-0.9, 0.9]])
     box[axis, int(sign > 0.0)] = end
     assert quadtree.number(np.array([node]))[0] == 9
     assert abs(xy[-1, axis]) > abs(end)
