@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -35,7 +36,7 @@ class RenderingError(RuntimeError):
 
 
 def check_output(field: str, path: Path, suffix: str) -> None:
-    """Refuse a file to write that has another suffix or no folder to lie in.
+    """Refuse a file to write that has another suffix, is a folder, or lies where none can be.
 
     Raises
     ------
@@ -46,6 +47,11 @@ def check_output(field: str, path: Path, suffix: str) -> None:
         raise InputError(field, str(path), f"a file name that ends in {suffix}")
     if not path.parent.is_dir():
         raise InputError(field, str(path), "a file in an existing folder")
+    if path.is_dir():
+        raise InputError(field, str(path), "a file, not a folder")
+    # In /proc even root can make no file, whatever its bits say.
+    if not os.access(path.parent, os.W_OK) or path.parent.resolve().is_relative_to("/proc"):
+        raise InputError(field, str(path), "a file in a folder that can be written to")
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

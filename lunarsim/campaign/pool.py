@@ -59,7 +59,11 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
             fill()
         pool.shutdown()
     except BaseException:
+        # What is under way would be waited for at the end of this process.
+        workers = list((pool._processes or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
+            worker.terminate()
         raise
 
 

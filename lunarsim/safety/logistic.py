@@ -94,8 +94,11 @@ class Logistic:
     def _parsed(cls, text: str, name: str, features: int) -> Logistic:
         try:
             data = json.loads(text)
-            model = cls(tuple(float(w) for w in data["weights"]), str(data.get("note", "")))
-        except (ValueError, KeyError, TypeError) as error:
+            weights = tuple(data["weights"])
+            if not all(isinstance(w, float | int) and np.isfinite(w) for w in weights):
+                raise ValueError("weights are finite numbers")
+            model = cls(tuple(float(w) for w in weights), str(data.get("note", "")))
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError("calibration", name, f"a calibration file ({error})") from None
         if len(model.weights) != features:
             raise InputError("calibration", name, f"{features} weights, one a feature")

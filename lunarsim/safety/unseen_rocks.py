@@ -8,9 +8,11 @@ little, was seen, the mission's rock law counts as much as a few samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from lunarsim.rocks.laws import golombek_number
 
@@ -26,6 +28,10 @@ _PRIOR_SAMPLES = 60.0
 _MOST = 0.5
 # Diameters of the law, m.
 _DIAMETERS = np.geomspace(0.04, 6.0, 240)
+# Rocks are taken to be as high as this share of their width: most are flatter and show more.
+_TALLEST = 0.8
+# Samples on a square metre for which `missed` is tabled.
+_DENSITIES = np.geomspace(0.1, 2000.0, 40)
 # A rock just wider than needed to rise above a height h has a top of about this times h^2 above it.
 _TOP = 1.5 * np.pi
 
@@ -66,6 +72,49 @@ class HeightCurve:
         h = np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1])
         top = _TOP * h * h
         return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
+
+    def missed(self, height: ArrayLike, density: ArrayLike) -> Array:
+        """Return how many rocks above a height no sample has met there, on a square metre (...).
+
+        With rocks that are half ellipsoids of one shape, the share of ground above a height h is
+        the sum over rocks of ``a (H^2 - h^2)``, a = pi / (4 ratio^2); so that
+        ``-dS/dh / (2 a h)`` of them are higher. A sample misses what stands above h of a rock with
+        probability ``exp(-density a (H^2 - h^2))``: of a rock that is hardly higher nearly always.
+        Never falls as `height` does.
+
+        Parameters
+        ----------
+        height
+            m; less than the curve's least counts as that.
+        density
+            Samples on a square metre, broadcast against `height`.
+        """
+        h, rho = np.broadcast_arrays(np.asarray(height, float), np.asarray(density, float))
+        top, table = self._missed_table
+        at = (
+            np.interp(np.log(np.clip(h, top[0], top[-1])), np.log(top), np.arange(len(top))),
+            np.interp(np.log(np.clip(rho, _DENSITIES[0], _DENSITIES[-1])), np.log(_DENSITIES),
+                      np.arange(len(_DENSITIES))),
+        )  # fmt: skip
+        found = ndimage.map_coordinates(table, [a.ravel() for a in at], order=1, mode="nearest")
+        return np.asarray(np.exp(found).reshape(h.shape))
+
+    @cached_property
+    def _missed_table(self) -> tuple[Array, Array]:
+        """Logarithm of `missed` at heights (n,) and `_DENSITIES` (n, m)."""
+        area = 0.25 * np.pi / _TALLEST**2
+        h = np.geomspace(self.height[0], self.height[-1], 4 * len(self.height))
+        share = self.at(h)
+        steepness = -np.gradient(np.log(share), np.log(h))
+        higher = np.maximum(steepness, 0.0) * share / (2.0 * area * h * h)
+        # Fewer are higher than a greater height.
+        higher = np.maximum.accumulate(higher[::-1])[::-1]
+        number, middle = higher[:-1] - higher[1:], np.sqrt(h[:-1] * h[1:])
+        seen = area * np.maximum(middle**2 - h[:, None] ** 2, 0.0)
+        alone = np.where(middle > h[:, None], number, 0.0)
+        table = np.stack([(alone * np.exp(-d * seen)).sum(axis=1) for d in _DENSITIES], axis=-1)
+        table = np.maximum.accumulate(table[::-1])[::-1]
+        return h, np.log(table + 1e-12)
 
 
 def height_curve(

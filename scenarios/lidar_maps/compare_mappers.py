@@ -275,6 +275,8 @@ def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> N
     for name in names:
         if name not in WORLDS:
             raise click.UsageError(f"--worlds = {name!r}: one of {'; '.join(WORLDS)}")
+    if len(set(names)) < len(names):
+        raise click.UsageError(f"--worlds = {worlds!r}: each world once")
     tasks = [Task(world, i, seed) for world in names for i in range(flights)]
     done = gathered(fly, tasks, jobs, console, "flights")
     by_world: dict[str, Flights] = {}

@@ -17,12 +17,15 @@ from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     COUNT,
     FREE,
+    MOST_HAZARDS,
     SiteEvidence,
+    evidence_of,
     measured,
     site_safety,
 )
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
+from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.unseen_rocks import HeightCurve, law_share
 from lunarsim.sensors.lidar import FlashLidar
@@ -131,13 +134,14 @@ SITE = {
 }  # fmt: skip
 
 
-def site(rocks: float, **changes: float) -> SiteEvidence:
+def site(rocks: float, noise: float = 0.02, **changes: float) -> SiteEvidence:
     """Return one site, gentle and without an exception but for changes, among so many rocks."""
     lander = Lander()
     height = lander.roughness_limit * np.geomspace(0.08, 8.0, 40)
     curve = HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
-    return SiteEvidence(**own, density=np.array([30.0]), curve=curve, lander=lander, noise=0.02)
+    own = {"density": np.array([30.0]), "thinnest": np.array([30.0])} | own
+    return SiteEvidence(**own, curve=curve, lander=lander, noise=noise)
 
 
 @given(
@@ -161,6 +165,49 @@ def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
     fatal = {"slope": 1.3, "mesh_slope": 1.15, "fitted_slope": 1.15, "roughness": 1.6, "top": 4.0}
     for name, value in fatal.items():
         assert site_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
+
+
+def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
+    assert site(0.02).in_domain.all()
+    assert not site(0.02, noise=0.6 * Lander().roughness_limit).in_domain.any()
+    assert site(0.2).in_domain.all()
+    assert not site(0.2, thinnest=1.0).in_domain.any()
+    assert not site(20.0).in_domain.any()
+    # Few hazards, but at the limit of the slope any stone tilts the lander too far.
+    steep = site(0.2, fitted_slope=0.99)
+    assert steep.hazards()[0] < MOST_HAZARDS
+    assert not steep.in_domain.any()
+    # Outside, p is no more than the chance that nothing stands there.
+    unknown = site(20.0)
+    nothing = np.exp(-unknown.piercing() - unknown.tilting())
+    assert (site_safety(unknown)[0] <= nothing).all()
+
+
+def test_what_noise_adds_to_the_highest_point_is_taken_off():
+    quiet, noisy = site(0.02, noise=1e-4, top=0.4), site(0.02, noise=0.02, top=0.4)
+    limit = Lander().roughness_limit
+    assert quiet.raised()[0] == pytest.approx(0.4 - 3e-4 / limit)
+    assert noisy.raised()[0] == pytest.approx(0.4 - 0.06 / limit)
+
+
+def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
+    mapper = QuadtreeMapper(MAP)
+    scans = flashes(tilted(0.0))
+    sigma = [float(np.nanmedian(scan.height_sigma(UPRIGHT))) for scan, _ in scans]
+    assert sigma[0] != sigma[-1]
+    for scan, estimate in scans:
+        mapper.update(scan, estimate)
+    evidence = evidence_of(
+        mapper.map, mapper.select(), mapper.selector.settings.zone, 0.01, Lander(),
+        RockExpectation(),
+    )  # fmt: skip
+    assert mapper._noise == max(sigma)
+    # Density is counted over the whole zone; where there are most points it is that of the scans.
+    points = mapper.map.points
+    count = (np.abs(points[:, :2]) < 4.0).all(axis=1).sum() / 64.0
+    inside = (np.abs(mapper.selection.position[:, :2]) < 2.0).all(axis=1)
+    assert np.nanmedian(evidence.density[inside]) == pytest.approx(count, rel=0.1)
+    assert np.nanmedian(evidence.thinnest[inside]) == pytest.approx(count, rel=0.35)
 
 
 def test_the_packaged_weights_of_the_quadtree_do_not_fall():

@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
-from lunarsim.parts.quantity import quantity
+from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.safety.calibration import Evidence, calibrated_safety, measured
@@ -60,7 +60,9 @@ class GaussianDemMapping:
         "calibrated",
         help="a frequency, Eqs. 15 to 17 of the paper, or these through the real support planes",
     )
-    interval: float = quantity(1.0, "s", ge=0, help="least time between two drawings of the map")
+    interval: float = quantity(
+        1.0, "s", ge=0, le=10, help="least time between two drawings of the map"
+    )
     calibration_path: Path | None = quantity(
         None,
         help="last stage of the calibration that `lunarsim calibrate` wrote, relative to the "
@@ -70,6 +72,7 @@ class GaussianDemMapping:
     takes: ClassVar[type] = LidarScan
 
     def __post_init__(self) -> None:
+        check_bounds(self, "mappers")
         if self.calibration_path is not None and self.safety != "calibrated":
             raise InputError(
                 "calibration_path", str(self.calibration_path),
@@ -145,6 +148,8 @@ class GaussianDemMapper(HazardMapper):
             if safety != "calibrated":
                 raise InputError("safety", safety, "calibrated: the others know no calibration")
             refit.check(lander, measured())
+        if not 0.0 <= interval < np.inf:
+            raise InputError("interval", interval, "0 or a positive number of seconds")
         self.grid = grid
         self.lander = lander
         self.refit = refit
@@ -202,7 +207,7 @@ class GaussianDemMapper(HazardMapper):
         """Lay the map about another point (3,), local frame, m."""
         self.grid = self.grid.about(centre)
         self.pool = SamplePool(self.grid)
-        self._map, self._stale = HazardMap.unobserved(self.grid), False
+        self._map, self._stale, self._due = HazardMap.unobserved(self.grid), False, -np.inf
 
 
 def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:

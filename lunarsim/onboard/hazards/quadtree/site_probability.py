@@ -16,16 +16,17 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.special import expit
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree.sites import Selection
-from lunarsim.onboard.hazards.quadtree.surface import rises, surface
+from lunarsim.onboard.hazards.quadtree.surface import Sampling, rises, sampling, surface
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
 from lunarsim.safety.bends import Term, columns, score
-from lunarsim.safety.calibration import MOST_HAZARDS, MOST_TILTING, NOISES
+from lunarsim.safety.calibration import MOST_TILTING, NOISES
 from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
 
@@ -34,8 +35,11 @@ BoolArray = NDArray[np.bool_]
 
 # See `ceiling`: from a share of the limit on, what chance is left.
 _LEFT_OF_SLOPE = np.array([[0.95, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.9, 0.75, 0.45, 0.2, 0.0]])
-_LEFT_OF_ROUGHNESS = np.array([[1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.6, 0.35, 0.15, 0.0]])
-_LEFT_OF_TOP = np.array([[1.3, 2.2, 4.0], [1.0, 0.7, 0.4]])
+_LEFT_OF_PLANE = np.array([[0.97, 1.05, 1.15], [1.0, 0.3, 0.0]])
+_LEFT_OF_ROUGHNESS = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
+_LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
+# In the domain at most so many hazards may be expected unseen in a footprint.
+MOST_HAZARDS = 0.08
 # Cells on which the mean ground is judged, and the largest that count as seen, m.
 _GROUND_BAND = (0.4, 1.6)
 # Between these the regression may bend: shares of the limits, decades of ratios and of rocks.
@@ -74,8 +78,8 @@ class SiteEvidence:
         Greatest exception ratio in the zone and in the footprint.
     relief, top
         How far a point reaches in the zone and in the footprint, over the limit.
-    density
-        Points on a square metre.
+    density, thinnest
+        Points on a square metre of the zone, and where they are the thinnest in the footprint.
     curve
         How high the ground stands, from the points and the mission's rock law.
     lander
@@ -95,6 +99,7 @@ class SiteEvidence:
     relief: Array
     top: Array
     density: Array
+    thinnest: Array
     curve: HeightCurve
     lander: Lander
     noise: float
@@ -107,7 +112,10 @@ class SiteEvidence:
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where few enough rocks can stand unseen for the regression to hold (n,)."""
+        """Where few enough rocks can stand unseen for the regression to hold (n,).
+
+        Noise must be within that of the fit.
+        """
         noise = self.noise / self.lander.roughness_limit
         if not NOISES[0] <= noise <= NOISES[1]:
             return np.zeros(len(self.slope), np.bool_)
@@ -139,17 +147,17 @@ class SiteEvidence:
         lander = self.lander
         height = (1.0 - self.fitted_slope) * np.tan(lander.slope_limit) * 1.4 * lander.leg_radius
         ring = 2.0 * np.pi * lander.leg_radius * (lander.pad_diameter + 0.2)
-        return np.asarray(ring * self.curve.unseen(height, self.density))
+        return np.asarray(ring * self.curve.missed(height, self.thinnest))
 
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
-        height = (1.0 - self.top) * self.lander.roughness_limit
-        return np.asarray(self._footprint() * self.curve.unseen(height, self.density))
+        height = (1.0 - self.raised()[0]) * self.lander.roughness_limit
+        return np.asarray(self._footprint() * self.curve.missed(height, self.thinnest))
 
     def hazards(self) -> Array:
         """Return how many unseen rocks in the footprint alone would be too high."""
         limit = self.lander.roughness_limit
-        return np.asarray(self._footprint() * self.curve.unseen(limit, self.density))
+        return np.asarray(self._footprint() * self.curve.missed(limit, self.thinnest))
 
     def _footprint(self) -> float:
         return float(np.pi * self.lander.leg_radius**2)
@@ -178,7 +186,8 @@ def evidence_of(
     """
     s = selection
     steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
-    height, grid = surface(quadtree, *_GROUND_BAND)
+    seen = sampling(quadtree)
+    height, grid = surface(quadtree, *_GROUND_BAND, seen)
     slope, roughness = _worst_about(bounded_safety(height, grid, lander), s.position[:, :2])
     mesh_slope = np.tan(s.slope) / steepest
     # The standard error of the slope over a square tells the spread about the plane. Points that
@@ -197,10 +206,21 @@ def evidence_of(
         s.relief / limit,
         s.top / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
+        _thinnest(seen, s.position[:, :2], lander),
         height_curve(rises(quadtree), noise, limit, rocks.cover, rocks.height_ratio[0]),
         lander,
         noise,
     )
+
+
+def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
+    """Return the least density of points about places (n, 2), 1/m^2, over the footprint."""
+    g = seen.grid
+    # What lies in the zone's corners is no part of a round footprint.
+    reach = max(1, round(lander.leg_radius / g.posting))
+    least = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
+    row, col = g.cell(xy)
+    return np.asarray(least[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
 
 def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
@@ -278,12 +298,13 @@ def ceiling(evidence: SiteEvidence) -> Array:
     slope or roughness beyond the limit so few were safe in the worlds of the fit, whatever else.
     """
     e = evidence
-    steep = np.maximum(e.slope, np.maximum(e.mesh_slope, e.fitted_slope))
-    least = np.minimum(
-        np.interp(steep, *_LEFT_OF_SLOPE),
+    left = (
+        np.interp(e.slope, *_LEFT_OF_SLOPE),
+        np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_LEFT_OF_PLANE),
         np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
+        np.interp(e.top, *_LEFT_OF_TOP),
     )
-    return np.asarray(np.nan_to_num(np.minimum(least, np.interp(e.top, *_LEFT_OF_TOP)), nan=0.0))
+    return np.asarray(np.nan_to_num(np.minimum.reduce(left), nan=0.0))
 
 
 def bound(evidence: SiteEvidence) -> Array:

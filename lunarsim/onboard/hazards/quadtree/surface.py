@@ -5,6 +5,9 @@ For tests that look under every leg of the lander, and for the rocks that no poi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -20,13 +23,26 @@ IntArray = NDArray[np.int64]
 _WIDTH = 3.0
 # Least weight of points under that bell for ground without a point of its own to count as seen.
 _NEAR = 1e-3
+# Cells in which points are counted, and width over which their density is, m.
+_FINE, _WIDE = 0.2, 1.0
+# Points that must be expected in an empty rectangle for it to be a gap.
+_EXPECTED = 14.0
+# Its rows and columns of such cells.
+_SHAPES = (
+    *((n, n) for n in (1, 2, 3, 4, 5, 6)),
+    *((n, m) for n, m in ((2, 6), (6, 2), (2, 10), (10, 2), (1, 8), (8, 1), (3, 8), (8, 3))),
+)
 # Points that are asked how high they stand.
 _ASKED = 250_000
+# Height of what stands apart that may be a rock, m.
+_LOW = 1.0
 # Least side of the squares through 5 x 5 of which a plane is laid, m.
 _SQUARE = 0.4
 
 
-def surface(quadtree: QuadtreeMap, smallest: float, largest: float) -> tuple[Array, Grid]:
+def surface(
+    quadtree: QuadtreeMap, smallest: float, largest: float, seen: Sampling | None = None
+) -> tuple[Array, Grid]:
     """Return mean elevations (rows, cols), m, NaN where nothing was seen, and their cells.
 
     Where the ground was seen so thinly that cells are larger than the raster's, their mean lies in
@@ -38,6 +54,8 @@ def surface(quadtree: QuadtreeMap, smallest: float, largest: float) -> tuple[Arr
         The map.
     smallest, largest
         Band of cell sizes, m; the raster has the smallest.
+    seen
+        Gaps to leave out; left out: none.
     """
     finest = quadtree.depth_of(smallest)
     wide = 1 << finest
@@ -59,7 +77,69 @@ def surface(quadtree: QuadtreeMap, smallest: float, largest: float) -> tuple[Arr
             for j in range(side):
                 at = row[mine] * side + i, col[mine] * side + j
                 out[at] = height[mine] + off[at]
-    return np.where(np.isnan(out), trend, out) + quadtree.centre[2], grid
+    out = np.where(np.isnan(out), trend, out) + quadtree.centre[2]
+    if seen is not None:
+        out[over(seen.gap, wide, np.logical_or)] = np.nan
+    return out, grid
+
+
+def over(raster: NDArray[Any], wide: int, join: np.ufunc) -> NDArray[Any]:
+    """Return a raster of a power of two cells, joined into (wide, wide) larger ones."""
+    each = len(raster) // wide
+    blocks = raster.reshape(wide, each, wide, each)
+    return np.asarray(join.reduce(blocks, axis=(1, 3)))
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How densely a map was seen.
+
+    Attributes
+    ----------
+    grid
+        Cells of `_FINE` (power of two parts of the map).
+    gap
+        Where points are missing that chance would not have left out (rows, cols).
+    density
+        Points on a square metre about each cell, over `_WIDE` (rows, cols).
+    """
+
+    grid: Grid
+    gap: NDArray[np.bool_]
+    density: Array
+
+
+def sampling(quadtree: QuadtreeMap) -> Sampling:
+    """Return how densely a map was seen, and where it was not.
+
+    A hole is an empty rectangle in which the density about it lets expect `_EXPECTED` points.
+    """
+    wide = 1 << quadtree.depth_of(_FINE)
+    posting = quadtree.side / wide
+    grid = Grid.centred(quadtree.centre[:2], quadtree.side, posting)
+    xy = quadtree.tree.xyz[: quadtree.count, :2]
+    col, row = np.clip(((xy + 0.5 * quadtree.side) / posting).astype(np.int64).T, 0, wide - 1)
+    count = np.bincount(row * wide + col, minlength=wide * wide).reshape(wide, wide)
+    blocks = max(1, min(wide, round(_WIDE / posting)))
+    mean = ndimage.uniform_filter(count.astype(np.float64), blocks, mode="constant")
+    # What lies about a hole, not in it, tells what to expect there.
+    about = ndimage.maximum_filter(mean, 2 * blocks + 1, mode="constant")
+    total = np.zeros((wide + 1, wide + 1), np.int64)
+    np.cumsum(np.cumsum(count, axis=0), axis=1, out=total[1:, 1:])
+    gap = np.zeros((wide, wide), np.bool_)
+    for high, across in _SHAPES:
+        if max(high, across) > wide:
+            continue
+        inside = (
+            total[high:, across:] - total[:-high, across:] - total[high:, :-across]
+            + total[:-high, :-across]
+        )  # fmt: skip
+        here = about[: wide - high + 1, : wide - across + 1]
+        empty = (inside == 0) & (here * high * across >= _EXPECTED)
+        for i in range(high):
+            for j in range(across):
+                gap[i : i + empty.shape[0], j : j + empty.shape[1]] |= empty
+    return Sampling(grid, gap, mean / posting**2)
 
 
 def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
@@ -76,12 +156,14 @@ def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: i
 def rises(quadtree: QuadtreeMap) -> Array:
     """Return heights of some points above the ground about them (n,), m.
 
-    The ground is the plane through some hundred points about; points that stand apart are left out.
+    The ground is the plane through some hundred points about, without those that stand apart. Of
+    these the ones less than `_LOW` above it count as well: one return off a small rock cannot be
+    told from one off something in the air.
     """
     t, count = quadtree.tree, quadtree.count
     index = np.arange(0, count, max(1, count // _ASKED))
-    index = index[~t.apart[index]]
-    points = t.xyz[index].astype(np.float64)
+    points, apart = t.xyz[index].astype(np.float64), t.apart[index]
     spacing = quadtree.side / np.sqrt(max(len(points), 1))
     squares = Squares(Grid.centred((0.0, 0.0), quadtree.side, max(_SQUARE, 2.0 * spacing)), 1)
-    return np.asarray(points[:, 2] - squares.heights(squares.planes(points), points))
+    found = points[:, 2] - squares.heights(squares.planes(points[~apart]), points)
+    return np.asarray(found[~apart | (np.abs(found) < _LOW)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap
-from lunarsim.onboard.hazards.quadtree.surface import rises, surface
+from lunarsim.onboard.hazards.quadtree.surface import rises, sampling, surface
 from tests.reference import quadtree as reference
 
 
@@ -76,3 +76,42 @@ def test_a_map_without_points_has_no_ground():
     quadtree = QuadtreeMap((0.0, 0.0), 12.8, 0.1)
     assert np.isnan(surface(quadtree, 0.4, 1.6)[0]).all()
     assert len(rises(quadtree)) == 0
+
+
+@pytest.mark.parametrize("density", [40, 70, 100])
+@pytest.mark.parametrize("width", [1.0, 1.4, 2.0])
+@pytest.mark.parametrize("corner", [0.0, 0.13, 0.7])
+def test_a_hole_that_chance_would_not_leave_is_a_gap(density, width, corner):
+    rng = np.random.default_rng(6)
+    points = scattered(rng, int(density * 12.8**2))
+    hole = (np.abs(points[:, :2] - corner) < 0.5 * width).all(axis=1)
+    quadtree = mapped(points[~hole])
+    seen = sampling(quadtree)
+    middle = (np.abs(seen.grid.centres() - corner) < 0.25).all(axis=-1)
+    assert seen.gap[middle].any()
+    height, grid = surface(quadtree, 0.4, 1.6, seen)
+    near = (np.abs(grid.centres() - corner) < 0.5 * width).all(axis=-1)
+    assert np.isnan(height[near]).any()
+    # Ground that was seen stays seen.
+    away = (np.abs(seen.grid.centres() - corner) > 0.5 * width + 0.5).any(axis=-1)
+    assert seen.gap[away & (np.abs(seen.grid.centres()) < 6.0).all(axis=-1)].mean() < 0.002
+
+
+def test_a_trench_that_no_return_came_out_of_is_a_gap():
+    rng = np.random.default_rng(7)
+    points = scattered(rng, 60 * 164)
+    points = points[np.abs(points[:, 0] - 0.3) > 0.35]
+    seen = sampling(mapped(points))
+    inside = np.abs(seen.grid.centres()[..., 0] - 0.3) < 0.2
+    assert seen.gap[inside].mean() > 0.9
+
+
+def test_density_is_that_of_a_plain_count():
+    rng = np.random.default_rng(8)
+    points = scattered(rng, 5000, 9.0)
+    seen = sampling(mapped(points))
+    xy = seen.grid.centres()
+    for row, col in rng.integers(8, 56, (20, 2)):
+        # float32 and the edges of cells.
+        inside = (np.abs(points[:, :2] - xy[row, col]) < 0.5).all(axis=1).sum()
+        assert seen.density[row, col] == pytest.approx(inside, abs=2)
