@@ -201,7 +201,7 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
         mapper.map, mapper.select(), mapper.selector.settings.zone, 0.01, Lander(),
         RockExpectation(),
     )  # fmt: skip
-    assert mapper._noise == max(sigma)
+    assert mapper.noise == max(sigma)
     # Density is counted over the whole zone; where there are most points it is that of the scans.
     points = mapper.map.points
     count = (np.abs(points[:, :2]) < 4.0).all(axis=1).sum() / 64.0

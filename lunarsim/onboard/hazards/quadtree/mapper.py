@@ -122,6 +122,11 @@ class QuadtreeMapper(HazardMapper):
         m/s^2, for what an error of attitude has done to the way since a scan that waits.
     lander, rocks
         Whose safety is asked for, and what rocks the mission expects; left out, the defaults.
+
+    Attributes
+    ----------
+    noise
+        Standard deviation of a height in the noisiest scan on the map, m.
     """
 
     def __init__(
@@ -169,7 +174,7 @@ class QuadtreeMapper(HazardMapper):
         self.selector = SiteSelector(
             self.map, self._settings, self._interest, thorough=True, footprint=footprint
         )
-        self._noise = 0.0
+        self.noise = 0.0
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (3,), local frame, m; what was of interest moves too."""
@@ -204,7 +209,7 @@ class QuadtreeMapper(HazardMapper):
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
         self.map.insert(_returns(scan, position, attitude))
         # The noisiest scan's: the points of all are on the map.
-        self._noise = max(self._noise, float(np.nanmedian(scan.height_sigma(attitude))))
+        self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
     def correct(self, before: Estimate, after: Estimate) -> None:
         """Move the scans held by what navigation has just learnt of pose and velocity.
@@ -274,7 +279,7 @@ class QuadtreeMapper(HazardMapper):
         if len(selection.nodes) == 0:
             return self._nothing(g)
         evidence = evidence_of(
-            self.map, selection, self.selector.settings.zone, self._noise, self._lander, self._rocks
+            self.map, selection, self.selector.settings.zone, self.noise, self._lander, self._rocks
         )
         p, known = site_safety(evidence, self._model)
         xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
