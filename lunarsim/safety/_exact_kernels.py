@@ -55,7 +55,7 @@ HALF = np.float32(0.5 * (BLOCK - 1))
 
 
 @kernel()
-def _slopes(z, inside, arm, out):
+def slopes_at_large(z, inside, arm, out):
     """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m a cell.
 
     Of the ground at large: the median over a square of height differences over an `arm` to either
@@ -86,7 +86,7 @@ def _slopes(z, inside, arm, out):
 
 
 @kernel(fast=True)
-def _between(slopes, out):
+def between(slopes, out):
     """Write what holds at the centre of the block to the north-east of each cell, bilinear."""
     rows, cols = slopes.shape
     tall, wide = out.shape
@@ -113,8 +113,8 @@ def _lids(z, slopes, height, east, north):
     """Write the lids of the blocks to the north-east of each cell: height at centre, gradient."""
     tall, wide = z.shape
     flat = z.reshape(z.size)
-    _between(slopes[0], east.reshape(tall, wide))
-    _between(slopes[1], north.reshape(tall, wide))
+    between(slopes[0], east.reshape(tall, wide))
+    between(slopes[1], north.reshape(tall, wide))
     for at in range(0, z.size - (BLOCK - 1) * wide - BLOCK - LANES, LANES):
         gx = load(east, at)
         gy = load(north, at)
@@ -321,7 +321,7 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
         max(reach - c0, 0),
         min(w + 2 * reach, cols - c0 + reach) - 1,
     )
-    _slopes(ground[0], inside, max(reach // 2, 1), slopes)
+    slopes_at_large(ground[0], inside, max(reach // 2, 1), slopes)
     flat = ground.reshape(5, tall * wide)
     _lids(ground[0], slopes, flat[2], flat[3], flat[4])
 

@@ -246,7 +246,7 @@ def rectangles_of(tree, nodes):
 
 
 @kernel()
-def _zone_sums(tree, west, east, south, north, cx, cy, stack, s):
+def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
     """Write the sums over the points in a rectangle, about (cx, cy).
 
     Cells that only touch it are left out.
@@ -388,7 +388,7 @@ def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
     west, east, south, north = x - zone, x + zone, y - zone, y + zone
     sums_of(tree, node, s)
     z = s[2] / s[NUMBER]
-    _zone_sums(tree, west, east, south, north, x, y, stack, s)
+    zone_sums(tree, west, east, south, north, x, y, stack, s)
     out[POINTS] = s[NUMBER]
     out[FITTED], out[SIGMA] = _fitted_slope(s)
     if printed:

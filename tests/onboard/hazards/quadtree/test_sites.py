@@ -251,7 +251,7 @@ def test_a_zone_that_ends_a_micrometre_within_a_cell_takes_all_of_it_in(axis, si
     assert quadtree.number(np.array([node]))[0] == 9
     assert abs(xy[-1, axis]) > abs(end)
     stack, sums = np.empty(64, np.int32), np.empty(12)
-    k._zone_sums(quadtree.tree, *box.ravel(), 0.0, 0.0, stack, sums)
+    k.zone_sums(quadtree.tree, *box.ravel(), 0.0, 0.0, stack, sums)
     assert sums[9] == 9.0
 
 
