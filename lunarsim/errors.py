@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -49,9 +49,12 @@ def check_output(field: str, path: Path, suffix: str) -> None:
         raise InputError(field, str(path), "a file in an existing folder")
     if path.is_dir():
         raise InputError(field, str(path), "a file, not a folder")
-    # In /proc even root can make no file, whatever its bits say.
-    if not os.access(path.parent, os.W_OK) or path.parent.resolve().is_relative_to("/proc"):
-        raise InputError(field, str(path), "a file in a folder that can be written to")
+    try:
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise InputError(
+            field, str(path), f"a file in a folder that can be written to ({error.strerror})"
+        ) from None
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -14,9 +14,9 @@ from lunarsim.safety.calibration import (
     Evidence,
     bound,
     ceiling,
-    features,
     in_domain,
     judged,
+    log_odds,
     measured,
 )
 from lunarsim.safety.domain import Domain
@@ -80,7 +80,7 @@ class Sites:
         e = evidence
         return cls(
             np.full(n, flight, np.int64),
-            features(e, where) @ np.array(measured().weights),
+            log_odds(e, where, measured()),
             ceiling(e)[where],
             bound(e)[where],
             in_domain(e)[where],

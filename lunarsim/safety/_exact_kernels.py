@@ -31,12 +31,12 @@ from lunarsim._lanes import (
 )
 from lunarsim.safety._kernels import (
     FAR,
-    TILE_COLS,
     datum_of,
     fill,
     levels_of,
     load_window,
     over_runs,
+    tile_at,
     tiles_of,
 )
 from lunarsim.safety._plane_kernels import (
@@ -375,10 +375,7 @@ def exact(
     rows, cols = todo.shape
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * PLANE_ROWS
-        c0 = (tile % across) * TILE_COLS
-        r1 = min(r0 + PLANE_ROWS, rows)
-        c1 = min(c0 + TILE_COLS, cols)
+        r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         if not todo[r0:r1, c0:c1].any():
             continue
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)

@@ -236,6 +236,13 @@ def tiles_of(rows, cols, tall):
     return across, across * ((rows + tall - 1) // tall)
 
 
+@kernel(inline=True)
+def tile_at(tile, across, tall, rows, cols):
+    """Return first and end row, first and end column of a tile of `tall` rows."""
+    r0, c0 = (tile // across) * tall, (tile % across) * TILE_COLS
+    return r0, min(r0 + tall, rows), c0, min(c0 + TILE_COLS, cols)
+
+
 @kernel(parallel=True)
 def extremes(z, middle, cells, span, rise):
     """Write max over L less min over L, and max over U less min over L (Eq. 10).
@@ -246,10 +253,8 @@ def extremes(z, middle, cells, span, rise):
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * TILE_ROWS
-        c0 = (tile % across) * TILE_COLS
-        h = min(TILE_ROWS, rows - r0)
-        w = min(TILE_COLS, cols - c0)
+        r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
+        h, w = r1 - r0, c1 - c0
         levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
         window = np.empty(levels.shape[1:], np.float32)
         leg = np.empty((2, h, w), np.float32)
@@ -327,10 +332,8 @@ def stochastic(
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * TILE_ROWS
-        c0 = (tile % across) * TILE_COLS
-        h = min(TILE_ROWS, rows - r0)
-        w = min(TILE_COLS, cols - c0)
+        r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
+        h, w = r1 - r0, c1 - c0
         levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)

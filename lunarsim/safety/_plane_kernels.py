@@ -23,7 +23,6 @@ from lunarsim._lanes import (
 )
 from lunarsim.safety._kernels import (
     FAR,
-    TILE_COLS,
     datum_of,
     double,
     levels_of,
@@ -31,6 +30,7 @@ from lunarsim.safety._kernels import (
     load_window,
     over_runs,
     spread_bounds,
+    tile_at,
     tiles_of,
 )
 
@@ -229,10 +229,7 @@ def bounded(z, middle, cells, covers, block, posting, slope_out, rough_out):
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * PLANE_ROWS
-        c0 = (tile % across) * TILE_COLS
-        r1 = min(r0 + PLANE_ROWS, rows)
-        c1 = min(c0 + TILE_COLS, cols)
+        r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
         levels = levels_of(cells, tall, wide)
         ground = np.empty((3, tall, wide), np.float32)
@@ -269,10 +266,7 @@ def stochastic_planes(
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
     for tile in prange(tiles):
-        r0 = (tile // across) * PLANE_ROWS
-        c0 = (tile % across) * TILE_COLS
-        r1 = min(r0 + PLANE_ROWS, rows)
-        c1 = min(c0 + TILE_COLS, cols)
+        r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
         levels = levels_of(cells, tall, wide)
         g = np.empty((8, tall, wide), np.float32)

@@ -27,6 +27,7 @@ from lunarsim.safety.bends import Term, columns, score
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.exact import SafetyMap
+from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import HeightCurve
@@ -131,23 +132,17 @@ class Evidence:
 
     def tilting(self) -> Array:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
-        lander = self.lander
-        # A pad raised by this turns the lander about the opposite pads by the slope that is left.
-        height = (1.0 - self.slope) * np.tan(lander.slope_limit) * 1.4 * lander.leg_radius
-        ring = 2.0 * np.pi * lander.leg_radius * (lander.pad_diameter + 0.2)
-        return self._expected(height, ring)
+        height = tilting_height(self.slope, self.lander)
+        return self._expected(height, pad_ring_area(self.lander))
 
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
         height = (1.0 - self.roughness) * self.lander.roughness_limit
-        return self._expected(height, self._footprint())
+        return self._expected(height, footprint_area(self.lander))
 
     def hazards(self) -> Array:
         """Return how many unseen rocks in the footprint alone would be too high."""
-        return self._expected(np.array(self.lander.roughness_limit), self._footprint())
-
-    def _footprint(self) -> float:
-        return float(np.pi * self.lander.leg_radius**2)
+        return self._expected(np.array(self.lander.roughness_limit), footprint_area(self.lander))
 
     def _expected(self, height: Array, area: float) -> Array:
         """Return rocks above a height (rows, cols) or () in an area about each site."""
@@ -155,7 +150,7 @@ class Evidence:
         if height.ndim:
             return np.asarray(area * each)
         # The density may change under the footprint.
-        width = max(1, round(np.sqrt(self._footprint()) / self.level.grid.posting))
+        width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
         return np.asarray(area * ndimage.uniform_filter(each, width, mode="nearest"))
 
 
@@ -176,6 +171,14 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     terms = _terms(evidence, where)
     n = int(np.count_nonzero(where))
     return np.column_stack((np.tile(_free(evidence), (n, 1)), columns(terms, n)))
+
+
+def log_odds(evidence: Evidence, where: NDArray[np.bool_], model: Logistic) -> Array:
+    """Return what the regression says of sites (n,), chosen by a mask (rows, cols)."""
+    weights = np.array(model.weights)
+    return np.asarray(
+        float(_free(evidence) @ weights[:FREE]) + score(_terms(evidence, where), weights[FREE:])
+    )
 
 
 def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
@@ -253,16 +256,14 @@ def calibrated_safety(
     covered = known if refit is None else in_domain(evidence, refit.domain)
     p = np.zeros(seen.shape, np.float32)
     if seen.any():
-        weights = np.array(model.weights)
-        free = float(_free(evidence) @ weights[:FREE])
-        log_odds = free + score(_terms(evidence, seen), weights[FREE:])
         most, least = ceiling(evidence)[seen], bound(evidence)[seen]
-        p[seen] = judged(log_odds, most, least, known[seen], covered[seen], refit)
+        odds = log_odds(evidence, seen, model)
+        p[seen] = judged(odds, most, least, known[seen], covered[seen], refit)
     return p, covered
 
 
 def judged(
-    log_odds: Array,
+    odds: Array,
     most: Array,
     least: Array,
     known: BoolMap,
@@ -275,8 +276,8 @@ def judged(
 
     Parameters
     ----------
-    log_odds
-        By the regression (n,).
+    odds
+        `log_odds` of the sites (n,).
     most, least
         `ceiling` and `bound` of the sites (n,).
     known, covered
@@ -285,8 +286,8 @@ def judged(
     refit
         As for `calibrated_safety`.
     """
-    plain = expit(log_odds)
-    p = plain if refit is None else refit.probability(log_odds, known)
+    plain = expit(odds)
+    p = plain if refit is None else refit.probability(odds, known)
     p = np.minimum(p, most)
     return np.asarray(np.where(covered, p, np.minimum(np.minimum(p, plain), least)))
 

@@ -37,7 +37,7 @@ Figures = dict[str, dict[str, Any]]
 
 def counts_of(judged: list[Judged]) -> np.ndarray:
     """Return hits, false safe, missed, rejected of each map (n, strata, 4)."""
-    return np.array([j.counts for j in judged], dtype=np.float64).reshape(-1, len(STRATA), 4)
+    return np.array([j.counts for j in judged], dtype=np.float64)
 
 
 def ratio_interval(
@@ -108,11 +108,11 @@ def landings(flights: Flights) -> Figures:
 
 
 def quality(judged: list[Judged]) -> dict[str, Any]:
-    """Return the figures of a mapper's maps of one moment."""
-    counts = counts_of(judged)
-    claims = np.sum([j.claimed for j in judged], axis=0).reshape(-1, 3)
+    """Return the figures of a mapper's maps of one moment; empty without any."""
     if not judged:
         return {}
+    counts = counts_of(judged)
+    claims = np.sum([j.claimed for j in judged], axis=0)
     return {
         "precision": ratio_interval(counts.sum(axis=1), precision),
         "recall": ratio_interval(counts.sum(axis=1), recall),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 
 import pytest
 from rich.console import Console
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import gathered, outcomes
 
 QUIET = Console(quiet=True)
 
@@ -37,3 +38,20 @@ def test_what_is_done_before_an_interrupt_is_kept():
     assert gathered(third_interrupts, range(5), 1, QUIET, "numbers") == [0, -1]
     with pytest.raises(KeyboardInterrupt):
         gathered(first_interrupts, range(5), 1, QUIET, "numbers")
+
+
+def sleeps(seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
+def test_workers_end_with_the_work():
+    """An interrupt leaves no process that goes on for what nobody takes any more."""
+    work = outcomes(sleeps, [0.0, 600.0, 600.0], 2)
+    assert next(work) == (0, 0.0)
+    workers = multiprocessing.active_children()
+    assert workers
+    work.close()
+    for worker in workers:
+        worker.join(20.0)
+        assert worker.exitcode is not None

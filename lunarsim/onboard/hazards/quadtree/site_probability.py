@@ -27,6 +27,12 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
 from lunarsim.safety.bends import Term, columns, score
 from lunarsim.safety.calibration import MOST_TILTING, NOISES
+from lunarsim.safety.exposure import (
+    footprint_area,
+    pad_ring_area,
+    tilt_of,
+    tilting_height,
+)
 from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
 
@@ -139,28 +145,23 @@ class SiteEvidence:
         Over what is left of the slope.
         """
         left = np.maximum(1.0 - self.slope, 0.02) * np.tan(self.lander.slope_limit)
-        rise = height * self.lander.roughness_limit / (1.4 * self.lander.leg_radius)
-        return np.asarray((rise + 2e-4) / left)
+        tilt = tilt_of(height * self.lander.roughness_limit, self.lander)
+        return np.asarray((tilt + 2e-4) / left)
 
     def tilting(self) -> Array:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
-        lander = self.lander
-        height = (1.0 - self.fitted_slope) * np.tan(lander.slope_limit) * 1.4 * lander.leg_radius
-        ring = 2.0 * np.pi * lander.leg_radius * (lander.pad_diameter + 0.2)
-        return np.asarray(ring * self.curve.missed(height, self.thinnest))
+        height = tilting_height(self.fitted_slope, self.lander)
+        return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
 
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
         height = (1.0 - self.raised()[0]) * self.lander.roughness_limit
-        return np.asarray(self._footprint() * self.curve.missed(height, self.thinnest))
+        return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.thinnest))
 
     def hazards(self) -> Array:
         """Return how many unseen rocks in the footprint alone would be too high."""
         limit = self.lander.roughness_limit
-        return np.asarray(self._footprint() * self.curve.missed(limit, self.thinnest))
-
-    def _footprint(self) -> float:
-        return float(np.pi * self.lander.leg_radius**2)
+        return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.thinnest))
 
 
 def evidence_of(
@@ -309,5 +310,4 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
 def bound(evidence: SiteEvidence) -> Array:
     """Return the chance that no unseen rock stands there (n,)."""
-    none = np.exp(-evidence.piercing() - np.maximum(evidence.tilting(), 0.0))
-    return np.nan_to_num(none, nan=0.0)
+    return np.nan_to_num(np.exp(-evidence.piercing() - evidence.tilting()), nan=0.0)

@@ -6,7 +6,6 @@ For tests that look under every leg of the lander, and for the rocks that no poi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +19,11 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # Width of the bell over which the ground is averaged where it was seen thinly, in cells.
-_WIDTH = 3.0
+_BELL = 3.0
 # Least weight of points under that bell for ground without a point of its own to count as seen.
 _NEAR = 1e-3
 # Cells in which points are counted, and width over which their density is, m.
-_FINE, _WIDE = 0.2, 1.0
+_FINE, _WINDOW = 0.2, 1.0
 # Points that must be expected in an empty rectangle for it to be a gap.
 _EXPECTED = 14.0
 # Its rows and columns of such cells.
@@ -79,15 +78,10 @@ def surface(
                 out[at] = height[mine] + off[at]
     out = np.where(np.isnan(out), trend, out) + quadtree.centre[2]
     if seen is not None:
-        out[over(seen.gap, wide, np.logical_or)] = np.nan
+        # Cells of the one are a power of two of the other's.
+        each = len(seen.gap) // wide
+        out[seen.gap.reshape(wide, each, wide, each).any(axis=(1, 3))] = np.nan
     return out, grid
-
-
-def over(raster: NDArray[Any], wide: int, join: np.ufunc) -> NDArray[Any]:
-    """Return a raster of a power of two cells, joined into (wide, wide) larger ones."""
-    each = len(raster) // wide
-    blocks = raster.reshape(wide, each, wide, each)
-    return np.asarray(join.reduce(blocks, axis=(1, 3)))
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,7 @@ class Sampling:
     gap
         Where points are missing that chance would not have left out (rows, cols).
     density
-        Points on a square metre about each cell, over `_WIDE` (rows, cols).
+        Points on a square metre about each cell, over `_WINDOW` (rows, cols).
     """
 
     grid: Grid
@@ -120,10 +114,10 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
     xy = quadtree.tree.xyz[: quadtree.count, :2]
     col, row = np.clip(((xy + 0.5 * quadtree.side) / posting).astype(np.int64).T, 0, wide - 1)
     count = np.bincount(row * wide + col, minlength=wide * wide).reshape(wide, wide)
-    blocks = max(1, min(wide, round(_WIDE / posting)))
-    mean = ndimage.uniform_filter(count.astype(np.float64), blocks, mode="constant")
+    window = max(1, min(wide, round(_WINDOW / posting)))
+    mean = ndimage.uniform_filter(count.astype(np.float64), window, mode="constant")
     # What lies about a hole, not in it, tells what to expect there.
-    about = ndimage.maximum_filter(mean, 2 * blocks + 1, mode="constant")
+    about = ndimage.maximum_filter(mean, 2 * window + 1, mode="constant")
     total = np.zeros((wide + 1, wide + 1), np.int64)
     np.cumsum(np.cumsum(count, axis=0), axis=1, out=total[1:, 1:])
     gap = np.zeros((wide, wide), np.bool_)
@@ -134,7 +128,8 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
             total[high:, across:] - total[:-high, across:] - total[high:, :-across]
             + total[:-high, :-across]
         )  # fmt: skip
-        here = about[: wide - high + 1, : wide - across + 1]
+        # Expected by what lies about the middle of a rectangle.
+        here = about[high // 2 :, across // 2 :][: wide - high + 1, : wide - across + 1]
         empty = (inside == 0) & (here * high * across >= _EXPECTED)
         for i in range(high):
             for j in range(across):
@@ -147,9 +142,9 @@ def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: i
     sums, count = np.zeros((wide, wide)), np.zeros((wide, wide))
     at = (row << finer) + (1 << finer >> 1), (col << finer) + (1 << finer >> 1)
     sums[at], count[at] = height, 1.0
-    weight = ndimage.gaussian_filter(count, _WIDTH, mode="constant")
+    weight = ndimage.gaussian_filter(count, _BELL, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = ndimage.gaussian_filter(sums, _WIDTH, mode="constant") / weight
+        mean = ndimage.gaussian_filter(sums, _BELL, mode="constant") / weight
     return np.where(weight > _NEAR, mean, np.nan)
 
 
