@@ -188,6 +188,8 @@ def test_what_noise_adds_to_the_highest_point_is_taken_off():
     limit = Lander().roughness_limit
     assert quiet.raised()[0] == pytest.approx(0.4 - 3e-4 / limit)
     assert noisy.raised()[0] == pytest.approx(0.4 - 0.06 / limit)
+    assert quiet.raised()[1] == pytest.approx(0.1, abs=1e-5)
+    assert noisy.raised()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
 
 
 def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.quadtree import QuadtreeMap
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
+from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of
 from lunarsim.onboard.hazards.quadtree.surface import rises, sampling, surface
+from lunarsim.rocks.population import RockExpectation
 from tests.reference import quadtree as reference
 
 
@@ -115,3 +120,74 @@ def test_density_is_that_of_a_plain_count():
         # float32 and the edges of cells.
         inside = (np.abs(points[:, :2] - xy[row, col]) < 0.5).all(axis=1).sum()
         assert seen.density[row, col] == pytest.approx(inside, abs=2)
+
+
+def evidence(points: np.ndarray, side: float = 12.8):
+    """Return what a quadtree of points says of its sites, and where these are (n, 2)."""
+    lander = replace(Lander(), leg_radius=1.0, pad_diameter=0.2)
+    quadtree = QuadtreeMap((0.0, 0.0, 100.0), side, 0.1)
+    quadtree.insert(points)
+    settings = SiteSettings(zone=1.5, mesh_band=(1.6, 3.2))
+    selection = SiteSelector(quadtree, settings, thorough=True, footprint=1.1).update()
+    found = evidence_of(quadtree, selection, 1.5, 0.01, lander, RockExpectation())
+    return found, selection.position[:, :2]
+
+
+def test_sites_whose_footprint_holds_a_gap_are_not_judged():
+    rng = np.random.default_rng(9)
+    points = scattered(rng, 60 * 164)
+    whole, _ = evidence(points)
+    # Within a cell of 1.6 m, so that each of its quarters still has points.
+    hole = (np.abs(points[:, :2] - 0.8) < 0.5).all(axis=1)
+    holed, xy = evidence(points[~hole])
+    near = (np.abs(xy - 0.8) < 0.7).all(axis=1)
+    assert whole.judged[near].all()
+    assert not holed.judged[near].any()
+    away = (np.abs(xy - 0.8) > 3.0).any(axis=1)
+    assert (holed.judged == whole.judged)[away].all()
+
+
+def test_a_footprint_is_as_thin_as_its_thinnest_metre():
+    rng = np.random.default_rng(10)
+    points = scattered(rng, 100 * 164)
+    thin = (points[:, 0] > 0.0) & (rng.random(len(points)) < 0.7)
+    found, xy = evidence(points[~thin])
+    west, border = np.abs(xy[:, 0] + 3.2) < 0.5, np.abs(xy[:, 0] + 0.4) < 0.1
+    inner = np.abs(xy[:, 1]) < 3.0
+    assert np.median(found.thinnest[west & inner]) == pytest.approx(80.0, abs=20.0)
+    assert np.median(found.thinnest[border & inner]) == pytest.approx(22.0, abs=10.0)
+    assert np.median(found.density[border & inner]) > 50.0
+
+
+def test_the_lander_stands_on_the_ground_under_the_site():
+    """Ground and its mirror image give evidence that is mirrored: no site looks a cell aside."""
+    rng = np.random.default_rng(11)
+    xy = rng.uniform(-6.39, 6.39, (20_000, 2))
+    # Nothing lies on an edge between cells, which belong to their east.
+    xy = xy[(np.abs(xy % 0.1 - 0.05) < 0.0499).all(axis=1)]
+    bump = 0.6 * np.exp(-(((xy[:, 0] - 1.3) / 0.5) ** 2) - ((xy[:, 1] + 0.9) / 0.5) ** 2)
+    points = np.column_stack((xy, 100.0 + bump))
+    for axis in (0, 1):
+        mirror = np.ones(3)
+        mirror[axis] = -1.0
+        found, place = evidence(points)
+        other, seen = evidence(points * mirror)
+        at = {tuple(np.round(p, 3)): n for n, p in enumerate(seen * mirror[:2])}
+        pairs = [(n, at[tuple(np.round(p, 3))]) for n, p in enumerate(place)]
+        mine, its = np.array(pairs).T
+        assert np.nanmax(found.slope) > 0.3
+        assert found.slope[mine] == pytest.approx(other.slope[its], abs=1e-3, nan_ok=True)
+        assert found.roughness[mine] == pytest.approx(other.roughness[its], abs=1e-3, nan_ok=True)
+
+
+def test_one_return_low_above_the_ground_may_be_a_rock_and_a_high_one_is_not():
+    rng = np.random.default_rng(12)
+    points = scattered(rng, 20_000)
+    points[::400, 2] += 0.5
+    points[200::400, 2] += 7.0
+    quadtree = mapped(points)
+    assert quadtree.apart.sum() > 60
+    found = rises(quadtree)
+    assert ((found > 0.4) & (found < 0.6)).sum() == 50
+    # But for those alone in their cell, of which nothing says that they stand apart.
+    assert (found > 1.0).sum() <= 10
