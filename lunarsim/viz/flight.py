@@ -13,7 +13,9 @@ from matplotlib.patches import Circle, Patch
 
 from lunarsim.evaluation.outcome import first_aim
 from lunarsim.frames import quat_to_matrix
+from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.style import COLOURS, hillshade, map_axes, new_figure, save, show
@@ -154,7 +156,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     if tall:
         for panel in panels[1:]:
             panel.set_ylabel("")
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=7)
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=4)
     figure.suptitle(_title(flight))
     save(figure, path)
 
@@ -177,9 +179,22 @@ def _draw_map(figure: Any, panel: Any, flight: Flight) -> None:
         grid = flight.hazard_map.grid.moved(-flight.map_error)
         image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
         figure.colorbar(image, ax=panel, label="probability of safety", shrink=0.6)
+        _hatch_bounds(panel, flight.hazard_map, grid)
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, "o", mfc="none", mec="white", ms=6)
     map_axes(panel, "hazard map and candidate sites")
+
+
+def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
+    """Hatch where the probability is a bound and no frequency."""
+    if hazard_map.in_domain is None:
+        return
+    bound = hazard_map.observed & ~hazard_map.in_domain
+    if bound.any():
+        hatched = panel.contourf(
+            grid.x, grid.y, bound.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"]
+        )
+        hatched.set(edgecolor="0.8", linewidth=0.0)
 
 
 def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
@@ -215,6 +230,7 @@ def _legend() -> list[Any]:
         Line2D([], [], ls="", marker="x", color="black", mew=2, label="first aim"),
         Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
         Line2D([], [], ls="", marker="o", mfc="#440154", mec="white", ms=7, label="candidate site"),
+        Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="a bound, no frequency"),
         Patch(color="#56B4E9", label="truly safe at every heading"),
         Patch(color="#D55E00", label="true hazard"),
         Patch(color="#bbbbbb", label="edge of the terrain"),
