@@ -94,27 +94,37 @@ def fill_holes(z):
 _NEIGHBOURS = 2  # vertices further apart on the detector have a missing return between them
 
 
-@kernel(parallel=True)
-def longest_edges(points, triangles, pixels, cols):
-    """Return the longest edge of every triangle (m,); inf for one over missing returns.
+# A triangle with an edge this many times longer than the samples are apart spans an occlusion.
+_GAP = 3.0
 
+
+@kernel(parallel=True)
+def edges(points, triangles, pixels, cols, spacing):
+    """Return the longest edge of every triangle (m,), and which triangles span ground seen (m,).
+
+    Not those over missing returns, whose longest edge is inf, nor those with an edge three times as
+    long as their samples are apart: `spacing` (n,), the widest at a triangle's corners.
     `pixels` numbers the points row by row on a detector of `cols` columns; empty if unknown.
     """
-    out = np.empty(triangles.shape[0])
+    longest = np.empty(triangles.shape[0])
+    usable = np.empty(triangles.shape[0], np.bool_)
     for t in prange(triangles.shape[0]):
         most = 0.0
         apart = 0
+        wide = 0.0
         for e in range(3):
             a = triangles[t, e]
             b = triangles[t, (e + 1) % 3]
             dx = points[a, 0] - points[b, 0]
             dy = points[a, 1] - points[b, 1]
             most = max(most, dx * dx + dy * dy)
+            wide = max(wide, spacing[a])
             if pixels.size > 0:
                 apart = max(apart, abs(pixels[a] // cols - pixels[b] // cols))
                 apart = max(apart, abs(pixels[a] % cols - pixels[b] % cols))
-        out[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
-    return out
+        longest[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
+        usable[t] = longest[t] <= _GAP * wide
+    return longest, usable
 
 
 @kernel(fast=True)
@@ -137,21 +147,24 @@ def _correlation(x, y, u, v, per_length):
 
 
 @kernel()
-def _side(points, u, v, x, y):
-    """Return on which side of edge u-v a point lies, and to whom it belongs on the edge.
+def _edge(points, u, v):
+    """Return start, direction and turn of the edge from u to v.
 
-    Both triangles of an edge evaluate the same expression, so rounding cannot give a cell two
-    owners or none; a point on the edge belongs to the triangle that runs from the lower index.
+    Both triangles of an edge get the same start and direction, the lower index first, so that
+    rounding cannot give a cell two owners or none; see `_inside`.
     """
-    if u < v:
-        w = (points[v, 0] - points[u, 0]) * (y - points[u, 1]) - (points[v, 1] - points[u, 1]) * (
-            x - points[u, 0]
-        )
-        return w >= 0.0
-    w = (points[u, 0] - points[v, 0]) * (y - points[v, 1]) - (points[u, 1] - points[v, 1]) * (
-        x - points[v, 0]
-    )
-    return w < 0.0
+    first, last = min(u, v), max(u, v)
+    x, y = points[first, 0], points[first, 1]
+    return x, y, points[last, 0] - x, points[last, 1] - y, u < v
+
+
+@kernel()
+def _inside(edge, x, across):
+    """Tell whether a place is inside of an edge; `across` is its own part of the product.
+
+    A point on the edge belongs to the triangle that runs from the lower index.
+    """
+    return (across - edge[3] * (x - edge[0]) >= 0.0) == edge[4]
 
 
 @kernel()
@@ -190,17 +203,17 @@ def _regress_triangle(
     za = points[a, 2] - centre - gx * (ax - mx) - gy * (ay - my)
     zb = points[b, 2] - centre - gx * (bx - mx) - gy * (by - my)
     zc = points[c, 2] - centre - gx * (cx - mx) - gy * (cy - my)
+    one, two, three = _edge(points, a, b), _edge(points, b, c), _edge(points, c, a)
     for i in range(i0, i1 + 1):
         y = y0 + p * i
+        first = one[2] * (y - one[1])
+        second = two[2] * (y - two[1])
+        third = three[2] * (y - three[1])
         for j in range(j0, j1 + 1):
             if weight[i, j] > least:
                 continue
             x = x0 + p * j
-            if not (
-                _side(points, a, b, x, y)
-                and _side(points, b, c, x, y)
-                and _side(points, c, a, x, y)
-            ):
+            if not (_inside(one, x, first) & _inside(two, x, second) & _inside(three, x, third)):
                 continue
             ka = prior * _correlation(ax, ay, x, y, per_length)
             kb = prior * _correlation(bx, by, x, y, per_length)

@@ -42,9 +42,18 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points has shape {cloud.shape}: must be (n, 3), east, north, up")
+    kept = finite_rows(cloud)
+    if kept.all():
+        return cloud
     if np.isinf(cloud).any():
         raise ValueError("points holds infinities: mark rays without a return by NaN")
-    return cloud[np.isfinite(cloud).all(axis=1)]
+    return cloud[kept]
+
+
+def finite_rows(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which points (n, 3) have all three coordinates (n,)."""
+    known = np.isfinite(points)
+    return np.asarray(known[:, 0] & known[:, 1] & known[:, 2])
 
 
 def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:

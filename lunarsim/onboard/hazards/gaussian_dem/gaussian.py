@@ -14,6 +14,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     base_height,
     check_heights,
     check_points,
+    finite_rows,
 )
 from lunarsim.triangulation import delaunay, delaunay_of_image
 
@@ -22,8 +23,8 @@ BoolMap = NDArray[np.bool_]
 
 # A cell whose samples weigh more than this is measured, not interpolated.
 DENSE = 0.5
-# A triangle with an edge this many times longer than the samples are apart spans an occlusion.
-_GAP = 3.0
+# Of points that are no detector's.
+NO_PIXELS = np.zeros(0, np.int64)
 # Neighbours by which the distance of samples is judged where no sensor tells it.
 _NEAREST = 6
 
@@ -171,10 +172,9 @@ class _Mesh:
             raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
         triangles = delaunay_of_image(_blank(raw), image_shape)
         pixels = np.arange(len(raw))
-        longest = k.longest_edges(raw, triangles, pixels, image_shape[1])
         wide = _pixel_spacing(raw, image_shape) if spacing is None else spacing
-        apart = np.broadcast_to(np.asarray(wide, dtype=np.float64), len(raw))
-        return cls(raw, triangles, without_gaps(longest, triangles, apart))
+        apart = np.ascontiguousarray(np.broadcast_to(np.asarray(wide, np.float64), len(raw)))
+        return cls(raw, triangles, k.edges(raw, triangles, pixels, image_shape[1], apart)[1])
 
     @classmethod
     def _of_cloud(
@@ -182,31 +182,13 @@ class _Mesh:
     ) -> _Mesh:
         vertices, group = _merge_coincident(cloud)
         triangles = delaunay(vertices[:, :2])
-        longest = k.longest_edges(vertices, triangles, np.zeros(0, np.int64), 1)
         if spacing is None:
             apart = sample_spacing(vertices)
         else:
             given = np.broadcast_to(np.asarray(spacing, dtype=np.float64), len(raw))
             apart = np.full(len(vertices), np.inf)
-            np.minimum.at(apart, group, given[np.isfinite(raw).all(axis=1)])
-        return cls(vertices, triangles, without_gaps(longest, triangles, apart))
-
-
-def without_gaps(
-    longest: NDArray[np.float64], triangles: NDArray[np.int64], spacing: NDArray[np.float64]
-) -> BoolMap:
-    """Tell which triangles (m,) have no edge three times as long as their samples are apart.
-
-    Parameters
-    ----------
-    longest
-        Edge of each (m,), m.
-    triangles
-        Indices into `spacing` (m, 3).
-    spacing
-        Of the samples (n,), m; the widest at a triangle's corners counts.
-    """
-    return np.asarray(longest <= _GAP * spacing[triangles].max(axis=1, initial=0.0))
+            np.minimum.at(apart, group, given[finite_rows(raw)])
+        return cls(vertices, triangles, k.edges(vertices, triangles, NO_PIXELS, 1, apart)[1])
 
 
 def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
@@ -217,7 +199,8 @@ def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
     image = raw[:, :2].reshape(*shape, 2)
     medians = [0.0]
     for axis in (0, 1):
-        gap = np.hypot(*np.moveaxis(np.diff(image, axis=axis), -1, 0))
+        step = np.diff(image, axis=axis)
+        gap = np.sqrt(step[..., 0] ** 2 + step[..., 1] ** 2)
         gap = gap[np.isfinite(gap)]
         if gap.size:
             medians.append(float(np.median(gap)))
@@ -236,7 +219,7 @@ def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the points' (x, y) with every pixel that lacks a coordinate NaN as a whole."""
     xy = points[:, :2]
-    lost = np.asarray(~np.isfinite(points).all(axis=1))
+    lost = ~finite_rows(points)
     return np.where(lost[:, None], np.nan, xy) if lost.any() else xy
 
 

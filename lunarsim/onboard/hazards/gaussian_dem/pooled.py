@@ -13,8 +13,8 @@ from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
     DENSE,
+    NO_PIXELS,
     GaussianDem,
-    without_gaps,
 )
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.planes import Squares
@@ -85,9 +85,9 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     observed = np.empty(grid.shape, np.bool_)
     vertices, noise, spacing = pool.vertices()
     triangles = delaunay(vertices[:, :2]) if len(vertices) > 2 else np.zeros((0, 3), np.int64)
-    longest = k.longest_edges(vertices, triangles, np.zeros(0, np.int64), 1)
     # Thinned to one a cell they are no nearer than that.
-    usable = without_gaps(longest, triangles, np.maximum(spacing, grid.posting))
+    apart = np.maximum(spacing, grid.posting)
+    longest, usable = k.edges(vertices, triangles, NO_PIXELS, 1, apart)
     squares = Squares.of(grid, longest[usable])
     middles = vertices[triangles].mean(axis=1)
     planes = squares.planes(vertices)

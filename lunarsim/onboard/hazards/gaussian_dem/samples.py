@@ -18,6 +18,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     base_height,
     check_heights,
     check_points,
+    finite_rows,
 )
 
 Array = NDArray[np.float64]
@@ -88,7 +89,7 @@ class SamplePool:
             raise InputError("points", raw.shape, str(error)) from None
         if not len(cloud):
             return 0
-        finite = np.isfinite(raw).all(axis=1)
+        finite = finite_rows(raw)
         noise, apart = (
             _positive(name, np.broadcast_to(values, len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
