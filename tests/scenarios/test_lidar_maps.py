@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.safety import SafetyMap
 from lunarsim.safety.calibration import COUNT, FREE
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.world import World
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from lunarsim.world.truth import Truth
 from tests.conftest import SCENARIOS
 
 
@@ -107,7 +113,9 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path):
         tuple(s["cells"] for s in m["last"]["strata"].values()) for m in figures["maps"].values()
     }
     assert len(cells) == 1, "all maps are judged on the same cells"
-    assert figures["maps"]["calibrated"]["last"]["precision"][0] > 0.8
+    calibrated = figures["maps"]["calibrated"]
+    assert calibrated["last"]["precision"][0] > 0.8
+    assert calibrated["first"] != calibrated["last"], "maps grow between decisions"
     assert (tmp_path / "out" / "mappers.png").stat().st_size > 20_000
     wrong = CliRunner().invoke(compare.main, ["--worlds", "Mars"])
     assert wrong.exit_code == 2
@@ -150,3 +158,38 @@ def test_maps_are_judged_by_counting_cells(script):
         assert judged.counts[k].tolist() == [hits, false, missed, rejected]
         assert judged.claimed[k] == pytest.approx([number, good, squares])
     assert judged.table[:, 0].sum() == judged.claimed[:, 0].sum()
+
+
+def test_a_map_is_judged_on_the_ground_that_lies_under_it(script):
+    flown = script("lidar_maps", "flown")
+    # Safe ground ends 1 m east, and the truth knows none beyond 3 m south.
+    own = Grid.centred((0.0, 0.0), 12.0, 0.5)
+    east, north = own.centres()[..., 0], own.centres()[..., 1]
+    flat = np.zeros(own.shape, np.float32)
+    truth = SimpleNamespace(safety=SafetyMap(own, flat, flat, east < 1.0, north > -3.0))
+    # The map takes all for 2 m farther east than it is.
+    grid = Grid.centred((2.0, 0.0), 8.0, 0.5)
+    x, y = grid.centres()[..., 0], grid.centres()[..., 1]
+    hazard_map = HazardMap(grid, (x < 3.0).astype(np.float32), np.ones(grid.shape, bool))
+    error = np.array([2.0, 0.0, 0.5])
+    judged = flown.judge_all({"one": hazard_map}, error, truth, np.where(east < -1.0, 1, 0))["one"]
+    known, west = y > -3.0, x < 1.0
+    hits, rejected = known & (x < 3.0), known & (x >= 3.0)
+    assert judged.counts.sum(axis=0).tolist() == [hits.sum(), 0, 0, rejected.sum()]
+    assert judged.counts[1].tolist() == [(hits & west).sum(), 0, 0, 0]
+
+
+def test_ground_is_told_apart_by_slope_and_rocks(script):
+    flown = script("lidar_maps", "flown")
+    lander = Lander()
+    limit = np.tan(lander.slope_limit)
+    grid = Grid.centred((0.0, 0.0), 60.0, 0.5)
+    x = grid.centres()[..., 0]
+    for share, expected in ((0.2, 0), (0.7, 1), (1.2, 3)):
+        relief = Heightfield(grid, (share * limit * x).astype(np.float32))
+        rocks = place_rocks(relief, np.full(3, 1.5), np.random.default_rng(0))
+        world = World(Terrain(relief, rocks), 1.62)
+        strata = flown.strata_of(world, Truth.of(world, lander))
+        found, counts = np.unique(strata[30:-30, 30:-30], return_counts=True)
+        assert found[np.argmax(counts)] == expected
+        assert (2 in found) == (expected < 2), "near a rock, unless too steep anyway"
