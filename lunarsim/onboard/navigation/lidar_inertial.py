@@ -15,8 +15,9 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
+from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.place_search import Features, Match, ScanPatch, features_of, search
 from lunarsim.onboard.navigation.registration import (
     Fit,
@@ -30,10 +31,8 @@ from lunarsim.onboard.navigation.registration import (
 
 Array = NDArray[np.float64]
 
-# The lander's pose in the error state, and that at the scan kept for odometry.
-_POSE = np.r_[0:3, 9:12]
-_CLONE = np.arange(INERTIAL, INERTIAL + 6)
-_SIZE = INERTIAL + 6
+# The pose at the scan kept for odometry, in the error state.
+_KEY = "key"
 
 
 @dataclass(frozen=True)
@@ -151,11 +150,10 @@ class LidarInertialFilter:
         prior: PriorMap,
         settings: RegistrationSettings | None = None,
     ) -> None:
-        self.inertial = inertial
+        self.state = ErrorState(inertial, errors, blocks={_KEY: np.zeros((6, 6))})
+        self.state.listeners.append(self._corrected)
         self.prior = prior
         self.settings = settings or RegistrationSettings()
-        self.covariance = np.zeros((_SIZE, _SIZE))
-        self.covariance[:INERTIAL, :INERTIAL] = inertial.covariance(errors)
         self.locked = False
         self.events: list[NavigationEvent] = []
         self._uses = np.zeros(prior.grid.shape, np.int32)
@@ -169,6 +167,16 @@ class LidarInertialFilter:
         self._offset = np.zeros(3)
 
     # --- state ----------------------------------------------------------------------------
+
+    @property
+    def inertial(self) -> StrapdownState:
+        """The lander's state."""
+        return self.state.inertial
+
+    @property
+    def covariance(self) -> Array:
+        """Of the error state (21, 21): the lander's, and the pose at the scan kept."""
+        return self.state.covariance
 
     @property
     def found(self) -> bool:
@@ -199,14 +207,7 @@ class LidarInertialFilter:
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
-        transition, noise = self.inertial.propagate(
-            np.asarray(angle, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
-        )
-        p, n = self.covariance, INERTIAL
-        p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
-        p[:n, n:] = transition @ p[:n, n:]
-        p[n:, :n] = p[:n, n:].T
-        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+        self.state.propagate(angle, velocity)
 
     # --- scans ----------------------------------------------------------------------------
 
@@ -265,12 +266,12 @@ class LidarInertialFilter:
             self.prior,
             self.inertial.position,
             self.inertial.attitude,
-            self.covariance[np.ix_(_POSE, _POSE)],
+            self.covariance[np.ix_(POSE, POSE)],
             self._variance,
         )
         if not self._believable(result):
             return False
-        if not self._apply(_POSE, result.information, result.vector, s.gate, jump=not self.locked):
+        if not self._apply(POSE, result.information, result.vector, s.gate, jump=not self.locked):
             return False
         self._uses[posts] += 1
         self._variance[posts] = self._of_uses(self._uses[posts])
@@ -313,7 +314,7 @@ class LidarInertialFilter:
             ]
         )
         jacobian = point_jacobian(middle, self.inertial.position, self.inertial.attitude)
-        p = jacobian @ self.covariance[np.ix_(_POSE, _POSE)] @ jacobian.T
+        p = jacobian @ self.covariance[np.ix_(POSE, POSE)] @ jacobian.T
         reach = int(np.ceil(3.5 * np.sqrt(max(p[0, 0], p[1, 1])) / g.posting))
         window = _window(
             self.prior.elevation, patch.first[0] - reach, patch.first[1] - reach,
@@ -331,7 +332,7 @@ class LidarInertialFilter:
             return False
         information = np.linalg.inv(match.covariance)
         return self._apply(
-            _POSE,
+            POSE,
             jacobian.T @ information @ jacobian,
             jacobian.T @ information @ match.shift,
             s.gate,
@@ -346,7 +347,7 @@ class LidarInertialFilter:
             row = jacobian[2]
             information = np.outer(row, row) / variance
             if self._apply(
-                _POSE, information, row * match.up / variance, self.settings.gate, jump=True
+                POSE, information, row * match.up / variance, self.settings.gate, jump=True
             ):
                 # Earlier scans lie where the lander was thought to be.
                 self._patch.clear()
@@ -361,10 +362,7 @@ class LidarInertialFilter:
         s = self.inertial
         grid = Grid(0.0, 0.0, posting, 1, 1)
         self._key = _Key(grid, self._surface(scan, grid), s.position.copy(), s.attitude.copy())
-        copy = np.eye(_SIZE)
-        copy[_CLONE] = 0.0
-        copy[_CLONE, _POSE] = 1.0
-        self.covariance = copy @ self.covariance @ copy.T
+        self.state.clone(_KEY, POSE)
         self._shared = 1.0
 
     def _follow(self, scan: LidarScan) -> None:
@@ -382,14 +380,15 @@ class LidarInertialFilter:
         s = self.inertial
         here = pose_jacobian(new.position[j], new.normal[j], s.position, s.attitude)
         there = pose_jacobian(key.surface.position[i], new.normal[j], key.position, key.attitude)
+        both = np.concatenate((POSE, np.arange(self.state.head)[self.state.block(_KEY)]))
         result = fit(
             np.hstack((here, -there)),
             key.surface.position[i, 2] - new.position[j, 2],
             np.full(len(i), self.settings.odometry_sigma**2),
-            self.covariance[np.ix_(_BOTH, _BOTH)],
+            self.covariance[np.ix_(both, both)],
         )
         if self._believable(result):
-            self._apply(_BOTH, result.information, result.vector, self.settings.gate)
+            self._apply(both, result.information, result.vector, self.settings.gate)
 
     # --- correction -----------------------------------------------------------------------
 
@@ -404,29 +403,19 @@ class LidarInertialFilter:
     ) -> bool:
         """Take in information on a part of the error state, unless its correction is too unlikely.
 
-        Written without the inverse of the covariance, which is singular while two poses coincide.
         What is learnt in a `jump` is where the map lies: the local frame stays where it is.
         """
-        p = self.covariance
-        own = p[np.ix_(part, part)]
-        system = np.eye(len(part)) + information @ own
-        inner = np.linalg.solve(system, np.column_stack((information, vector)))
-        gain, innovation = inner[:, :-1], inner[:, -1]
-        correction = own @ innovation
-        expected = own @ gain @ own
-        distance = correction @ np.linalg.pinv(expected, rcond=1e-9, hermitian=True) @ correction
-        if not distance <= gate:
+        if not self.state.inform(part, information, vector, gate).taken:
             return False
-        error = p[:, part] @ innovation
-        self.covariance = p - p[:, part] @ gain @ p[part]
-        self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        self._moved = error[:3].copy()
         if jump:
             self._offset -= self._moved
-        self.inertial.correct(error[:INERTIAL])
-        if self._key is not None:
-            self._correct_key(error[_CLONE])
         return True
+
+    def _corrected(self, error: Array) -> None:
+        """Note a correction of the whole error state."""
+        self._moved = error[:3].copy()
+        if self._key is not None:
+            self._correct_key(error[self.state.block(_KEY)])
 
     def _correct_key(self, error: Array) -> None:
         """Move the scan kept with its pose; drop it where its squares would no longer hold."""
@@ -449,9 +438,6 @@ class LidarInertialFilter:
             position=key.position + error[:3],
             attitude=normalised(quat_multiply(key.attitude, turn)),
         )
-
-
-_BOTH = np.concatenate((_POSE, _CLONE))
 
 
 def _window(elevation: Array, row: int, col: int, rows: int, cols: int) -> Array:

@@ -16,9 +16,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.blas import dtrsm
-from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_to_matrix
@@ -27,19 +24,13 @@ from lunarsim.messages.measurements import AltimeterReading, InertialSamples
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.instruments import FixedBeam
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
-from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.planar import inverse
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-# What a pixel depends on: position and attitude.
-_POSE = np.array([0, 1, 2, 9, 10, 11])
-# One thread for the small products of an update: more would wait for each other, and the bits must
-# not depend on how many there are.
-_BLAS = ThreadpoolController()
 
 
 @dataclass(frozen=True)
@@ -109,44 +100,45 @@ class RockFilter:
         capacity: int = 128,
         beams: Mapping[str, ArrayLike] | None = None,
     ) -> None:
-        self.inertial = inertial
+        self.state = ErrorState(inertial, errors, capacity=2 * capacity)
+        self.state.listeners.append(self._corrected)
+        self._first = self.state.head
         self.events: list[NavigationEvent] = []
         self._beams = dict(beams or {})
         self._raised = 0.0
         self.ground = float(ground)
         self.count = 0
-        self._p = np.zeros((INERTIAL + 2 * capacity,) * 2)
-        self._p[:INERTIAL, :INERTIAL] = inertial.covariance(errors or StartSigmas())
         self._xy = np.zeros((capacity, 2))
         self._r = np.zeros((capacity, 2))
         self._rests = np.zeros(capacity, bool)
 
+    @property
+    def inertial(self) -> StrapdownState:
+        """The lander's state."""
+        return self.state.inertial
+
     def rest(self, rocks: NDArray[np.bool_]) -> None:
         """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
 
-        Measurements of others correct neither their places nor their own covariance, while their
-        correlations with what is corrected are kept up, so that the covariance stays that of the
-        errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). An update then takes time
-        in proportion to the number of rocks, and not to its square.
+        See `ErrorState.rest`.
         """
         self._rests[: self.count] = rocks
+        self._note_rests()
 
-    def _awake(self) -> Index | None:
-        """Return the states that measurements correct; None for all of them."""
-        rests = self._rests[: self.count]
-        # Correcting half of all states alone costs as much as correcting all of them.
-        if 2 * np.count_nonzero(rests) < self.count:
-            return None
-        places = INERTIAL + 2 * np.flatnonzero(~rests)[:, None] + np.arange(2)
-        return np.concatenate((np.arange(INERTIAL), places.ravel()))
+    def _note_rests(self) -> None:
+        self.state.rest(np.repeat(self._rests[: self.count], 2))
+
+    def _places(self, index: Index | None = None) -> Index:
+        """Return where rocks' coordinates lie in the error state (n, 2)."""
+        rocks = np.arange(self.count) if index is None else np.asarray(index)
+        return self._first + 2 * rocks[:, None] + np.arange(2)
 
     # --- the state ------------------------------------------------------------------------
 
     @property
     def covariance(self) -> Array:
         """Of the lander's error state and the rocks' coordinates (15 + 2 n, 15 + 2 n)."""
-        size = INERTIAL + 2 * self.count
-        return np.asarray(self._p[:size, :size])
+        return self.state.covariance
 
     @property
     def xy(self) -> Array:
@@ -165,8 +157,8 @@ class RockFilter:
 
     def rock_covariance(self) -> Array:
         """Return the covariance of each rock's centre (n, 2, 2), m^2."""
-        i = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
-        return np.asarray(self._p[i[:, :, None], i[:, None, :]])
+        i = self._places()
+        return np.asarray(self.state.p[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
         """Return the covariance of each rock's centre less the lander's position (n, 2, 2), m^2.
@@ -177,13 +169,13 @@ class RockFilter:
         own = self.rock_covariance()
         if self.count == 0:
             return own
-        columns = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
-        cross = np.moveaxis(self._p[np.arange(2)[:, None, None], columns[None]], 0, 1)
-        return np.asarray(own + self._p[:2, :2] - cross - np.swapaxes(cross, 1, 2))
+        p = self.state.p
+        cross = np.moveaxis(p[np.arange(2)[:, None, None], self._places()[None]], 0, 1)
+        return np.asarray(own + p[:2, :2] - cross - np.swapaxes(cross, 1, 2))
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it, local frame."""
-        found = self.inertial.estimate(self._p, time, mass)
+        found = self.inertial.estimate(self.covariance, time, mass)
         return replace(found, position=self.site_to_local.to_local(found.position))
 
     @property
@@ -207,15 +199,7 @@ class RockFilter:
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
-        transition, noise = self.inertial.propagate(
-            np.asarray(angle, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
-        )
-        p, n = self.covariance, INERTIAL
-        with _BLAS.limit(limits=1, user_api="blas"):
-            p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
-            p[:n, n:] = transition @ p[:n, n:]
-        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
-        p[n:, :n] = p[:n, n:].T
+        self.state.propagate(angle, velocity)
 
     # --- altimeter ------------------------------------------------------------------------
 
@@ -239,21 +223,9 @@ class RockFilter:
         height = float(self.inertial.position[2] - self.ground)
         if down > -0.1 or height <= 0.0:
             return float("nan")
-        h = np.zeros(INERTIAL)
-        h[2] = -1.0 / down
-        h[9:12] = -height / down**2 * np.cross(rotation[2], b)
-        hp = h @ self._p[:INERTIAL, : INERTIAL + 2 * self.count]
-        s = float(hp[:INERTIAL] @ h) + sigma**2
+        h = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
         innovation = distance + height / down
-        nis = innovation**2 / s
-        if nis <= gate**2:
-            awake = self._awake()
-            if awake is None:
-                self._correct_all(hp[None] / np.sqrt(s), np.array([innovation / np.sqrt(s)]))
-            else:
-                gain = hp[awake, None] / s
-                self._correct_some(awake, gain, hp[None], np.array([innovation]))
-        return nis
+        return self.state.measure(h, POSE[2:], innovation, sigma**2, gate**2).nis
 
     # --- rocks ----------------------------------------------------------------------------
 
@@ -278,9 +250,9 @@ class RockFilter:
 
     def innovation_covariance(self, sight: Sight) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
-        columns = INERTIAL + 2 * np.arange(self.count)[:, None] + np.arange(2)
-        pose = self._p[np.ix_(_POSE, _POSE)]
-        cross = np.moveaxis(self._p[_POSE[:, None, None], columns[None]], 0, 1)  # (n, 6, 2)
+        p = self.state.p
+        pose = p[np.ix_(POSE, POSE)]
+        cross = np.moveaxis(p[POSE[:, None, None], self._places()[None]], 0, 1)  # (n, 6, 2)
         own = self.rock_covariance()
         a, b = sight.by_pose, sight.by_rock
         mixed = a @ cross @ np.swapaxes(b, 1, 2)
@@ -330,9 +302,8 @@ class RockFilter:
         self.update_radii(index, radius, radius_variance, radius_floor)
         if len(index) == 0:
             return 0.0
-        with _BLAS.limit(limits=1, user_api="blas"):
-            white = self._update_places(index, sight, pixel, pixel_covariance, common)
-        return float(white @ white)
+        with BLAS.limit(limits=1, user_api="blas"):
+            return self._update_places(index, sight, pixel, pixel_covariance, common)
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
@@ -345,50 +316,26 @@ class RockFilter:
 
     def _update_places(
         self, index: Index, sight: Sight, pixel: Array, pixel_covariance: Array, common: float
-    ) -> Array:
-        """Correct lander and centres; return the whitened innovation (2 m,)."""
+    ) -> float:
+        """Correct lander and centres; return the normalised innovation squared."""
         m = len(index)
-        size = INERTIAL + 2 * self.count
         a, b = sight.by_pose[index], sight.by_rock[index]
-        columns = INERTIAL + 2 * np.asarray(index)[:, None] + np.arange(2)
-        hp = measured_rows(self._p, size, _POSE, a, columns, b)
-        s = hp[:, _POSE] @ a.reshape(2 * m, 6).T
+        columns = self._places(index)
+        hp = measured_rows(self.state.p, self.state.size, POSE, a, columns, b)
+        s = hp[:, POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
         s[::2, ::2] += common**2
         s[1::2, 1::2] += common**2
-        lower = np.linalg.cholesky(0.5 * (s + s.T))
         innovation = (pixel - sight.pixel[index]).ravel()
-        white = solve_triangular(lower, innovation, lower=True, check_finite=False)
-        awake = self._awake()
-        if awake is not None:
-            gain = cho_solve((lower, True), hp[:, awake], check_finite=False).T
-            self._correct_some(awake, gain, hp, innovation)
-        else:
-            # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
-            w = dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T
-            self._correct_all(w, white)
-        return np.asarray(white)
+        return self.state.absorb(hp, s, innovation).nis
 
-    def _correct_all(self, w: Array, white: Array) -> None:
-        """Correct by whitened rows (k, n): gain times innovation is w' y, P loses w' w."""
-        w = np.ascontiguousarray(w)
-        subtract_square(self.covariance, w)
-        correction = white @ w
-        self.inertial.correct(correction[:INERTIAL])
-        self._raised += float(correction[2])
-        self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
-
-    def _correct_some(self, states: Index, gain: Array, hp: Array, innovation: Array) -> None:
-        """Correct the lander and some rocks by their gain (s, k), H P being (k, n)."""
-        subtract_rows(self.covariance, gain, hp, states)
-        correction = np.zeros(hp.shape[1])
-        correction[states] = gain @ innovation
-        self.inertial.correct(correction[:INERTIAL])
-        self._raised += float(correction[2])
-        self.xy[:] += correction[INERTIAL:].reshape(-1, 2)
+    def _corrected(self, error: Array) -> None:
+        """Move the rocks by a correction of the whole error state, and note the height's."""
+        self._raised += float(error[2])
+        self.xy[:] += error[self._first :].reshape(-1, 2)
 
     # --- coming and going -----------------------------------------------------------------
 
@@ -418,35 +365,38 @@ class RockFilter:
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
             raise InputError("rocks", xy.tolist(), "points on the ground in front of the camera")
         self._reserve(self.count + b)
-        old = INERTIAL + 2 * self.count
+        old = self.state.size
         new = old + 2 * b
-        p = self._p
-        p[old:new, :old] = by_pose @ p[_POSE, :old]
+        p = self.state.p
+        p[old:new, :old] = by_pose @ p[POSE, :old]
         p[:old, old:new] = p[old:new, :old].T
-        block = by_pose @ p[np.ix_(_POSE, _POSE)] @ by_pose.T
+        block = by_pose @ p[np.ix_(POSE, POSE)] @ by_pose.T
         at = 2 * np.arange(b)[:, None] + np.arange(2)
         block[at[:, :, None], at[:, None, :]] += own
         p[old:new, old:new] = 0.5 * (block + block.T)
         index = np.arange(self.count, self.count + b)
-        self.count += b
+        self._counted(self.count + b)
         self._xy[index] = xy
         self._r[index] = np.column_stack((radius, radius_variance))
         self._rests[index] = False
+        self._note_rests()
         return index
 
     def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
         """Begin to track rocks known beforehand (n,), with errors of their own."""
         n = len(xy)
         self._reserve(self.count + n)
-        old = INERTIAL + 2 * self.count
+        old = self.state.size
         new = old + 2 * n
-        self._p[old:new, :new] = 0.0
-        self._p[:new, old:new] = 0.0
-        self._p[np.arange(old, new), np.arange(old, new)] = np.repeat(np.square(sigma), 2)
+        p = self.state.p
+        p[old:new, :new] = 0.0
+        p[:new, old:new] = 0.0
+        p[np.arange(old, new), np.arange(old, new)] = np.repeat(np.square(sigma), 2)
         self._xy[self.count : self.count + n] = xy
         self._r[self.count : self.count + n] = np.column_stack((radius, radius_variance))
         self._rests[self.count : self.count + n] = False
-        self.count += n
+        self._counted(self.count + n)
+        self._note_rests()
 
     def remove(self, index: Index) -> Index:
         """Stop tracking rocks; those from the end take their places.
@@ -463,16 +413,15 @@ class RockFilter:
         movers = left + np.flatnonzero(~gone[left:])
         old = np.arange(left)
         old[holes] = movers
-        axis = np.arange(2)
-        to = (INERTIAL + 2 * holes[:, None] + axis).ravel()
-        source = (INERTIAL + 2 * movers[:, None] + axis).ravel()
-        size = INERTIAL + 2 * self.count
-        self._p[to, :size] = self._p[source, :size]
-        self._p[:size, to] = self._p[:size, source]
+        to, source = self._places(holes).ravel(), self._places(movers).ravel()
+        p, size = self.state.p, self.state.size
+        p[to, :size] = p[source, :size]
+        p[:size, to] = p[:size, source]
         self._xy[holes] = self._xy[movers]
         self._r[holes] = self._r[movers]
         self._rests[holes] = self._rests[movers]
-        self.count = left
+        self._counted(left)
+        self._note_rests()
         return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
@@ -484,12 +433,12 @@ class RockFilter:
         if count <= capacity:
             return
         capacity = max(count, 2 * capacity)
-        grown = np.zeros((INERTIAL + 2 * capacity,) * 2)
-        size = INERTIAL + 2 * self.count
-        grown[:size, :size] = self._p[:size, :size]
-        self._p = grown
+        self.state.reserve(2 * capacity)
         for name in ("_xy", "_r", "_rests"):
             old = getattr(self, name)
             more = np.zeros((capacity, *old.shape[1:]), old.dtype)
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
+
+    def _counted(self, count: int) -> None:
+        self.count, self.state.tail = count, 2 * count

@@ -1,0 +1,290 @@
+"""The error state of a filter: the lander, what else is estimated with it, and rocks.
+
+The first 15 errors are those of the lander (shadow EKF paper, Eq. 1). Then come blocks that a
+navigation adds at its start: poses at earlier scans, biases, the ground. What comes and goes, as
+rocks do, stands behind them. Time and measurements treat all of it alike, in one place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.blas import dtrsm
+from threadpoolctl import ThreadpoolController
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# The lander's pose in the error state.
+POSE = np.r_[0:3, 9:12]
+# One thread for the small products of an update: more would wait for each other, and the bits must
+# not depend on how many there are.
+BLAS = ThreadpoolController()
+# A gain that takes the covariance of a direction to less than this share of itself is rounding.
+_SINGULAR = 1e-9
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a measurement.
+
+    Attributes
+    ----------
+    nis
+        Normalised innovation squared; chi-squared with `degrees` degrees of freedom.
+    degrees
+        Of freedom.
+    taken
+        Whether it corrected the state.
+    """
+
+    nis: float
+    degrees: int
+    taken: bool
+
+
+class ErrorState:
+    """Covariance of all that a filter errs by, and how time and measurements change it.
+
+    Parameters
+    ----------
+    inertial
+        The lander's state at the start.
+    errors
+        Its standard deviations.
+    blocks
+        Covariances (k, k) at the start of further errors, by name.
+    capacity
+        Errors behind the blocks for which room is made at first; it grows as needed.
+
+    Attributes
+    ----------
+    inertial
+        The lander's state.
+    head
+        Number of errors of lander and blocks.
+    tail
+        Number of those behind them.
+    listeners
+        Called with each correction (size,), after the lander took its part of it.
+    """
+
+    def __init__(
+        self,
+        inertial: StrapdownState,
+        errors: StartSigmas | None = None,
+        *,
+        blocks: Mapping[str, ArrayLike] | None = None,
+        capacity: int = 0,
+    ) -> None:
+        self.inertial = inertial
+        self.listeners: list[Callable[[Array], None]] = []
+        self._blocks: dict[str, slice] = {}
+        parts = [inertial.covariance(errors or StartSigmas())]
+        self.head = INERTIAL
+        for name, given in (blocks or {}).items():
+            own = _covariance(f"navigation.{name}", given)
+            self._blocks[name] = slice(self.head, self.head + len(own))
+            self.head += len(own)
+            parts.append(own)
+        self.tail = 0
+        self.p = np.zeros((self.head + capacity,) * 2)
+        at = 0
+        for own in parts:
+            self.p[at : at + len(own), at : at + len(own)] = own
+            at += len(own)
+        self._rests = np.zeros(0, np.bool_)
+
+    # --- layout ---------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Number of errors."""
+        return self.head + self.tail
+
+    @property
+    def covariance(self) -> Array:
+        """Of all errors (size, size)."""
+        return np.asarray(self.p[: self.size, : self.size])
+
+    def block(self, name: str) -> slice:
+        """Return where a block lies."""
+        return self._blocks[name]
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is such a block."""
+        return name in self._blocks
+
+    def reserve(self, tail: int) -> None:
+        """Make room for so many errors behind the blocks."""
+        if self.head + tail <= len(self.p):
+            return
+        grown = np.zeros((self.head + max(tail, 2 * (len(self.p) - self.head)),) * 2)
+        grown[: self.size, : self.size] = self.covariance
+        self.p = grown
+
+    def clone(self, name: str, source: Index) -> None:
+        """Let a block err from now on as other errors do, for instance the pose of now."""
+        p, into = self.covariance, self._blocks[name]
+        p[into] = p[source]
+        p[:, into] = p[:, source]
+
+    def rest(self, tail: NDArray[np.bool_]) -> None:
+        """Leave errors behind the blocks (tail,) as they are until told otherwise.
+
+        Measurements of others correct neither them nor their own covariance, while their
+        correlations with what is corrected are kept up, so that the covariance stays that of the
+        errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). A measurement then takes
+        time in proportion to the number of errors, and not to its square.
+        """
+        self._rests = tail
+
+    def _awake(self) -> Index | None:
+        """Return the errors that measurements correct; None for all of them."""
+        # Correcting half of all alone costs as much as correcting all of them.
+        if 2 * np.count_nonzero(self._rests) < max(self.tail, 1):
+            return None
+        return np.concatenate((np.arange(self.head), self.head + np.flatnonzero(~self._rests)))
+
+    # --- time -----------------------------------------------------------------------------
+
+    def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
+        """Carry lander and covariance over inertial samples (n, 3); NaN stands for a missing one.
+
+        Raises
+        ------
+        InputError
+            If they are not as many of both, three numbers each; the state stays as it was.
+        """
+        turns, pushes = _samples(angle, velocity)
+        transition, noise = self.inertial.propagate(turns, pushes)
+        p, n = self.covariance, INERTIAL
+        with BLAS.limit(limits=1, user_api="blas"):
+            p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
+            p[:n, n:] = transition @ p[:n, n:]
+        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+        p[n:, :n] = p[:n, n:].T
+
+    # --- measurements ---------------------------------------------------------------------
+
+    def measure(
+        self,
+        jacobian: ArrayLike,
+        columns: ArrayLike,
+        innovation: ArrayLike,
+        noise: ArrayLike,
+        gate: float = np.inf,
+    ) -> Outcome:
+        """Take in a measurement (m,) that depends on a few errors.
+
+        Parameters
+        ----------
+        jacobian
+            Of the measurement by the errors at `columns` (m, k).
+        columns
+            Distinct places in the error state (k,).
+        innovation
+            What was measured less what was expected (m,).
+        noise
+            Its covariance (m, m), or the variances (m,) of independent parts.
+        gate
+            Greatest normalised innovation squared; beyond it nothing changes. Nor does it where
+            anything is not finite.
+        """
+        h, at = np.atleast_2d(np.asarray(jacobian, np.float64)), np.asarray(columns)
+        y = np.atleast_1d(np.asarray(innovation, np.float64))
+        r = np.asarray(noise, np.float64)
+        r = np.diag(r) if r.ndim == 1 else np.atleast_2d(r)
+        hp = h @ self.p[at, : self.size]
+        return self.absorb(hp, hp[:, at] @ h.T + r, y, gate)
+
+    def absorb(
+        self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
+    ) -> Outcome:
+        """Take in an innovation (m,) by its Jacobian times the covariance (m, size).
+
+        `expected` (m, m) is the innovation's covariance. Overwrites `hp`.
+        """
+        m = len(innovation)
+        if not (np.isfinite(expected).all() and np.isfinite(innovation).all()):
+            return Outcome(np.nan, m, False)
+        lower = np.linalg.cholesky(0.5 * (expected + expected.T))
+        white = solve_triangular(lower, innovation, lower=True, check_finite=False)
+        nis = float(white @ white)
+        if not nis <= gate:
+            return Outcome(nis, m, False)
+        states = self._awake()
+        if states is None:
+            # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
+            w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
+            subtract_square(self.covariance, w)
+            self.correct(white @ w)
+        else:
+            gain = cho_solve((lower, True), hp[:, states], check_finite=False).T
+            subtract_rows(self.covariance, gain, hp, states)
+            error = np.zeros(self.size)
+            error[states] = gain @ innovation
+            self.correct(error)
+        return Outcome(nis, m, True)
+
+    def inform(
+        self, part: Index, information: Array, vector: Array, gate: float = np.inf
+    ) -> Outcome:
+        """Take in information (k, k) and its vector (k,) on the errors at `part` (k,).
+
+        Written without the inverse of the covariance, which is singular while two poses coincide.
+        The outcome's `nis` is the squared Mahalanobis distance of the correction.
+        """
+        p = self.covariance
+        own = p[np.ix_(part, part)]
+        system = np.eye(len(part)) + information @ own
+        inner = np.linalg.solve(system, np.column_stack((information, vector)))
+        gain, innovation = inner[:, :-1], inner[:, -1]
+        correction = own @ innovation
+        spread = own @ gain @ own
+        inverse = np.linalg.pinv(spread, rcond=_SINGULAR, hermitian=True)
+        distance = float(correction @ inverse @ correction)
+        if not distance <= gate:
+            return Outcome(distance, len(part), False)
+        error = p[:, part] @ innovation
+        p -= p[:, part] @ gain @ p[part]
+        p[:] = 0.5 * (p + p.T)
+        self.correct(error)
+        return Outcome(distance, len(part), True)
+
+    def correct(self, error: Array) -> None:
+        """Add estimated errors (size,) to the lander and to all that listen."""
+        self.inertial.correct(error[:INERTIAL])
+        for listener in self.listeners:
+            listener(error)
+
+
+def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
+    """Return inertial samples (n, 3) of both kinds, checked."""
+    out = []
+    for name, values in (("angle", angle), ("velocity", velocity)):
+        array = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        if array.ndim != 2 or array.shape[1] != 3:
+            shape = np.shape(values)
+            raise InputError(f"inertial.{name}", shape, "samples (n, 3), NaN for a missing one")
+        out.append(array)
+    if len(out[0]) != len(out[1]):
+        lengths = tuple(len(a) for a in out)
+        raise InputError("inertial.samples", lengths, "as many of angle as of velocity")
+    return out[0], out[1]
+
+
+def _covariance(name: str, given: ArrayLike) -> Array:
+    own = np.atleast_2d(np.asarray(given, dtype=np.float64))
+    good = own.ndim == 2 and own.shape[0] == own.shape[1] and np.isfinite(own).all()
+    if not (good and np.allclose(own, own.T) and np.linalg.eigvalsh(own).min() >= 0.0):
+        raise InputError(name, np.shape(given), "a symmetric covariance that is not negative")
+    return own
