@@ -37,6 +37,48 @@ class AltimeterReading:
 
 
 @dataclass(frozen=True)
+class DopplerReading:
+    """Speeds and ranges along the beams of a velocimeter.
+
+    Attributes
+    ----------
+    time
+        s.
+    speed
+        Of the lander along each beam (n,), m/s, positive towards the ground; NaN without a return.
+    range
+        Slant ranges (n,), m; NaN without a return.
+    speed_sigma, range_sigma
+        Standard deviations (n,), m/s and m.
+    """
+
+    time: float
+    speed: Array
+    range: Array
+    speed_sigma: Array
+    range_sigma: Array
+
+
+@dataclass(frozen=True)
+class AttitudeReading:
+    """Attitude as a star tracker sees it.
+
+    Attributes
+    ----------
+    time
+        s.
+    attitude
+        Quaternion, body to ENU (4,); NaN while it sees no stars.
+    covariance
+        Of its noise, small rotation in body axes (3, 3), rad^2.
+    """
+
+    time: float
+    attitude: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class LidarScan:
     """One flash of a LiDAR.
 

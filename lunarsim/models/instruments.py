@@ -45,3 +45,29 @@ class FixedBeam:
     """
 
     boresight: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class FixedBeams:
+    """Doppler beams fixed to the body.
+
+    Attributes
+    ----------
+    directions
+        Unit vectors (n, 3), body axes.
+    """
+
+    directions: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class StarInstrument:
+    """A star tracker.
+
+    Attributes
+    ----------
+    misalignment
+        Standard deviation of how it is mounted, constant over a flight, an axis, rad.
+    """
+
+    misalignment: float

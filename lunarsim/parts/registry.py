@@ -60,6 +60,8 @@ CONTRACTS: dict[str, Contract] = {
             "imu": "lunarsim.sensors.imu:InertialUnit",
             "navigation-fix": "lunarsim.sensors.navigation_fix:NavigationFixes",
             "radar-altimeter": "lunarsim.sensors.altimeter:RadarAltimeter",
+            "velocimeter": "lunarsim.sensors.velocimeter:DopplerVelocimeter",
+            "star-tracker": "lunarsim.sensors.star_tracker:StarTracker",
             "flash-lidar": "lunarsim.sensors.lidar:FlashLidar",
             "camera": "lunarsim.sensors.camera:FramingCamera",
         },
@@ -77,9 +79,10 @@ CONTRACTS: dict[str, Contract] = {
     "navigation": Contract(
         "where the lander believes it is",
         {
+            "inertial": "lunarsim.onboard.navigation.kinds:InertialNavigation",
             "fixes": "lunarsim.onboard.navigation.fixes:Fixes",
             "rocks": "lunarsim.onboard.navigation.rock_filter:RockNavigation",
-            "prior-map": "lunarsim.onboard.navigation.lidar_inertial:PriorMapNavigation",
+            "prior-map": "lunarsim.onboard.navigation.kinds:PriorMapNavigation",
         },
         ("build", "needs", "takes", "uses_prior_map"),
     ),

@@ -298,9 +298,14 @@ def _verdict(record: dict[str, Any]) -> Verdict:
 
 
 def _estimate(record: dict[str, Any]) -> Estimate:
-    arrays = {k: np.array(record[k]) for k in ("position", "velocity", "attitude", "rate")}
+    position, velocity, attitude, rate = (
+        np.array(record[k]) for k in ("position", "velocity", "attitude", "rate")
+    )
     unknown = np.full((9, 9), np.nan)
-    return Estimate(time=record["time"], mass=record["mass"], covariance=unknown, **arrays)
+    lost = bool(record.get("lost", False))
+    return Estimate(
+        record["time"], position, velocity, attitude, rate, record["mass"], unknown, lost
+    )
 
 
 def _columns(path: Path) -> dict[str, Array]:

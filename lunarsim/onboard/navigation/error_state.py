@@ -88,11 +88,13 @@ class ErrorState:
         self.inertial = inertial
         self.listeners: list[Callable[[Array], None]] = []
         self._blocks: dict[str, slice] = {}
+        self._values: dict[str, Array] = {}
         parts = [inertial.covariance(errors or StartSigmas())]
         self.head = INERTIAL
         for name, given in (blocks or {}).items():
             own = _covariance(f"navigation.{name}", given)
             self._blocks[name] = slice(self.head, self.head + len(own))
+            self._values[name] = np.zeros(len(own))
             self.head += len(own)
             parts.append(own)
         self.tail = 0
@@ -119,9 +121,25 @@ class ErrorState:
         """Return where a block lies."""
         return self._blocks[name]
 
+    def value(self, name: str) -> Array:
+        """Return the sum of a block's corrections (k,): what it is now, if it began at 0."""
+        return self._values[name]
+
     def has(self, name: str) -> bool:
         """Tell whether there is such a block."""
         return name in self._blocks
+
+    def inflate(self, columns: ArrayLike, factor: float) -> None:
+        """Multiply the variances of some errors (k,) by a factor; correlations stay."""
+        at, root = np.asarray(columns), float(np.sqrt(factor))
+        p = self.covariance
+        p[at] *= root
+        p[:, at] *= root
+
+    def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
+        """Add to the covariance of some errors (k,) what they may have moved by (k, k)."""
+        at = np.asarray(columns)
+        self.p[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def reserve(self, tail: int) -> None:
         """Make room for so many errors behind the blocks."""
@@ -263,6 +281,8 @@ class ErrorState:
     def correct(self, error: Array) -> None:
         """Add estimated errors (size,) to the lander and to all that listen."""
         self.inertial.correct(error[:INERTIAL])
+        for name, place in self._blocks.items():
+            self._values[name] += error[place]
         for listener in self.listeners:
             listener(error)
 

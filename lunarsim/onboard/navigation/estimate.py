@@ -32,6 +32,8 @@ class Estimate:
         kg.
     covariance
         Of position (in the site frame), velocity and small rotation in ENU (9, 9), m, m/s, rad.
+    lost
+        Whether what is measured can no longer be explained: the rest is not to be trusted.
     """
 
     time: float
@@ -41,6 +43,7 @@ class Estimate:
     rate: Array
     mass: float
     covariance: Array
+    lost: bool = False
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.frames import Shift, normalised, quat_multiply
 from lunarsim.grid import Grid
-from lunarsim.messages.briefing import Briefing
-from lunarsim.messages.measurements import InertialSamples, LidarScan
+from lunarsim.messages.measurements import (
+    InertialSamples,
+    LidarScan,
+)
 from lunarsim.messages.prior_map import PriorMap
+from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
@@ -100,28 +103,6 @@ class _Key:
     attitude: Array
 
 
-@dataclass(frozen=True)
-class PriorMapNavigation:
-    """Inertial unit and LiDAR scans that find their place on a prior map (quadtree paper)."""
-
-    needs: ClassVar[tuple[type, ...]] = (InertialSamples, LidarScan)
-    takes: ClassVar[tuple[type, ...]] = ()
-    uses_prior_map: ClassVar[bool] = True
-
-    def build(self, briefing: Briefing) -> LidarInertialFilter:
-        """Return the filter of one flight.
-
-        Raises
-        ------
-        InputError
-            If there is no prior map.
-        """
-        if briefing.prior_map is None:
-            raise InputError("prior_map", None, "a table: this navigation finds its place on it")
-        state, sigmas = StrapdownState.of(briefing)
-        return LidarInertialFilter(state, sigmas, briefing.prior_map)
-
-
 class LidarInertialFilter:
     """Error-state filter: inertial samples carry it, LiDAR scans tie it to a map.
 
@@ -138,26 +119,37 @@ class LidarInertialFilter:
     errors
         Its standard deviations.
     prior
-        The map.
+        The map; None: scans are compared with each other alone.
     settings
         Limits of the registration.
+    instruments
+        Calibrations of altimeters, velocimeters and star trackers, by name.
+    ground
+        What is known of the ground's height.
     """
 
     def __init__(
         self,
         inertial: StrapdownState,
         errors: StartSigmas,
-        prior: PriorMap,
+        prior: PriorMap | None,
         settings: RegistrationSettings | None = None,
+        *,
+        instruments: Mapping[str, Any] | None = None,
+        ground: LevelGround | None = None,
     ) -> None:
-        self.state = ErrorState(inertial, errors, blocks={_KEY: np.zeros((6, 6))})
+        level, known = ground or LevelGround(), instruments or {}
+        blocks = {_KEY: np.zeros((6, 6))} | blocks_of(known, level)
+        self.state = ErrorState(inertial, errors, blocks=blocks)
         self.state.listeners.append(self._corrected)
         self.prior = prior
         self.settings = settings or RegistrationSettings()
         self.locked = False
         self.events: list[NavigationEvent] = []
-        self._uses = np.zeros(prior.grid.shape, np.int32)
-        self._variance = self._of_uses(self._uses)
+        self._aids = Aids(self.state, known, level, self.events)
+        if prior is not None:
+            self._uses = np.zeros(prior.grid.shape, np.int32)
+            self._variance = self._of_uses(prior, self._uses)
         self._agreed = -np.inf
         self._searched = -np.inf
         self._patch: deque[tuple[float, Features]] = deque()
@@ -191,7 +183,8 @@ class LidarInertialFilter:
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it."""
         found = self.inertial.estimate(self.covariance, time, mass)
-        return replace(found, position=self.site_to_local.to_local(found.position))
+        position = self.site_to_local.to_local(found.position)
+        return replace(found, position=position, lost=self._aids.lost)
 
     @property
     def site_to_local(self) -> Shift:
@@ -199,15 +192,21 @@ class LidarInertialFilter:
         return Shift(self._offset.copy())
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in inertial samples or a scan."""
+        """Take in a measurement; what it cannot use changes nothing."""
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
         elif isinstance(measurement, LidarScan):
             self.update_scan(measurement, time)
+        else:
+            before = self.inertial.position.copy()
+            self._aids.take(sensor, measurement, time)
+            # Where the site lies is learnt; the local frame stays where it is.
+            self._offset -= self.inertial.position - before
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         self.state.propagate(angle, velocity)
+        self._aids.travel()
 
     # --- scans ----------------------------------------------------------------------------
 
@@ -219,6 +218,14 @@ class LidarInertialFilter:
         width = self._width(scan)
         if not np.isfinite(width):
             return False
+        if self.prior is None:
+            self._follow(scan)
+            self._remember(scan, width)
+            return False
+        return self._place(scan, time, width)
+
+    def _place(self, scan: LidarScan, time: float, width: float) -> bool:
+        """Find a scan's place on the map."""
         if self.locked:
             agreed = self._register(scan, time)
             if not agreed:
@@ -258,6 +265,7 @@ class LidarInertialFilter:
 
     def _register(self, scan: LidarScan, time: float) -> bool:
         """Fit a scan to the map; without a lock only where the state is certain enough for it."""
+        assert self.prior is not None
         s, g = self.settings, self.prior.grid
         if not self.locked and not (self.found and self.position_sigma < g.posting):
             return False
@@ -274,15 +282,15 @@ class LidarInertialFilter:
         if not self._apply(POSE, result.information, result.vector, s.gate, jump=not self.locked):
             return False
         self._uses[posts] += 1
-        self._variance[posts] = self._of_uses(self._uses[posts])
+        self._variance[posts] = self._of_uses(self.prior, self._uses[posts])
         if not self.locked:
             self._lock(time)
         self._agreed = time
         return True
 
-    def _of_uses(self, uses: NDArray[np.int32]) -> Array:
+    def _of_uses(self, prior: PriorMap, uses: NDArray[np.int32]) -> Array:
         """Return the variance of a residual at posts that were compared `uses` times before."""
-        own = self.prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
+        own = prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
         return np.asarray(own + self.settings.model_sigma**2)
 
     def _believable(self, result: Fit) -> bool:
@@ -295,6 +303,7 @@ class LidarInertialFilter:
 
     def _search(self, scan: LidarScan, time: float) -> bool:
         """Look for the scans of the last seconds on the map; return whether they were found."""
+        assert self.prior is not None
         s, g = self.settings, self.prior.grid
         self._patch.append((time, features_of(self._surface(scan, g), s.feature_reach)))
         while self._patch[0][0] < time - s.patch_s:

@@ -1,0 +1,172 @@
+"""The small measurements of a filter: ranges, speeds and attitudes, each kind watched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
+from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.estimate import NavigationEvent
+from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
+from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.watch import Verdict, Watch
+
+Array = NDArray[np.float64]
+
+# Normalised innovations squared beyond which a measurement is refused: once in 15,000 (1 degree of
+# freedom) and in 60,000 (3).
+_RANGE_GATE, _OTHER_GATE = 16.0, 23.0
+# Variances grow at least and at most by these factors where a watch asks for it.
+_LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
+# The block of what the ground lies above or below the target, and how it grows: heights of relief
+# differ by its slope times this length after as many metres, m.
+GROUND = "ground"
+_CORRELATION = 10.0
+
+
+@dataclass(frozen=True)
+class LevelGround:
+    """What is known of the height of the ground, to make something of ranges.
+
+    Attributes
+    ----------
+    elevation
+        m.
+    sigma
+        Of that elevation under the lander at the start, m.
+    relief
+        Tangent of the slope by which it rises and falls from there.
+    """
+
+    elevation: float = 0.0
+    sigma: float = 3.0
+    relief: float = float(np.tan(np.deg2rad(5.0)))
+
+
+def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, Array]:
+    """Return the blocks that measurements of such instruments need in an error state.
+
+    Parameters
+    ----------
+    instruments
+        Calibrations by name of the sensor.
+    ground
+        What is known of its height.
+    """
+    out = {GROUND: np.array([[ground.sigma**2]])}
+    for name, instrument in instruments.items():
+        if isinstance(instrument, StarInstrument):
+            out[name] = instrument.misalignment**2 * np.eye(3)
+    return out
+
+
+class Aids:
+    """Takes in altimeters, velocimeters and star trackers, and says when they cannot be believed.
+
+    Parameters
+    ----------
+    state
+        Error state with the blocks of `blocks_of`.
+    instruments
+        Calibrations by name of the sensor.
+    ground
+        What is known of its height.
+    events
+        To which "doubted", "lost" and "believed" are added.
+    """
+
+    def __init__(
+        self,
+        state: ErrorState,
+        instruments: Mapping[str, Any],
+        ground: LevelGround,
+        events: list[NavigationEvent],
+    ) -> None:
+        self.state = state
+        self.ground = ground
+        self._events = events
+        self._beams = {n: i for n, i in instruments.items() if isinstance(i, FixedBeam)}
+        self._cones = {
+            n: np.array(i.directions)
+            for n, i in instruments.items() if isinstance(i, FixedBeams)
+        }  # fmt: skip
+        self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
+        self._watches: dict[tuple[str, str], Watch] = {}
+        self._place = state.inertial.position[:2].copy()
+
+    @property
+    def lost(self) -> bool:
+        """Whether what was measured cannot be explained."""
+        return any(watch.lost for watch in self._watches.values())
+
+    def travel(self) -> None:
+        """Let the ground's height wander by how far the lander has moved."""
+        here = self.state.inertial.position[:2]
+        moved = float(np.linalg.norm(here - self._place))
+        self._place = here.copy()
+        if np.isfinite(moved):
+            at = [self.state.block(GROUND).start]
+            self.state.widen(at, self.ground.relief**2 * _CORRELATION * moved)
+
+    def take(self, sensor: str, measurement: Any, time: float) -> bool:
+        """Take in a measurement; return whether it is of a kind known here."""
+        if isinstance(measurement, AltimeterReading):
+            beam = self._beams[sensor].boresight if sensor in self._beams else (0.0, 0.0, -1.0)
+            self._range(sensor, measurement.range, measurement.sigma, beam, time)
+        elif isinstance(measurement, DopplerReading):
+            self._doppler(sensor, measurement, time)
+        elif isinstance(measurement, AttitudeReading):
+            block = sensor if sensor in self._stars else None
+            found = take_attitude(
+                self.state, measurement.attitude, measurement.covariance, block=block,
+                gate=_OTHER_GATE,
+            )  # fmt: skip
+            columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
+            if block is not None:
+                own = self.state.block(block)
+                columns = np.concatenate((columns, np.arange(own.start, own.stop)))
+            self._judge(sensor, "attitude", found, columns, time)
+        else:
+            return False
+        return True
+
+    def _doppler(self, sensor: str, reading: DopplerReading, time: float) -> None:
+        beams = self._cones.get(sensor)
+        if beams is None or np.shape(reading.speed) != (len(beams),):
+            return
+        found = take_speeds(self.state, reading.speed, reading.speed_sigma, beams, _OTHER_GATE)
+        columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
+        self._judge(sensor, "speed", found, columns, time)
+        for distance, sigma, beam in zip(reading.range, reading.range_sigma, beams, strict=True):
+            self._range(sensor, float(distance), float(sigma), beam, time)
+
+    def _range(self, sensor: str, distance: float, sigma: float, beam: Any, time: float) -> None:
+        found = take_range(
+            self.state, distance, sigma, beam, self.ground.elevation, block=GROUND, gate=_RANGE_GATE
+        )
+        columns = np.array([POSITION.start + 2, self.state.block(GROUND).start])
+        self._judge(sensor, "range", found, columns, time)
+
+    def _judge(
+        self, sensor: str, kind: str, found: Outcome, columns: NDArray[np.int64], time: float
+    ) -> None:
+        """Watch what came of a measurement; widen what it depends on where it is doubted."""
+        watch = self._watches.setdefault((sensor, kind), Watch())
+        before = watch.lost
+        verdict = watch.note(time, found)
+        if verdict is not Verdict.WELL:
+            growth = float(np.clip(watch.excess, _LEAST_GROWTH, _MOST_GROWTH))
+            self.state.inflate(columns, growth)
+            name = "doubted" if verdict is Verdict.WIDEN else "lost"
+            self._note(time, name, sensor, kind)
+        elif before and not watch.lost:
+            self._note(time, "believed", sensor, kind)
+
+    def _note(self, time: float, name: str, sensor: str, kind: str) -> None:
+        self._events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))

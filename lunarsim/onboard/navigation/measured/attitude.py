@@ -1,0 +1,54 @@
+"""An attitude, as a star tracker gives it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lunarsim.frames import normalised, quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.inertial import ATTITUDE
+
+# A quaternion whose length is farther from 1 than this is no rotation.
+_OFF_UNIT = 1e-3
+
+
+def take_attitude(
+    state: ErrorState,
+    attitude: ArrayLike,
+    covariance: ArrayLike,
+    *,
+    block: str | None = None,
+    gate: float = np.inf,
+) -> Outcome:
+    """Take in an attitude.
+
+    Parameters
+    ----------
+    state
+        Of the filter.
+    attitude
+        Quaternion, body to ENU (4,); what is not finite or no rotation tells nothing.
+    covariance
+        Of its noise, small rotation in body axes (3, 3), rad^2.
+    block
+        Where the tracker's misalignment lies in the state (small rotation, body axes); left out: it
+        has none. Without it readings would average away what they share.
+    gate
+        See `ErrorState.measure`.
+    """
+    q, r = np.asarray(attitude, np.float64), np.asarray(covariance, np.float64)
+    if not (np.isfinite(q).all() and np.isfinite(r).all()):
+        return Outcome(np.nan, 3, False)
+    if abs(float(np.linalg.norm(q)) - 1.0) > _OFF_UNIT:
+        return Outcome(np.nan, 3, False)
+    between = quat_multiply(quat_conjugate(state.inertial.attitude), normalised(q))
+    columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
+    jacobian = np.eye(3)
+    innovation = quat_to_rotation_vector(between)
+    if block is not None:
+        own = state.block(block)
+        columns = np.concatenate((columns, np.arange(own.start, own.stop)))
+        jacobian = np.hstack((jacobian, np.eye(3)))
+        innovation = innovation - state.value(block)
+    return state.measure(jacobian, columns, innovation, r, gate)

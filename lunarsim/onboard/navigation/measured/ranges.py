@@ -1,0 +1,60 @@
+"""A slant range to level ground (shadow EKF paper, Eq. 9, for any boresight)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
+
+Array = NDArray[np.float64]
+
+# Cosine from straight down beyond which a beam says little of the ground below.
+_LEAST_DOWN = 0.1
+
+
+def take_range(
+    state: ErrorState,
+    distance: float,
+    sigma: float,
+    beam: ArrayLike,
+    ground: float,
+    *,
+    block: str | None = None,
+    gate: float = np.inf,
+) -> Outcome:
+    """Take in a range.
+
+    Parameters
+    ----------
+    state
+        Of the filter.
+    distance, sigma
+        Measured, and its standard deviation, m; NaN, or a deviation that is not positive, tells
+        nothing.
+    beam
+        Unit vector (3,), body axes.
+    ground
+        Elevation of the ground, m.
+    block
+        What is to be added to that elevation is kept there in the state; left out: nothing.
+    gate
+        See `ErrorState.measure`.
+    """
+    nothing = Outcome(np.nan, 1, False)
+    if not (np.isfinite(distance) and np.isfinite(sigma) and sigma > 0.0):
+        return nothing
+    rotation = quat_to_matrix(state.inertial.attitude)
+    b = np.asarray(beam, dtype=np.float64)
+    down = float(rotation[2] @ b)
+    level = ground if block is None else ground + float(state.value(block)[0])
+    height = float(state.inertial.position[2]) - level
+    if down > -_LEAST_DOWN or height <= 0.0:
+        return nothing
+    jacobian = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
+    columns = POSE[2:]
+    if block is not None:
+        jacobian = np.append(jacobian, 1.0 / down)
+        columns = np.append(columns, state.block(block).start)
+    return state.measure(jacobian, columns, distance + height / down, [sigma**2], gate)

@@ -1,0 +1,46 @@
+"""Speeds along the beams of a Doppler velocimeter."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+
+_COLUMNS = np.r_[3:6, 9:12]
+
+
+def take_speeds(
+    state: ErrorState,
+    speed: ArrayLike,
+    sigma: ArrayLike,
+    beams: ArrayLike,
+    gate: float = np.inf,
+) -> Outcome:
+    """Take in speeds over the ground.
+
+    A beam b (body axes) sees ``b' R' v``; a small rotation of the body changes that by
+    ``(b x R' v)'`` times itself.
+
+    Parameters
+    ----------
+    state
+        Of the filter.
+    speed, sigma
+        Along each beam and their standard deviations (n,), m/s; beams without a return, or whose
+        deviation is not positive, tell nothing.
+    beams
+        Unit vectors (n, 3), body axes.
+    gate
+        See `ErrorState.measure`.
+    """
+    measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
+    seen = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
+    if not seen.any():
+        return Outcome(np.nan, 0, False)
+    b = np.asarray(beams, np.float64)[seen]
+    rotation = quat_to_matrix(state.inertial.attitude)
+    own = rotation.T @ state.inertial.velocity
+    jacobian = np.hstack((b @ rotation.T, np.cross(b, own)))
+    return state.measure(jacobian, _COLUMNS, measured[seen] - b @ own, noise[seen] ** 2, gate)

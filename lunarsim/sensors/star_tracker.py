@@ -1,0 +1,116 @@
+"""Star tracker: attitude from the stars, where it sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
+from lunarsim.messages.measurements import AttitudeReading
+from lunarsim.models.instruments import StarInstrument
+from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.vehicle.state import State
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StarTracker:
+    """A star tracker fixed to the body.
+
+    The defaults are those of small trackers that have flown for years: some 5 arc seconds across
+    the boresight and 55 about it, turning by up to 3 deg/s.
+
+    Attributes
+    ----------
+    boresight
+        Unit vector (3,), body axes.
+    across, about
+        Noise across the boresight and about it, 1 sigma, rad.
+    misalignment
+        Constant over a flight, 1 sigma an axis, rad.
+    max_rate
+        Greatest rate at which it keeps its stars, rad/s.
+    ground_angle
+        Least angle of the boresight above the horizon, rad: below, the ground blinds it.
+    sun_angle
+        Least angle between boresight and Sun, rad.
+    """
+
+    boresight: tuple[float, float, float] = quantity((0.0, 0.6, 0.8), help="unit vector, body axes")
+    across: float = quantity(0.0014, "deg", gt=0, help="noise across the boresight, 1 sigma")
+    about: float = quantity(0.0153, "deg", gt=0, help="noise about the boresight, 1 sigma")
+    misalignment: float = quantity(0.005, "deg", ge=0, help="constant, 1 sigma an axis")
+    max_rate: float = quantity(3.0, "deg/s", gt=0, help="no stars when turning faster")
+    ground_angle: float = quantity(20.0, "deg", ge=0, le=90, help="of the boresight above level")
+    sun_angle: float = quantity(30.0, "deg", ge=0, le=90, help="between boresight and Sun")
+
+    gives: ClassVar[type] = AttitudeReading
+    tasked: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if not np.isclose(np.linalg.norm(self.boresight), 1.0, atol=1e-6):
+            raise InputError("star_tracker.boresight", self.boresight, "a unit vector")
+        check_bounds(self, "star_tracker")
+
+    def build(self, rng: np.random.Generator, step: float) -> MountedTracker:
+        """Return the tracker of one flight."""
+        return MountedTracker(self, rng)
+
+    def calibration(self) -> StarInstrument:
+        """Return what the onboard computer may know of it."""
+        return StarInstrument(self.misalignment)
+
+    def covariance(self) -> Array:
+        """Return that of the noise, small rotation in body axes (3, 3), rad^2."""
+        b = np.asarray(self.boresight)
+        along = np.outer(b, b)
+        return np.asarray(self.across**2 * (np.eye(3) - along) + self.about**2 * along)
+
+
+class MountedTracker:
+    """A tracker as it is mounted on one lander.
+
+    Parameters
+    ----------
+    figures
+        Of the tracker.
+    rng
+        Source of its misalignment.
+    """
+
+    def __init__(self, figures: StarTracker, rng: np.random.Generator) -> None:
+        self.figures = figures
+        self._off = figures.misalignment * rng.standard_normal(3)
+        self._covariance = figures.covariance()
+        self._spread = np.linalg.cholesky(self._covariance)
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> AttitudeReading:
+        """Return one reading; noise is drawn whether or not there are stars to be seen."""
+        turn = self._off + self._spread @ rng.standard_normal(3)
+        if not self._sees(world, state):
+            return AttitudeReading(time, np.full(4, np.nan), np.full((3, 3), np.nan))
+        measured = quat_multiply(state.attitude, quat_from_rotation_vector(turn))
+        return AttitudeReading(time, measured, self._covariance.copy())
+
+    def _sees(self, world: World, state: State) -> bool:
+        f = self.figures
+        axis = quat_rotate(state.attitude, f.boresight)
+        away = np.arccos(np.clip(axis @ world.light.direction, -1.0, 1.0))
+        return bool(
+            np.linalg.norm(state.rate) <= f.max_rate
+            and axis[2] >= np.sin(f.ground_angle)
+            and away >= f.sun_angle
+        )
