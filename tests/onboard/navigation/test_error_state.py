@@ -1,0 +1,143 @@
+"""The error state against filters written out with plain matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.navigation.error_state import POSE, ErrorState
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+BLOCKS = {"key": np.zeros((6, 6)), "ground": np.array([[4.0]])}
+SIZE = 15 + 6 + 1
+
+
+def made(rng: np.random.Generator, tail: int = 0) -> ErrorState:
+    """Return a state whose errors are all correlated."""
+    inertial = StrapdownState(rng.normal(size=3), rng.normal(size=3), UPRIGHT, 1.6)
+    state = ErrorState(inertial, StartSigmas(), blocks=BLOCKS, capacity=tail)
+    state.tail = tail
+    root = rng.normal(size=(SIZE + tail, SIZE + tail))
+    state.covariance[:] = root @ root.T / 30.0 + 0.1 * np.eye(SIZE + tail)
+    return state
+
+
+@given(st.integers(0, 10_000), st.integers(0, 9), st.integers(1, 4))
+def test_a_measurement_is_that_of_josephs_form(seed, tail, m):
+    rng = np.random.default_rng(seed)
+    state = made(rng, tail)
+    p = state.covariance.copy()
+    columns = rng.permutation(len(p))[: rng.integers(1, 7)]
+    jacobian, innovation = rng.normal(size=(m, len(columns))), 1e-3 * rng.normal(size=m)
+    noise = rng.uniform(0.1, 2.0, m)
+    h = np.zeros((m, len(p)))
+    h[:, columns] = jacobian
+    s = h @ p @ h.T + np.diag(noise)
+    gain = p @ h.T @ np.linalg.inv(s)
+    left = np.eye(len(p)) - gain @ h
+    expected = left @ p @ left.T + gain @ np.diag(noise) @ gain.T
+    corrections = []
+    state.listeners.append(corrections.append)
+    before = state.inertial.position.copy()
+    outcome = state.measure(jacobian, columns, innovation, noise)
+    assert outcome.taken
+    assert outcome.nis == pytest.approx(innovation @ np.linalg.solve(s, innovation))
+    assert state.covariance == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    assert corrections[0] == pytest.approx(gain @ innovation, abs=1e-12)
+    assert state.inertial.position - before == pytest.approx(corrections[0][:3], abs=1e-12)
+    assert state.value("ground") == pytest.approx(corrections[0][21:22], abs=1e-15)
+
+
+@given(st.integers(0, 10_000))
+def test_information_is_a_measurement_of_the_same(seed):
+    rng = np.random.default_rng(seed)
+    one, other = made(rng), None
+    other = ErrorState(
+        StrapdownState(one.inertial.position, one.inertial.velocity, UPRIGHT, 1.6),
+        StartSigmas(), blocks=BLOCKS,
+    )  # fmt: skip
+    other.covariance[:] = one.covariance
+    jacobian, innovation = rng.normal(size=(9, 6)), 1e-3 * rng.normal(size=9)
+    one.measure(jacobian, POSE, innovation, np.full(9, 0.25))
+    other.inform(POSE, jacobian.T @ jacobian / 0.25, jacobian.T @ innovation / 0.25)
+    assert other.covariance == pytest.approx(one.covariance, rel=1e-7, abs=1e-9)
+    assert other.inertial.position == pytest.approx(one.inertial.position, abs=1e-12)
+
+
+@given(st.integers(0, 10_000))
+def test_a_clone_errs_as_what_it_was_made_of(seed):
+    rng = np.random.default_rng(seed)
+    state = made(rng)
+    p = state.covariance.copy()
+    copy = np.eye(SIZE)
+    copy[15:21] = 0.0
+    copy[np.arange(15, 21), POSE] = 1.0
+    state.clone("key", POSE)
+    assert state.covariance == pytest.approx(copy @ p @ copy.T)
+
+
+def test_time_carries_what_stands_behind_the_lander():
+    rng = np.random.default_rng(1)
+    state = made(rng, 4)
+    p = state.covariance.copy()
+    angle, velocity = 1e-3 * rng.normal(size=(10, 3)), 1e-2 * rng.normal(size=(10, 3))
+    twin = StrapdownState(state.inertial.position, state.inertial.velocity, UPRIGHT, 1.6)
+    transition, noise = twin.propagate(angle, velocity)
+    state.propagate(angle, velocity)
+    whole = np.eye(len(p))
+    whole[:15, :15] = transition
+    expected = whole @ p @ whole.T
+    expected[:15, :15] += noise
+    assert state.covariance == pytest.approx(expected, rel=1e-10, abs=1e-12)
+
+
+def test_gates_and_what_is_not_finite_change_nothing():
+    state = made(np.random.default_rng(2))
+    p, x = state.covariance.copy(), state.inertial.position.copy()
+    for innovation, noise, gate in (
+        ([100.0], [0.1], 16.0), ([np.nan], [0.1], 16.0), ([np.inf], [0.1], np.inf),
+        ([0.1], [np.nan], 16.0),
+    ):  # fmt: skip
+        assert not state.measure([[1.0]], [2], innovation, noise, gate).taken
+    assert np.array_equal(state.covariance, p)
+    assert np.array_equal(state.inertial.position, x)
+
+
+def test_variances_grow_and_correlations_stay():
+    state = made(np.random.default_rng(3))
+    p = state.covariance.copy()
+    state.inflate([3, 4, 5], 9.0)
+    scale = np.ones(SIZE)
+    scale[3:6] = 3.0
+    assert state.covariance == pytest.approx(p * np.outer(scale, scale))
+
+
+@pytest.mark.parametrize(
+    ("angle", "velocity", "field"),
+    [
+        (np.zeros((10, 3)), np.zeros((9, 3)), "samples"),
+        (np.zeros((10, 2)), np.zeros((10, 2)), "angle"),
+        (np.zeros((10, 3)), np.zeros((10, 4)), "velocity"),
+        (np.zeros((2, 10, 3)), np.zeros((2, 10, 3)), "angle"),
+    ],
+)
+def test_samples_of_another_shape_are_refused(angle, velocity, field):
+    state = made(np.random.default_rng(4))
+    p, x = state.covariance.copy(), state.inertial.position.copy()
+    with pytest.raises(InputError, match=field):
+        state.propagate(angle, velocity)
+    assert np.array_equal(state.covariance, p)
+    assert np.array_equal(state.inertial.position, x)
+
+
+@pytest.mark.parametrize(
+    "given", [[[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]], [[np.nan]], [[1.0, 0.0]]]
+)
+def test_covariances_that_are_none_are_refused(given):
+    inertial = StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, 1.6)
+    with pytest.raises(InputError, match=r"navigation\.bias"):
+        ErrorState(inertial, blocks={"bias": given})

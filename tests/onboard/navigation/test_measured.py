@@ -1,0 +1,148 @@
+"""Ranges, speeds and attitudes: what they tell, against finite differences and drawn errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import (
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_rotate,
+    quat_to_rotation_vector,
+)
+from lunarsim.onboard.navigation.error_state import ErrorState
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+
+BEAMS = np.array([[0.38, 0.0, -0.925], [-0.19, 0.33, -0.925], [-0.19, -0.33, -0.925]])
+BEAMS /= np.linalg.norm(BEAMS, axis=1)[:, None]
+ERRORS = StartSigmas(2.0, 0.2, 4e-3)
+BLOCKS = {"ground": [[1.0]], "stars": 1e-6 * np.eye(3)}
+
+
+class Truth:
+    """A lander, and a filter whose errors are drawn from its own covariance."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = rng = np.random.default_rng(seed)
+        self.attitude = quat_from_rotation_vector(0.3 * rng.normal(size=3))
+        self.position = np.array([5.0, -3.0, 120.0]) + rng.normal(size=3)
+        self.velocity = np.array([6.0, 1.0, -8.0]) + rng.normal(size=3)
+        self.ground, self.mounted = rng.normal(), 1e-3 * rng.normal(size=3)
+        drawn = rng.normal(size=(3, 3))
+        turn = quat_from_rotation_vector(-ERRORS.attitude * drawn[2])
+        self.state = ErrorState(
+            StrapdownState(
+                self.position - ERRORS.position * drawn[0],
+                self.velocity - ERRORS.velocity * drawn[1],
+                quat_multiply(self.attitude, turn), 1.6,
+            ), ERRORS, blocks=BLOCKS,
+        )  # fmt: skip
+
+    def range(self, beam, sigma=0.0) -> float:
+        down = -quat_rotate(self.attitude, beam)[2]
+        return (self.position[2] - self.ground) / down + sigma * self.rng.normal()
+
+    def speeds(self, sigma=0.0):
+        own = quat_rotate(quat_conjugate(self.attitude), self.velocity)
+        return BEAMS @ own + sigma * self.rng.normal(size=3)
+
+    def stars(self, sigma=0.0):
+        turn = self.mounted + sigma * self.rng.normal(size=3)
+        return quat_multiply(self.attitude, quat_from_rotation_vector(turn))
+
+    def error(self):
+        """Of position, velocity, attitude and blocks (13,), and its covariance."""
+        s = self.state
+        turn = quat_to_rotation_vector(
+            quat_multiply(quat_conjugate(s.inertial.attitude), self.attitude)
+        )
+        error = np.concatenate((
+            self.position - s.inertial.position, self.velocity - s.inertial.velocity, turn,
+            self.ground - s.value("ground"), self.mounted - s.value("stars"),
+        ))  # fmt: skip
+        keep = np.r_[0:6, 9:12, 15:19]
+        return error, s.covariance[np.ix_(keep, keep)]
+
+
+TAKE = {
+    "range": lambda t, s: take_range(t.state, t.range(BEAMS[0], s), s, BEAMS[0], 0.0,
+                                     block="ground"),
+    "speeds": lambda t, s: take_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
+    "attitude": lambda t, s: take_attitude(t.state, t.stars(s), s**2 * np.eye(3), block="stars"),
+}  # fmt: skip
+SIGMA = {"range": 0.5, "speeds": 0.05, "attitude": 1e-3}
+
+
+@pytest.mark.parametrize("kind", list(TAKE))
+def test_errors_after_a_measurement_are_as_it_says(kind):
+    before, nees, nis, degrees = 0.0, 0.0, 0.0, 0
+    flights = 400
+    for seed in range(flights):
+        t = Truth(seed)
+        e, p = t.error()
+        before += e @ np.linalg.solve(p, e)
+        for _ in range(3):
+            outcome = TAKE[kind](t, SIGMA[kind])
+            assert outcome.taken
+            nis, degrees = nis + outcome.nis, degrees + outcome.degrees
+        e, p = t.error()
+        nees += e @ np.linalg.solve(p, e)
+    # Of 5200 squares one standard deviation is 2 %.
+    assert before / (13 * flights) == pytest.approx(1.0, abs=0.08)
+    assert nees / (13 * flights) == pytest.approx(1.0, abs=0.08)
+    assert nis / degrees == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_readings_share_is_not_averaged_away():
+    t = Truth(3)
+    for _ in range(2000):
+        TAKE["attitude"](t, 1e-4)
+    sigma = np.sqrt(np.diag(t.state.covariance)[9:12])
+    # The tracker's mount is known to 1 mrad, the attitude before to 4.
+    assert sigma == pytest.approx(1e-3 * 4.0 / np.hypot(1.0, 4.0), rel=0.01)
+
+
+def test_beams_tell_the_velocity_and_not_the_place():
+    t = Truth(4)
+    p = np.diag(t.state.covariance).copy()
+    for _ in range(50):
+        TAKE["speeds"](t, 0.03)
+    after = np.diag(t.state.covariance)
+    assert (after[3:6] < 0.2 * p[3:6]).all()
+    assert after[:3] == pytest.approx(p[:3])
+
+
+BAD = [
+    lambda s: take_range(s, np.nan, 1.0, BEAMS[0], 0.0),
+    lambda s: take_range(s, 100.0, 0.0, BEAMS[0], 0.0),
+    lambda s: take_range(s, 100.0, np.nan, BEAMS[0], 0.0),
+    lambda s: take_range(s, 100.0, 1.0, -BEAMS[0], 0.0),
+    lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4),
+    lambda s: take_range(s, 1e6, 1.0, BEAMS[0], 0.0, gate=16.0),
+    lambda s: take_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
+    lambda s: take_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
+    lambda s: take_speeds(s, np.full(3, 1e6), np.full(3, 0.1), BEAMS, 23.0),
+    lambda s: take_attitude(s, np.full(4, np.nan), np.eye(3)),
+    lambda s: take_attitude(s, np.zeros(4), np.eye(3)),
+    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.5], np.eye(3)),
+    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.full((3, 3), np.nan)),
+]
+
+
+@pytest.mark.parametrize("call", BAD)
+def test_what_is_no_reading_changes_nothing(call):
+    state = Truth(5).state
+    p, x = state.covariance.copy(), state.inertial.position.copy()
+    assert not call(state).taken
+    assert np.array_equal(state.covariance, p)
+    assert np.array_equal(state.inertial.position, x)
+
+
+def test_a_beam_without_a_return_leaves_the_others():
+    t = Truth(6)
+    speed = t.speeds()
+    speed[1] = np.nan
+    assert take_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2

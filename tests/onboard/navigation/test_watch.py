@@ -1,0 +1,56 @@
+"""When a filter doubts what it measures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.watch import Verdict, Watch
+
+
+def verdicts(watch: Watch, outcomes, step=0.1) -> list[Verdict]:
+    return [watch.note(step * k, o) for k, o in enumerate(outcomes)]
+
+
+def drawn(rng, n, degrees=3, times=1.0):
+    return [Outcome(times * rng.chisquare(degrees), degrees, True) for _ in range(n)]
+
+
+def test_what_errs_as_it_says_is_believed():
+    doubts = 0
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        doubts += sum(v is not Verdict.WELL for v in verdicts(Watch(), drawn(rng, 600)))
+    # Half an hour and more of flight.
+    assert doubts == 0
+
+
+def test_refusals_open_the_gate_and_then_end_in_lost():
+    watch = Watch()
+    found = verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    assert Verdict.WIDEN in found
+    assert found.index(Verdict.WIDEN) == watch.settings.least - 1
+    assert watch.excess == 400.0
+    assert found.index(Verdict.LOST) > found.index(Verdict.WIDEN)
+    assert watch.lost
+
+
+def test_innovations_that_are_too_large_are_doubted_though_each_is_let_in():
+    rng = np.random.default_rng(1)
+    found = verdicts(Watch(), drawn(rng, 60, times=5.0))
+    assert Verdict.WIDEN in found
+
+
+def test_trust_comes_back():
+    watch = Watch()
+    verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    rng = np.random.default_rng(2)
+    for k, outcome in enumerate(drawn(rng, 200, 1)):
+        watch.note(4.0 + 0.1 * k, outcome)
+    assert not watch.lost
+
+
+def test_nothing_measured_says_nothing():
+    watch = Watch()
+    nothing = [Outcome(np.nan, 1, False), Outcome(0.0, 0, False)] * 100
+    assert set(verdicts(watch, nothing)) == {Verdict.WELL}
