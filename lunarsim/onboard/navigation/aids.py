@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
@@ -105,6 +106,11 @@ class Aids:
         """Whether what was measured cannot be explained."""
         return any(watch.lost for watch in self._watches.values())
 
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """The watch over each kind of measurement of each sensor, by "sensor kind"."""
+        return {f"{sensor} {kind}": watch for (sensor, kind), watch in self._watches.items()}
+
     def travel(self) -> None:
         """Let the ground's height wander by how far the lander has moved."""
         here = self.state.inertial.position[:2]
@@ -147,9 +153,13 @@ class Aids:
             self._range(sensor, float(distance), float(sigma), beam, time)
 
     def _range(self, sensor: str, distance: float, sigma: float, beam: Any, time: float) -> None:
+        # A slanted beam meets the ground beside the lander, and higher or lower than below it.
+        across = float(np.linalg.norm(quat_rotate(self.state.inertial.attitude, beam)[:2]))
+        rise = self.ground.relief**2 * _CORRELATION * across * abs(distance)
         found = take_range(
-            self.state, distance, sigma, beam, self.ground.elevation, block=GROUND, gate=_RANGE_GATE
-        )
+            self.state, distance, float(np.sqrt(sigma**2 + rise)), beam, self.ground.elevation,
+            block=GROUND, gate=_RANGE_GATE,
+        )  # fmt: skip
         columns = np.array([POSITION.start + 2, self.state.block(GROUND).start])
         self._judge(sensor, "range", found, columns, time)
 

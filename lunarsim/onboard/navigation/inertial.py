@@ -90,6 +90,11 @@ class StrapdownState:
         # A lander that flies blind may change its thrust by 1 m/s^2 and turn by 2 deg in a second.
         self._blind = np.array([1.0, 0.035])
         self._held = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
+        # What the gyroscopes' scale factors and misalignments make of a turn since the start.
+        off = np.full((3, 3), gyroscopes.misalignment**2)
+        np.fill_diagonal(off, gyroscopes.scale_factor**2)
+        self._of_turn = off
+        self._turned = np.zeros(3)
         # Scale factor and misalignment act as biases under steady thrust, here of 3 m/s^2.
         self._bias_sigma = (
             float(
@@ -189,6 +194,11 @@ class StrapdownState:
             self._x, self._held, np.atleast_2d(angle), np.atleast_2d(velocity), self.step,
             self._gravity, self._density, self._blind,
         )  # fmt: skip
+        turn = np.nansum(angle, axis=0)
+        before, self._turned = self._turned, self._turned + turn
+        # Turning back takes the error back; nothing is claimed for that.
+        grown = np.maximum(self._of_turn @ (self._turned**2 - before**2), 0.0)
+        noise[ATTITUDE, ATTITUDE] += np.diag(grown)
         return transition, noise
 
     def correct(self, error: Array) -> None:

@@ -31,6 +31,7 @@ from lunarsim.onboard.navigation.registration import (
     register,
     surface_of,
 )
+from lunarsim.onboard.navigation.watch import Watch
 
 Array = NDArray[np.float64]
 
@@ -169,6 +170,11 @@ class LidarInertialFilter:
     def covariance(self) -> Array:
         """Of the error state (21, 21): the lander's, and the pose at the scan kept."""
         return self.state.covariance
+
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """What watches over the kinds of measurements, by "sensor kind"."""
+        return self._aids.watches
 
     @property
     def found(self) -> bool:

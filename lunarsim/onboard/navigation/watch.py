@@ -66,11 +66,19 @@ class Watch:
         Whether it has not been explained for good.
     excess
         Mean normalised innovation squared a degree of freedom of the last window judged.
+    total, degrees
+        Of all measurements taken: sum of their normalised innovations squared and of their degrees
+        of freedom.
+    refused
+        How many were not.
     """
 
     settings: WatchSettings = field(default_factory=WatchSettings)
     lost: bool = False
     excess: float = 1.0
+    total: float = 0.0
+    degrees: int = 0
+    refused: int = 0
     _seen: deque[tuple[float, Outcome]] = field(default_factory=deque)
     _widened: deque[float] = field(default_factory=deque)
 
@@ -82,6 +90,10 @@ class Watch:
         if outcome.degrees == 0 or not outcome.nis >= 0.0:
             return Verdict.WELL
         s = self.settings
+        if outcome.taken:
+            self.total, self.degrees = self.total + outcome.nis, self.degrees + outcome.degrees
+        else:
+            self.refused += 1
         self._seen.append((time, outcome))
         while self._seen[0][0] < time - s.window_s:
             self._seen.popleft()

@@ -1,0 +1,240 @@
+"""Whether navigation errs by what it says, in flights, and what an error at the start does.
+
+Flies a scenario whose navigation has an error state. At five fixed shares of the planned descent
+the errors of position, velocity and attitude are set against their covariance (NEES), and over the
+whole flight the innovations of every kind of measurement against theirs (NIS). With `--start` given
+twice or more each flight is flown from each error of position at the start, over the same ground.
+
+python scenarios/navigation/consistency.py --flights 50 --jobs 2
+python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import binomtest
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+
+SCENARIOS = Path(__file__).resolve().parents[1]
+EPOCHS = (0.15, 0.35, 0.55, 0.75, 0.95)
+PARTS = {"all nine": np.arange(9), "position": np.r_[0:3], "velocity": np.r_[3:6],
+         "attitude": np.r_[6:9]}  # fmt: skip
+LEVEL = 0.999
+
+
+@dataclass(frozen=True)
+class Task:
+    """One flight."""
+
+    scenario: str
+    start: float | None
+    flight: int
+    seed: int
+    policy: str
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What came of it.
+
+    Attributes
+    ----------
+    error, covariance
+        At the epochs (e, 9), (e, 9, 9).
+    innovations
+        By kind of measurement: normalised squares added up.
+    refused, doubted
+        Measurements that were, by kind; how often a kind was doubted.
+    lost
+        Whether navigation said so at the end, and whether it ever did.
+    start_error, map_error
+        Error of position at the start, and at touchdown, m.
+    safe
+        Whether the lander came down safely.
+    """
+
+    error: np.ndarray
+    covariance: np.ndarray
+    innovations: dict[str, Consistency]
+    refused: dict[str, int]
+    doubted: int
+    lost: tuple[bool, bool]
+    start_error: float
+    map_error: float
+    safe: bool
+
+
+def fly(task: Task) -> Flown:
+    """Fly once, and compare what navigation says with the truth."""
+    scenario = Scenario.load(Path(task.scenario))
+    if task.start is not None:
+        scenario = scenario.changed(start_knowledge={"position_m": task.start})
+    simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
+    navigation = simulation.computer.navigation
+    if not isinstance(navigation, LidarInertialFilter):
+        raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
+    planned = simulation.computer.time_to_go
+    due = [share * planned for share in EPOCHS]
+    errors, covariances = [], []
+    start = float(np.linalg.norm(error_of(simulation)[:3]))
+    while not simulation.done:
+        simulation.step()
+        if due and not simulation.done and simulation.time >= due[0] - 1e-9:
+            due.pop(0)
+            keep = np.r_[0:6, 9:12]
+            errors.append(error_of(simulation))
+            covariances.append(navigation.covariance[np.ix_(keep, keep)].copy())
+    names = [name for _, name, _ in simulation.computer.telemetry]
+    return Flown(
+        np.array(errors).reshape(-1, 9),
+        np.array(covariances).reshape(-1, 9, 9),
+        {k: Consistency(w.total, w.degrees) for k, w in navigation.watches.items()},
+        {k: w.refused for k, w in navigation.watches.items()},
+        names.count("doubted"),
+        (simulation.computer.estimate.lost, "lost" in names),
+        start,
+        float(np.linalg.norm(simulation.navigation_error)),
+        simulation.verdict.safe,
+    )
+
+
+def error_of(simulation: Simulation) -> np.ndarray:
+    """Return the errors of position (site frame), velocity and attitude (body axes) (9,)."""
+    state, own = simulation.state, simulation.computer.navigation.inertial
+    turn = quat_multiply(quat_conjugate(own.attitude), state.attitude)
+    return np.concatenate(
+        (
+            state.position - own.position,
+            state.velocity - own.velocity,
+            quat_to_rotation_vector(turn),
+        )
+    )
+
+
+def nees_table(flights: list[Flown]) -> Table:
+    """Return NEES over its degrees of freedom, by epoch and part."""
+    table = Table(title=f"NEES over degrees of freedom, {100 * LEVEL:g} % bounds in brackets")
+    table.add_column("share of the descent", justify="right")
+    for part in PARTS:
+        table.add_column(part, justify="right")
+    for k, share in enumerate(EPOCHS):
+        cells = []
+        for keep in PARTS.values():
+            found = Consistency()
+            for f in flights:
+                if len(f.error) > k:
+                    square = normalised_square(
+                        f.error[k, keep], f.covariance[k][np.ix_(keep, keep)]
+                    )
+                    found = found.plus(square, len(keep))
+            low, high = found.bounds(LEVEL)
+            mark = "" if found.holds(LEVEL) else " !"
+            cells.append(f"{found.ratio:.2f} [{low:.2f}, {high:.2f}]{mark}")
+        table.add_row(f"{share:.2f}", *cells)
+    return table
+
+
+def nis_table(flights: list[Flown]) -> Table:
+    """Return NIS over its degrees of freedom, by kind of measurement."""
+    table = Table(title="NIS over degrees of freedom, of what was taken in")
+    for heading in ("measurement", "NIS", "degrees of freedom", "refused"):
+        table.add_column(heading, justify="left" if heading == "measurement" else "right")
+    for kind in sorted({kind for f in flights for kind in f.innovations}):
+        found = [f.innovations[kind] for f in flights if kind in f.innovations]
+        total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
+        refused = sum(f.refused.get(kind, 0) for f in flights)
+        table.add_row(kind, f"{total.ratio:.3f}", f"{total.degrees}", f"{refused}")
+    return table
+
+
+def safe_table(by_start: dict[str, list[Flown]]) -> Table:
+    """Return how flights ended, by error at the start."""
+    table = Table(title="Landings")
+    for heading in ("error at the start\n(1 sigma an axis, m)", "drawn, median (m)",
+                    "at touchdown,\nmedian (m)", "landed safe", "against the first:\nwon, lost (p)",
+                    "doubted", "lost at the end,\never"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    first = [f.safe for f in next(iter(by_start.values()))]
+    for n, (start, flights) in enumerate(by_start.items()):
+        mine = [f.safe for f in flights]
+        landed = Proportion(sum(mine), len(mine))
+        low, high = landed.interval
+        won = sum(a and not b for a, b in zip(mine, first, strict=True))
+        lost = sum(b and not a for a, b in zip(mine, first, strict=True))
+        p = binomtest(won, won + lost).pvalue if won + lost else 1.0
+        table.add_row(
+            start, f"{np.median([f.start_error for f in flights]):.1f}",
+            f"{np.median([f.map_error for f in flights]):.1f}",
+            f"{sum(mine)} of {len(mine)} [{low:.2f}, {high:.2f}]",
+            "" if n == 0 else f"{won}, {lost} ({p:.2f})",
+            f"{sum(f.doubted for f in flights)}",
+            f"{sum(f.lost[0] for f in flights)}, {sum(f.lost[1] for f in flights)}",
+        )  # fmt: skip
+    return table
+
+
+@click.command()
+@click.option(
+    "--scenario",
+    type=click.Path(exists=True, dir_okay=False),
+    default=str(SCENARIOS / "instruments.toml"),
+    show_default="instruments.toml",
+    help="Scenario whose navigation is judged.",
+)
+@click.option(
+    "--flights",
+    type=click.IntRange(min=2),
+    default=10,
+    show_default=True,
+    help="From each error at the start.",
+)
+@click.option(
+    "--start",
+    "starts",
+    type=click.FloatRange(min=1e-3),
+    multiple=True,
+    help="Error of position at the start, 1 sigma an axis, m; may be given again. "
+    "Left out: the scenario's.",
+)
+@click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Processes; results do not depend on it.",
+)
+def main(
+    scenario: str, flights: int, starts: tuple[float, ...], policy: str, seed: int, jobs: int
+) -> None:
+    """Fly, and compare what navigation says of its errors with the errors."""
+    console = Console(width=120)
+    by_start: dict[str, list[Flown]] = {}
+    for start in starts or (None,):
+        tasks = [Task(scenario, start, n, seed, policy) for n in range(flights)]
+        name = "the scenario's" if start is None else f"{start:g}"
+        by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
+    for name, flown in by_start.items():
+        console.print(f"Error at the start: {name}")
+        console.print(nees_table(flown))
+        console.print(nis_table(flown))
+    console.print(safe_table(by_start))
+
+
+if __name__ == "__main__":
+    main()
