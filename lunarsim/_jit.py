@@ -6,7 +6,8 @@ survive (it means no data), so `fastmath` is limited to flags that keep NaN and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import numba
@@ -54,3 +55,25 @@ def kernel(
 
 
 prange = numba.prange
+
+
+# So many iterations of a parallel loop of some microseconds each repay the waking of threads.
+_WORTH_THREADS = 256
+
+
+@contextmanager
+def threads_for(count: int) -> Iterator[None]:
+    """Let parallel kernels run on one thread where they have few iterations to share.
+
+    Waking threads for a handful of rays takes longer than the rays, and on a busy machine a
+    thousand times as long.
+    """
+    before = numba.get_num_threads()
+    if count >= _WORTH_THREADS or before == 1:
+        yield
+        return
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)

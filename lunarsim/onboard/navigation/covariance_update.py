@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import subtract_outer, subtract_product
 
 Array = NDArray[np.float64]
@@ -26,7 +27,8 @@ def subtract_square(p: Array, w: Array) -> None:
     threads, and are the same however many there are.
     """
     if len(w) == 1:
-        subtract_outer(p, w[0])
+        with threads_for(len(p)):
+            subtract_outer(p, w[0])
         return
     n = len(p)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._jit import threads_for
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
@@ -157,16 +158,17 @@ class Terrain:
         """
         direction = np.ascontiguousarray(direction, dtype=np.float64)
         origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
-        distance, normal, rock = _ray_kernels.cast(
-            origin,
-            direction,
-            float(max_range),
-            normals,
-            self.relief.z,
-            *self._frame,
-            *self._pyramid,
-            *self._rock_arrays,
-        )
+        with threads_for(len(direction)):
+            distance, normal, rock = _ray_kernels.cast(
+                origin,
+                direction,
+                float(max_range),
+                normals,
+                self.relief.z,
+                *self._frame,
+                *self._pyramid,
+                *self._rock_arrays,
+            )
         return RayHits(distance, normal, rock)
 
 
