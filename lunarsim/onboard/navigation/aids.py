@@ -40,13 +40,13 @@ class LevelGround:
     elevation
         m.
     sigma
-        Of that elevation under the lander at the start, m.
+        Of that elevation under the lander at the start, m; None: it is taken to be so everywhere.
     relief
         Tangent of the slope by which it rises and falls from there.
     """
 
     elevation: float = 0.0
-    sigma: float = 3.0
+    sigma: float | None = 10.0
     relief: float = float(np.tan(np.deg2rad(5.0)))
 
 
@@ -60,7 +60,7 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
     ground
         What is known of its height.
     """
-    out = {GROUND: np.array([[ground.sigma**2]])}
+    out = {} if ground.sigma is None else {GROUND: np.array([[ground.sigma**2]])}
     for name, instrument in instruments.items():
         if isinstance(instrument, StarInstrument):
             out[name] = instrument.misalignment**2 * np.eye(3)
@@ -113,6 +113,8 @@ class Aids:
 
     def travel(self) -> None:
         """Let the ground's height wander by how far the lander has moved."""
+        if not self.state.has(GROUND):
+            return
         here = self.state.inertial.position[:2]
         moved = float(np.linalg.norm(here - self._place))
         self._place = here.copy()
@@ -153,14 +155,18 @@ class Aids:
             self._range(sensor, float(distance), float(sigma), beam, time)
 
     def _range(self, sensor: str, distance: float, sigma: float, beam: Any, time: float) -> None:
-        # A slanted beam meets the ground beside the lander, and higher or lower than below it.
-        across = float(np.linalg.norm(quat_rotate(self.state.inertial.attitude, beam)[:2]))
-        rise = self.ground.relief**2 * _CORRELATION * across * abs(distance)
+        block = GROUND if self.state.has(GROUND) else None
+        columns = np.array([POSITION.start + 2])
+        rise = 0.0
+        if block is not None:
+            columns = np.append(columns, self.state.block(GROUND).start)
+            # A slanted beam meets the ground beside the lander, higher or lower than below it.
+            across = float(np.linalg.norm(quat_rotate(self.state.inertial.attitude, beam)[:2]))
+            rise = self.ground.relief**2 * _CORRELATION * across * abs(distance)
         found = take_range(
             self.state, distance, float(np.sqrt(sigma**2 + rise)), beam, self.ground.elevation,
-            block=GROUND, gate=_RANGE_GATE,
+            block=block, gate=_RANGE_GATE,
         )  # fmt: skip
-        columns = np.array([POSITION.start + 2, self.state.block(GROUND).start])
         self._judge(sensor, "range", found, columns, time)
 
     def _judge(

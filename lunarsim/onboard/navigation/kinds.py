@@ -72,5 +72,5 @@ class PriorMapNavigation:
         state, sigmas = StrapdownState.of(briefing)
         return LidarInertialFilter(
             state, sigmas, briefing.prior_map, instruments=briefing.instruments,
-            ground=LevelGround(float(briefing.target[2]), 10.0),
+            ground=LevelGround(float(briefing.target[2])),
         )  # fmt: skip

@@ -20,13 +20,19 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_to_matrix
 from lunarsim.messages.briefing import Briefing
-from lunarsim.messages.measurements import AltimeterReading, InertialSamples
+from lunarsim.messages.measurements import (
+    AltimeterReading,
+    AttitudeReading,
+    DopplerReading,
+    InertialSamples,
+)
 from lunarsim.models.camera import CameraModel
-from lunarsim.models.instruments import FixedBeam
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
+from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.measured import take_range
 from lunarsim.onboard.navigation.planar import inverse
 
 Array = NDArray[np.float64]
@@ -57,21 +63,18 @@ class Sight:
 
 @dataclass(frozen=True)
 class RockNavigation:
-    """Inertial unit, altimeter, and the rocks that a camera sees by their shadows."""
+    """Inertial unit, the rocks that a camera sees by their shadows, ranges, speeds and stars."""
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
-    takes: ClassVar[tuple[type, ...]] = (AltimeterReading,)
+    takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
     uses_prior_map: ClassVar[bool] = False
 
     def build(self, briefing: Briefing) -> RockFilter:
         """Return the filter of one flight; its rocks stand at the level of the target."""
         state, sigmas = StrapdownState.of(briefing)
-        beams = {
-            name: instrument.boresight
-            for name, instrument in briefing.instruments.items()
-            if isinstance(instrument, FixedBeam)
-        }
-        return RockFilter(state, sigmas, ground=float(briefing.target[2]), beams=beams)
+        return RockFilter(
+            state, sigmas, ground=float(briefing.target[2]), instruments=briefing.instruments
+        )
 
 
 class RockFilter:
@@ -87,8 +90,8 @@ class RockFilter:
         Elevation of the plane on which rocks stand, m.
     capacity
         Rocks for which room is made at first; it grows as needed.
-    beams
-        Boresights (3,), body axes, of altimeters by name; straight down where left out.
+    instruments
+        Calibrations of altimeters, velocimeters and star trackers, by name.
     """
 
     def __init__(
@@ -98,13 +101,18 @@ class RockFilter:
         *,
         ground: float = 0.0,
         capacity: int = 128,
-        beams: Mapping[str, ArrayLike] | None = None,
+        instruments: Mapping[str, Any] | None = None,
     ) -> None:
-        self.state = ErrorState(inertial, errors, capacity=2 * capacity)
+        known = instruments or {}
+        # Rocks stand on level ground, and so does what ranges are measured to.
+        level = LevelGround(float(ground), None)
+        self.state = ErrorState(
+            inertial, errors, blocks=blocks_of(known, level), capacity=2 * capacity
+        )
         self.state.listeners.append(self._corrected)
         self._first = self.state.head
         self.events: list[NavigationEvent] = []
-        self._beams = dict(beams or {})
+        self._aids = Aids(self.state, known, level, self.events)
         self._raised = 0.0
         self.ground = float(ground)
         self.count = 0
@@ -176,7 +184,8 @@ class RockFilter:
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it, local frame."""
         found = self.inertial.estimate(self.covariance, time, mass)
-        return replace(found, position=self.site_to_local.to_local(found.position))
+        position = self.site_to_local.to_local(found.position)
+        return replace(found, position=position, lost=self._aids.lost)
 
     @property
     def site_to_local(self) -> Shift:
@@ -188,12 +197,11 @@ class RockFilter:
         return Shift(np.array([0.0, 0.0, -self._raised]))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in inertial samples or an altimeter's range; pictures come through the tracker."""
+        """Take in a measurement; pictures come through the tracker."""
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
-        elif isinstance(measurement, AltimeterReading):
-            boresight = self._beams.get(sensor, (0.0, 0.0, -1.0))
-            self.update_range(measurement.range, measurement.sigma, boresight)
+        else:
+            self._aids.take(sensor, measurement, time)
 
     # --- time -----------------------------------------------------------------------------
 
@@ -215,17 +223,8 @@ class RockFilter:
         The innovation is in units of its standard deviation. A range that is no number or lies
         more than `gate` deviations off leaves the filter as it was.
         """
-        if not (np.isfinite(distance) and np.isfinite(sigma) and sigma > 0.0):
-            return float("nan")
-        rotation = quat_to_matrix(self.inertial.attitude)
-        b = np.asarray(boresight, dtype=np.float64)
-        down = float(rotation[2] @ b)
-        height = float(self.inertial.position[2] - self.ground)
-        if down > -0.1 or height <= 0.0:
-            return float("nan")
-        h = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
-        innovation = distance + height / down
-        return self.state.measure(h, POSE[2:], innovation, sigma**2, gate**2).nis
+        found = take_range(self.state, distance, sigma, boresight, self.ground, gate=gate**2)
+        return found.nis
 
     # --- rocks ----------------------------------------------------------------------------
 
