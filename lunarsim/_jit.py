@@ -57,19 +57,24 @@ def kernel(
 prange = numba.prange
 
 
-# So many iterations of a parallel loop of some microseconds each repay the waking of threads.
+# So many microseconds of work repay the waking of threads.
 _WORTH_THREADS = 256
 
 
 @contextmanager
-def threads_for(count: int) -> Iterator[None]:
-    """Let parallel kernels run on one thread where they have few iterations to share.
+def threads_for(microseconds: float) -> Iterator[None]:
+    """Let parallel kernels run on one thread where they have little work to share.
 
     Waking threads for a handful of rays takes longer than the rays, and on a busy machine a
     thousand times as long.
+
+    Parameters
+    ----------
+    microseconds
+        What the work takes on one thread, roughly: a ray one, a thousand sums of products one.
     """
     before = numba.get_num_threads()
-    if count >= _WORTH_THREADS or before == 1:
+    if microseconds >= _WORTH_THREADS or before == 1:
         yield
         return
     numba.set_num_threads(1)

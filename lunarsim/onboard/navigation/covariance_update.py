@@ -27,7 +27,7 @@ def subtract_square(p: Array, w: Array) -> None:
     threads, and are the same however many there are.
     """
     if len(w) == 1:
-        with threads_for(len(p)):
+        with threads_for(1e-3 * len(p) ** 2):
             subtract_outer(p, w[0])
         return
     n = len(p)
@@ -54,7 +54,8 @@ def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
         np.matmul(gain[start : start + _ROWS], hp, out=product[start : start + _ROWS])
 
     _share(multiply, range(0, len(states), _ROWS))
-    subtract_product(p, product, states, place)
+    with threads_for(1e-3 * len(states) * len(p)):
+        subtract_product(p, product, states, place)
 
 
 def _share(job: Callable[[int], None], starts: range) -> None:

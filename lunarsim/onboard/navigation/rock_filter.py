@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_to_matrix
 from lunarsim.messages.briefing import Briefing
@@ -320,7 +321,8 @@ class RockFilter:
         m = len(index)
         a, b = sight.by_pose[index], sight.by_rock[index]
         columns = self._places(index)
-        hp = measured_rows(self.state.p, self.state.size, POSE, a, columns, b)
+        with threads_for(1e-2 * m * self.state.size):
+            hp = measured_rows(self.state.p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
