@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 # Normalised innovations squared beyond which a measurement is refused: once in 15,000 (1 degree of
 # freedom) and in 60,000 (3).
 _RANGE_GATE, _OTHER_GATE = 16.0, 23.0
+# Standard deviations beyond which a doubt widens no error: m/s, rad, m.
+_MOST_SPEED, _MOST_TURN, _MOST_HEIGHT = 30.0, 0.2, 300.0
 # Variances grow at least and at most by these factors where a watch asks for it.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
 # The block of what the ground lies above or below the target, and how it grows: heights of relief
@@ -139,7 +141,7 @@ class Aids:
             if block is not None:
                 own = self.state.block(block)
                 columns = np.concatenate((columns, np.arange(own.start, own.stop)))
-            self._judge(sensor, "attitude", found, columns, time)
+            self._judge(sensor, "attitude", found, columns, _MOST_TURN, time)
         else:
             return False
         return True
@@ -150,7 +152,8 @@ class Aids:
             return
         found = take_speeds(self.state, reading.speed, reading.speed_sigma, beams, _OTHER_GATE)
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
-        self._judge(sensor, "speed", found, columns, time)
+        most = np.repeat([_MOST_SPEED, _MOST_TURN], 3)
+        self._judge(sensor, "speed", found, columns, most, time)
         for distance, sigma, beam in zip(reading.range, reading.range_sigma, beams, strict=True):
             self._range(sensor, float(distance), float(sigma), beam, time)
 
@@ -167,10 +170,16 @@ class Aids:
             self.state, distance, float(np.sqrt(sigma**2 + rise)), beam, self.ground.elevation,
             block=block, gate=_RANGE_GATE,
         )  # fmt: skip
-        self._judge(sensor, "range", found, columns, time)
+        self._judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
 
     def _judge(
-        self, sensor: str, kind: str, found: Outcome, columns: NDArray[np.int64], time: float
+        self,
+        sensor: str,
+        kind: str,
+        found: Outcome,
+        columns: NDArray[np.int64],
+        most: Any,
+        time: float,
     ) -> None:
         """Watch what came of a measurement; widen what it depends on where it is doubted."""
         watch = self._watches.setdefault((sensor, kind), Watch())
@@ -178,7 +187,7 @@ class Aids:
         verdict = watch.note(time, found)
         if verdict is not Verdict.WELL:
             growth = float(np.clip(watch.excess, _LEAST_GROWTH, _MOST_GROWTH))
-            self.state.inflate(columns, growth)
+            self.state.inflate(columns, growth, most)
             name = "doubted" if verdict is Verdict.WIDEN else "lost"
             self._note(time, name, sensor, kind)
         elif before and not watch.lost:

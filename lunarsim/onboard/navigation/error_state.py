@@ -129,12 +129,17 @@ class ErrorState:
         """Tell whether there is such a block."""
         return name in self._blocks
 
-    def inflate(self, columns: ArrayLike, factor: float) -> None:
-        """Multiply the variances of some errors (k,) by a factor; correlations stay."""
-        at, root = np.asarray(columns), float(np.sqrt(factor))
-        p = self.covariance
-        p[at] *= root
-        p[:, at] *= root
+    def inflate(self, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
+        """Multiply the variances of some errors (k,) by a factor; correlations stay.
+
+        No standard deviation grows beyond `most` (k,).
+        """
+        at, p = np.asarray(columns), self.covariance
+        sigma = np.sqrt(p[at, at])
+        room = np.maximum(np.asarray(most) / np.maximum(sigma, 1e-300), 1.0)
+        times = np.minimum(np.sqrt(factor), room)
+        p[at] *= times[:, None]
+        p[:, at] *= times
 
     def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
         """Add to the covariance of some errors (k,) what they may have moved by (k, k)."""
@@ -234,7 +239,11 @@ class ErrorState:
         m = len(innovation)
         if not (np.isfinite(expected).all() and np.isfinite(innovation).all()):
             return Outcome(np.nan, m, False)
-        lower = np.linalg.cholesky(0.5 * (expected + expected.T))
+        try:
+            lower = np.linalg.cholesky(0.5 * (expected + expected.T))
+        except np.linalg.LinAlgError:
+            # Rounding has eaten the covariance: nothing can be told from it any more.
+            return Outcome(np.inf, m, False)
         white = solve_triangular(lower, innovation, lower=True, check_finite=False)
         nis = float(white @ white)
         if not nis <= gate:

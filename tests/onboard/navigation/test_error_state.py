@@ -110,10 +110,26 @@ def test_gates_and_what_is_not_finite_change_nothing():
 def test_variances_grow_and_correlations_stay():
     state = made(np.random.default_rng(3))
     p = state.covariance.copy()
-    state.inflate([3, 4, 5], 9.0)
+    state.inflate([3, 4, 5], 9.0, 1e3)
     scale = np.ones(SIZE)
     scale[3:6] = 3.0
     assert state.covariance == pytest.approx(p * np.outer(scale, scale))
+    for _ in range(40):
+        state.inflate([3, 4, 5], 1e4, [50.0, 50.0, 1.0])
+    assert np.sqrt(np.diag(state.covariance))[3:6] == pytest.approx(
+        [50.0, 50.0, max(1.0, 3.0 * np.sqrt(p[5, 5]))]
+    )
+    assert np.linalg.eigvalsh(state.covariance).min() > 0.0
+
+
+def test_a_covariance_that_rounding_has_eaten_is_told_and_not_used():
+    state = made(np.random.default_rng(5))
+    state.covariance[2, 2] = -10.0
+    x = state.inertial.position.copy()
+    outcome = state.measure([[1.0]], [2], [0.1], [0.1])
+    assert not outcome.taken
+    assert outcome.nis == np.inf
+    assert np.array_equal(state.inertial.position, x)
 
 
 @pytest.mark.parametrize(
