@@ -14,9 +14,15 @@ from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, Do
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
-from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
+from lunarsim.onboard.navigation.inertial import (
+    ACCELEROMETER,
+    ATTITUDE,
+    GYROSCOPE,
+    POSITION,
+    VELOCITY,
+)
 from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
-from lunarsim.onboard.navigation.watch import Verdict, Watch
+from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
 Array = NDArray[np.float64]
 
@@ -27,6 +33,14 @@ _RANGE_GATE, _OTHER_GATE = 16.0, 23.0
 _MOST_SPEED, _MOST_TURN, _MOST_HEIGHT = 30.0, 0.2, 300.0
 # Variances grow at least and at most by these factors where a watch asks for it.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
+# A lander cannot jump in speed or attitude, but the ground under it may in height.
+_WATCHED = {
+    "range": WatchSettings(),
+    "speed": WatchSettings(patience=None, drift_s=8.0),
+    "attitude": WatchSettings(patience=None, drift_s=8.0),
+}
+# What drifts where innovations lie to one side, and how far it may: m/s^2, rad/s.
+_BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
 # The block of what the ground lies above or below the target, and how it grows: heights of relief
 # differ by its slope times this length after as many metres, m.
 GROUND = "ground"
@@ -81,7 +95,7 @@ class Aids:
     ground
         What is known of its height.
     events
-        To which "doubted", "lost" and "believed" are added.
+        To which "doubted", "drift", "lost" and "believed" are added.
     """
 
     def __init__(
@@ -182,14 +196,20 @@ class Aids:
         time: float,
     ) -> None:
         """Watch what came of a measurement; widen what it depends on where it is doubted."""
-        watch = self._watches.setdefault((sensor, kind), Watch())
+        watch = self._watches.setdefault((sensor, kind), Watch(_WATCHED[kind]))
         before = watch.lost
         verdict = watch.note(time, found)
-        if verdict is not Verdict.WELL:
+        if verdict is Verdict.DRIFT:
+            # A bias of the inertial unit is what drifts: let it be found anew.
+            place, sigma = _BIASES[kind]
+            self.state.inflate(np.arange(place.start, place.stop), _MOST_GROWTH, sigma)
+            self._note(time, "drift", sensor, kind)
+        elif verdict is not Verdict.WELL:
             growth = float(np.clip(watch.excess, _LEAST_GROWTH, _MOST_GROWTH))
             self.state.inflate(columns, growth, most)
-            name = "doubted" if verdict is Verdict.WIDEN else "lost"
-            self._note(time, name, sensor, kind)
+            if verdict is Verdict.WIDEN or not before:
+                name = "doubted" if verdict is Verdict.WIDEN else "lost"
+                self._note(time, name, sensor, kind)
         elif before and not watch.lost:
             self._note(time, "believed", sensor, kind)
 

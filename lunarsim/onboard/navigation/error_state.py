@@ -8,7 +8,7 @@ rocks do, stands behind them. Time and measurements treat all of it alike, in on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,11 +44,14 @@ class Outcome:
         Of freedom.
     taken
         Whether it corrected the state.
+    white
+        Whitened innovation (degrees,) of what was taken; else empty.
     """
 
     nis: float
     degrees: int
     taken: bool
+    white: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class ErrorState:
@@ -260,7 +263,7 @@ class ErrorState:
             error = np.zeros(self.size)
             error[states] = gain @ innovation
             self.correct(error)
-        return Outcome(nis, m, True)
+        return Outcome(nis, m, True, white)
 
     def inform(
         self, part: Index, information: Array, vector: Array, gate: float = np.inf

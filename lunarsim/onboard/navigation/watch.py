@@ -1,9 +1,9 @@
 """Whether a filter still believes what it measures, and when it must say that it is lost.
 
-A filter that is wrong refuses what is right. Each kind of measurement is watched over a window: its
-share of refusals, and the mean of its normalised innovations, which is 1 while the filter errs as
-it says. Where they are not what chance allows the gate opens by widening the state once; where
-that does not help either, something is wrong that the filter cannot explain.
+A filter that is wrong refuses what is right. Each kind of measurement is watched in two ways. Over
+a window of seconds: the share of refusals, and the mean of the normalised innovations, which is 1
+while the filter errs as it says. And over a longer time: the mean of the whitened innovations,
+which is 0; where it is not, something drifts that is small in every single measurement.
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from lunarsim.onboard.navigation.error_state import Outcome
+
+Array = NDArray[np.float64]
 
 
 class Verdict(Enum):
@@ -22,6 +26,7 @@ class Verdict(Enum):
 
     WELL = "well"
     WIDEN = "widen"
+    DRIFT = "drift"
     LOST = "lost"
 
 
@@ -43,7 +48,13 @@ class WatchSettings:
         Measurements are taken for this many times fewer: errors that last longer than a cycle make
         innovations alike.
     patience
-        Widenings of one kind within three windows after which the filter is lost.
+        Widenings of one kind within three windows that may be explained, by ground that rises for
+        instance; with one more the filter is lost. None: a jump cannot be explained at all, and
+        what is lost by it stays so, since the filter has by then gone along with what is wrong.
+    drift_s
+        Time over which the mean of whitened innovations is watched, s; None: it is not.
+    drift_level
+        Standard deviations of that mean beyond which something drifts.
     """
 
     window_s: float = 2.0
@@ -51,7 +62,9 @@ class WatchSettings:
     most_refused: float = 0.5
     chance: float = 1e-6
     correlation: float = 4.0
-    patience: int = 3
+    patience: int | None = 3
+    drift_s: float | None = None
+    drift_level: float = 5.0
 
 
 @dataclass
@@ -63,7 +76,7 @@ class Watch:
     settings
         When it is doubted.
     lost
-        Whether it has not been explained for good.
+        Whether it has not been explained.
     excess
         Mean normalised innovation squared a degree of freedom of the last window judged.
     total, degrees
@@ -81,31 +94,41 @@ class Watch:
     refused: int = 0
     _seen: deque[tuple[float, Outcome]] = field(default_factory=deque)
     _widened: deque[float] = field(default_factory=deque)
+    _mean: dict[int, Array] = field(default_factory=dict)
+    _weight: dict[int, float] = field(default_factory=dict)
+    _last: float = -np.inf
 
     def note(self, time: float, outcome: Outcome) -> Verdict:
-        """Note what came of a measurement at a time (s), and judge the window.
+        """Note what came of a measurement at a time (s), and judge.
 
         What told nothing (a `nis` of NaN) is not counted.
         """
         if outcome.degrees == 0 or not outcome.nis >= 0.0:
             return Verdict.WELL
-        s = self.settings
         if outcome.taken:
             self.total, self.degrees = self.total + outcome.nis, self.degrees + outcome.degrees
         else:
             self.refused += 1
+        verdict = self._judge_window(time, outcome)
+        drifts = self._drifts(time, outcome)
+        return Verdict.DRIFT if verdict is Verdict.WELL and drifts else verdict
+
+    def _judge_window(self, time: float, outcome: Outcome) -> Verdict:
+        s = self.settings
         self._seen.append((time, outcome))
         while self._seen[0][0] < time - s.window_s:
             self._seen.popleft()
         while self._widened and self._widened[0] < time - 3.0 * s.window_s:
             self._widened.popleft()
         if len(self._seen) < s.least or not self._doubtful():
-            if self.lost and not self._widened:
+            if s.patience is not None and not self._widened:
                 self.lost = False
             return Verdict.WELL
         self._seen.clear()
+        self._mean.clear()
+        self._weight.clear()
         self._widened.append(time)
-        if len(self._widened) > s.patience:
+        if s.patience is None or len(self._widened) > s.patience:
             self.lost = True
             return Verdict.LOST
         return Verdict.WIDEN
@@ -114,10 +137,31 @@ class Watch:
         s = self.settings
         every = [o for _, o in self._seen]
         self.excess = sum(o.nis for o in every) / sum(o.degrees for o in every)
-        refused = sum(not o.taken for _, o in self._seen)
-        if refused > s.most_refused * len(self._seen):
+        refused = sum(not o.taken for o in every)
+        if refused > s.most_refused * len(every):
             return True
-        taken = [o for _, o in self._seen if o.taken]
+        taken = [o for o in every if o.taken]
         degrees = sum(o.degrees for o in taken) / s.correlation
         total = sum(o.nis for o in taken) / s.correlation
         return degrees > 0.0 and bool(chi2.sf(total, degrees) < s.chance)
+
+    def _drifts(self, time: float, outcome: Outcome) -> bool:
+        """Tell whether innovations lie to one side: a mean that forgets, in its own deviations."""
+        s = self.settings
+        if s.drift_s is None or not outcome.taken:
+            return False
+        keep = float(np.exp(-max(time - self._last, 0.0) / s.drift_s)) if self._mean else 0.0
+        self._last = time
+        for kind in self._mean:
+            self._mean[kind] = keep * self._mean[kind]
+            self._weight[kind] *= keep**2
+        m = outcome.degrees
+        # Sums of independent unit normals; their variance is the sum of the squared weights.
+        self._mean[m] = self._mean.get(m, np.zeros(m)) + outcome.white
+        self._weight[m] = self._weight.get(m, 0.0) + 1.0
+        level = np.abs(self._mean[m]) / np.sqrt(self._weight[m])
+        if self._weight[m] < s.least or not (level > s.drift_level).any():
+            return False
+        self._mean.clear()
+        self._weight.clear()
+        return True

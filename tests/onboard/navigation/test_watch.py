@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.watch import Verdict, Watch
+from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
 
 def verdicts(watch: Watch, outcomes, step=0.1) -> list[Verdict]:
@@ -54,3 +55,42 @@ def test_nothing_measured_says_nothing():
     watch = Watch()
     nothing = [Outcome(np.nan, 1, False), Outcome(0.0, 0, False)] * 100
     assert set(verdicts(watch, nothing)) == {Verdict.WELL}
+
+
+def whitened(rng, n, shift=0.0, degrees=3):
+    for _ in range(n):
+        white = rng.normal(size=degrees) + shift
+        yield Outcome(float(white @ white), degrees, True, white)
+
+
+SPEEDS = WatchSettings(patience=None, drift_s=8.0)
+
+
+def test_innovations_to_one_side_are_found_though_each_is_small():
+    rng = np.random.default_rng(3)
+    found = verdicts(Watch(SPEEDS), whitened(rng, 300, np.array([0.0, 1.2, 0.0])))
+    assert Verdict.DRIFT in found
+    assert Verdict.WIDEN not in found
+    never = [verdicts(Watch(SPEEDS), whitened(np.random.default_rng(k), 600)) for k in range(50)]
+    assert all(v is Verdict.WELL for row in never for v in row)
+
+
+def test_a_drift_is_weighed_against_its_own_deviation():
+    """The mean that forgets, against sums written out."""
+    rng = np.random.default_rng(4)
+    watch, whites, times = Watch(SPEEDS), [], 0.1 * np.arange(40)
+    for t, outcome in zip(times, whitened(rng, 40), strict=True):
+        watch.note(t, outcome)
+        whites.append(outcome.white)
+    weight = np.exp(-(times[-1] - times) / 8.0)
+    assert watch._mean[3] == pytest.approx(weight @ np.array(whites))
+    assert watch._weight[3] == pytest.approx((weight**2).sum())
+
+
+def test_what_cannot_jump_is_lost_at_once_and_stays_so():
+    watch = Watch(SPEEDS)
+    assert Verdict.LOST in verdicts(watch, [Outcome(400.0, 3, False)] * 10)
+    rng = np.random.default_rng(5)
+    for k, outcome in enumerate(whitened(rng, 300)):
+        watch.note(2.0 + 0.1 * k, outcome)
+    assert watch.lost
