@@ -64,7 +64,7 @@ class WatchSettings:
     correlation: float = 4.0
     patience: int | None = 3
     drift_s: float | None = None
-    drift_level: float = 5.0
+    drift_level: float = 5.5
 
 
 @dataclass
