@@ -1,0 +1,108 @@
+"""A lander that navigates by its own instruments, with no fixes and no map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.messages.measurements import AltimeterReading, DopplerReading
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.conftest import SCENARIOS
+
+KEEP = np.r_[0:6, 9:12]
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    """The scenario on a smaller piece of ground."""
+    whole = Scenario.load(SCENARIOS / "instruments.toml")
+    return whole.changed(
+        terrain={"size_m": 240.0}, start_knowledge={"position_m": 15.0}, mappers={"dem": None},
+        tasking={"flash": {"kind": "periodic", "rate_hz": 1.0}},
+        sensors={"flash": {"rows": 32, "cols": 32}},
+    )  # fmt: skip
+
+
+def error_of(simulation: Simulation) -> np.ndarray:
+    state, own = simulation.state, simulation.computer.navigation.inertial
+    turn = quat_multiply(quat_conjugate(own.attitude), state.attitude)
+    return np.concatenate((
+        state.position - own.position, state.velocity - own.velocity, quat_to_rotation_vector(turn),
+    ))  # fmt: skip
+
+
+def tampered(simulation: Simulation, kind: type, change, begins: float = 8.0) -> None:
+    """Let measurements of a kind be wrong from a time on."""
+    navigation = simulation.computer.navigation
+    honest = navigation.take
+
+    def take(sensor, measurement, time):
+        wrong = isinstance(measurement, kind) and time >= begins
+        honest(sensor, change(measurement) if wrong else measurement, time)
+
+    navigation.take = take
+
+
+def events(simulation: Simulation) -> list[str]:
+    return [name for _, name, _ in simulation.computer.telemetry]
+
+
+def test_it_errs_as_it_says_and_comes_down_where_it_believes(scenario):
+    nees = Consistency()
+    for seed in range(6):
+        simulation = Simulation(scenario, seed, "no-divert")
+        local = []
+        while not simulation.done:
+            simulation.step()
+            local.append(simulation.computer.estimate.position)
+            if not simulation.done and len(local) in (80, 200):
+                covariance = simulation.computer.navigation.covariance[np.ix_(KEEP, KEEP)]
+                nees = nees.plus(normalised_square(error_of(simulation), covariance), 9)
+        assert simulation.verdict.touchdown is not None, simulation.verdict
+        assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1
+        assert not simulation.computer.estimate.lost
+        assert not {"doubted", "lost"} & set(events(simulation))
+        # Where the site lies is corrected by metres; the local frame does not jump.
+        steps = np.linalg.norm(np.diff(np.array(local), axis=0), axis=1)
+        assert steps[1:].max() < 0.1 * 40.0
+    assert nees.holds(0.999), (nees.ratio, nees.bounds(0.999))
+
+
+def test_a_beam_that_lies_is_called_lost(scenario):
+    simulation = Simulation(scenario, 1, "no-divert")
+    tampered(
+        simulation, DopplerReading,
+        lambda m: replace(m, speed=m.speed + np.array([0.5, 0.0, 0.0])),
+    )  # fmt: skip
+    while simulation.time < 12.0:
+        assert not (simulation.computer.estimate.lost and simulation.time < 8.0)
+        simulation.step()
+    assert simulation.computer.estimate.lost
+    assert "lost" in events(simulation)
+
+
+def test_an_altimeter_that_jumps_is_doubted_and_taken_for_ground(scenario):
+    simulation = Simulation(scenario, 2, "no-divert")
+    tampered(simulation, AltimeterReading, lambda m: replace(m, range=m.range - 60.0))
+    while simulation.time < 20.0:
+        simulation.step()
+    assert "doubted" in events(simulation)
+    assert np.linalg.norm(error_of(simulation)[3:6]) < 0.3
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e9, -1e9])
+def test_wild_readings_do_no_harm(scenario, value):
+    simulation = Simulation(scenario, 3, "no-divert")
+    tampered(simulation, AltimeterReading, lambda m: replace(m, range=value), 0.0)
+    tampered(
+        simulation, DopplerReading, lambda m: replace(m, speed=np.full_like(m.speed, value)), 0.0
+    )
+    while simulation.time < 5.0:
+        simulation.step()
+    assert np.isfinite(simulation.computer.navigation.covariance).all()
+    assert np.linalg.norm(error_of(simulation)[3:6]) < 3.0
