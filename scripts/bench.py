@@ -17,13 +17,24 @@ import numba
 from bench_parts.closed_loop import flight
 from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
+from bench_parts.navigation import navigation
 from bench_parts.quadtree import lidar_inertial, quadtree
 from bench_parts.sensing import lidar, render, terrain
 from bench_parts.shadows import shadows
 
 PARTS: dict[str, Callable[[], None]] = {
     part.__name__: part
-    for part in (flight, gaussian_dem, render, lidar, shadows, terrain, quadtree, lidar_inertial)
+    for part in (
+        flight,
+        gaussian_dem,
+        render,
+        lidar,
+        shadows,
+        terrain,
+        quadtree,
+        lidar_inertial,
+        navigation,
+    )
 }
 
 

@@ -88,6 +88,22 @@ def both() -> Scenario:
     )
 
 
+def instruments() -> Scenario:
+    return Scenario.load(SCENARIOS / "instruments.toml").changed(
+        terrain={"size_m": 160.0},
+        rocks={"min_diameter_m": 0.6},
+        start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
+        start_knowledge={"position_m": 5.0},
+        sensors={"flash": {"rows": 64, "cols": 64}},
+        tasking={"flash": {"kind": "periodic", "rate_hz": 2.0}},
+        mappers={"dem": {"posting_m": 0.5, "size_m": 50.0}},
+        simulation={"max_time_s": 12.0},
+    )
+
+
+SETS = [flash, camera, sweep, both, instruments]
+
+
 def replayed(tap: Tap, policy: object, folder: Path) -> list:
     """Return commands and torques of a flight's measurements in a process without a world."""
     measurements = [inputs for inputs, _, _ in tap.exchanges]
@@ -135,7 +151,9 @@ def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path)
     assert_the_same(tap.exchanges, replayed(tap, ScoreboardChoice(), tmp_path))
 
 
-@pytest.mark.parametrize("make", [flash, camera, sweep, both], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "make", [flash, camera, sweep, both, instruments], ids=lambda f: f.__name__
+)
 def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_path):
     tap = Tap()
     simulation = Simulation(make(), 6, "safest", tap=tap)
@@ -177,7 +195,9 @@ def modules_within(value, seen: set[int]) -> set[str]:
     return found.union(*(modules_within(v, seen) for v in inner)) if inner else found
 
 
-@pytest.mark.parametrize("make", [flash, camera, sweep, both], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "make", [flash, camera, sweep, both, instruments], ids=lambda f: f.__name__
+)
 def test_no_object_of_the_world_is_within_the_computer(make):
     simulation = Simulation(make(), 6, "truth-oracle")
     for _ in range(3):
