@@ -102,6 +102,8 @@ def instruments() -> Scenario:
 
 
 SETS = [flash, camera, sweep, both, instruments]
+# Kinds of measurements that each gives.
+_KINDS = {"flash": 3, "camera": 3, "sweep": 2, "both": 4, "instruments": 5}
 
 
 def replayed(tap: Tap, policy: object, folder: Path) -> list:
@@ -159,7 +161,7 @@ def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_
     simulation = Simulation(make(), 6, "safest", tap=tap)
     flight = simulation.run()
     kinds = {type(m).__name__ for inputs, _, _ in tap.exchanges for _, m in inputs.items}
-    assert len(kinds) == {"flash": 3, "camera": 3, "sweep": 2, "both": 4}[make.__name__], kinds
+    assert len(kinds) == _KINDS[make.__name__], kinds
     assert make is sweep or flight.maps
     assert_the_same(tap.exchanges, replayed(tap, Safest(), tmp_path))
 
