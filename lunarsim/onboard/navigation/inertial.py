@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
+# A quaternion whose length is farther from 1 than this is no rotation.
+_OFF_UNIT = 1e-3
+# No lander pushes or turns like this: such a sample is a fault of the unit, m/s^2 and rad/s.
+_MOST_FORCE, _MOST_RATE = 500.0, 50.0
 
 
 @dataclass(frozen=True)
@@ -72,11 +76,14 @@ class StrapdownState:
         gyroscopes: TriadErrors = GYROSCOPES,
         accelerometers: TriadErrors = ACCELEROMETERS,
     ) -> None:
-        self._x = np.concatenate(
-            (position, velocity, np.zeros(3), normalised(attitude), np.zeros(3))
-        )
-        if not np.isfinite(self._x).all():
-            raise InputError("navigation.start", self._x.tolist(), "finite numbers")
+        start = np.concatenate((position, velocity, attitude)).astype(np.float64)
+        if start.shape != (10,) or not np.isfinite(start).all():
+            raise InputError("navigation.start", start.tolist(), "ten finite numbers")
+        if abs(float(np.linalg.norm(start[6:])) - 1.0) > _OFF_UNIT:
+            raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
+        if not (np.isfinite(step) and step > 0.0):
+            raise InputError("navigation.step", step, "a positive number of seconds")
+        self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
         self._density = np.array(
@@ -185,13 +192,23 @@ class StrapdownState:
     def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """Carry the state over samples (n, 3); NaN stands for a missing one.
 
+        So does one that no lander could give.
+
         Returns
         -------
         transition, noise
             Of the error state over all samples (15, 15).
         """
+        angle, velocity = np.atleast_2d(angle), np.atleast_2d(velocity)
+        with np.errstate(invalid="ignore"):
+            wild = (np.abs(angle) > _MOST_RATE * self.step) | (
+                np.abs(velocity) > _MOST_FORCE * self.step
+            )
+        if wild.any():
+            gone = wild.any(axis=1)[:, None]
+            angle, velocity = np.where(gone, np.nan, angle), np.where(gone, np.nan, velocity)
         self._x, transition, noise = kernels.propagate(
-            self._x, self._held, np.atleast_2d(angle), np.atleast_2d(velocity), self.step,
+            self._x, self._held, angle, velocity, self.step,
             self._gravity, self._density, self._blind,
         )  # fmt: skip
         turn = np.nansum(angle, axis=0)

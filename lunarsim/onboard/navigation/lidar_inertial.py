@@ -250,7 +250,9 @@ class LidarInertialFilter:
 
     def _width(self, scan: LidarScan) -> float:
         """Return the width of the ground that a scan covers, across the line of sight, m."""
-        reach = np.nanmedian(scan.range) if np.isfinite(scan.range).any() else np.nan
+        if not np.isfinite(scan.range).any():
+            return np.nan
+        reach = np.nanmedian(scan.range)
         cosine = float(np.min(scan.direction @ scan.direction[len(scan.direction) // 2]))
         return float(2.0 * reach * np.sqrt(max(1.0 - cosine**2, 0.0)))
 

@@ -12,6 +12,7 @@ from lunarsim.frames import (
     quat_multiply,
     quat_to_rotation_vector,
 )
+from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from tests.reference.shadows import inertial
@@ -98,8 +99,49 @@ def test_a_correction_keeps_the_quaternion_a_rotation():
     assert np.linalg.norm(state.attitude) == pytest.approx(1.0, abs=1e-12)
 
 
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+
+
 def test_bad_starts_are_refused():
+    zero = np.zeros(3)
     with pytest.raises(InputError, match="finite"):
-        StrapdownState(np.full(3, np.nan), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
+        StrapdownState(np.full(3, np.nan), zero, UPRIGHT, 1.622)
+    for attitude in (np.zeros(4), 1.5 * UPRIGHT):
+        with pytest.raises(InputError, match=r"navigation\.attitude"):
+            StrapdownState(zero, zero, attitude, 1.622)
+    for step in (0.0, -0.01, np.nan):
+        with pytest.raises(InputError, match=r"navigation\.step"):
+            StrapdownState(zero, zero, UPRIGHT, 1.622, step=step)
     with pytest.raises(InputError, match=r"navigation\.velocity"):
         StartSigmas(velocity=0.0)
+
+
+@pytest.mark.parametrize("value", [1e6, -1e6, np.inf])
+@pytest.mark.parametrize("which", ["angle", "velocity"])
+def test_a_sample_that_no_lander_could_give_counts_as_missing(which, value):
+    rng = np.random.default_rng(5)
+    angle, velocity = samples(rng, 10)
+    wild = {"angle": angle.copy(), "velocity": velocity.copy()}
+    wild[which][4, 1] = value
+    angle[4], velocity[4] = np.nan, np.nan
+    found = []
+    for a, v in ((angle, velocity), (wild["angle"], wild["velocity"])):
+        state = StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, 1.622)
+        found.append((*state.propagate(a, v), state.position.copy(), state.velocity.copy()))
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_a_turn_takes_scale_factors_and_misalignments_along():
+    """Turned about one axis and back; what is off is drawn, and the error compared."""
+    errors = TriadErrors(scale_factor=1e-3, misalignment=5e-4)
+    state = StrapdownState(
+        np.zeros(3), np.zeros(3), UPRIGHT, 0.0, gyroscopes=errors, accelerometers=TriadErrors()
+    )
+    turn = np.zeros((100, 3))
+    turn[:, 1] = 0.5 / 100
+    _, noise = state.propagate(turn, np.zeros((100, 3)))
+    expected = np.square([5e-4 * 0.5, 1e-3 * 0.5, 5e-4 * 0.5])
+    assert np.diag(noise)[9:12] == pytest.approx(expected, rel=1e-6)
+    _, back = state.propagate(-turn, np.zeros((100, 3)))
+    assert np.diag(back)[9:12] == pytest.approx(np.zeros(3), abs=1e-15)

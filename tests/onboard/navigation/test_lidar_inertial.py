@@ -197,6 +197,8 @@ def test_scans_that_tell_nothing_change_nothing(world):
     for scan in (
         LidarScan(0.0, np.full(n, np.nan), LIDAR.directions(), np.eye(3), np.ones(n),
                   (128, 128)),
+        LidarScan(0.0, np.zeros(0), np.zeros((0, 3)), np.eye(3), np.zeros(0), (0, 0)),
+        LidarScan(0.0, np.full(n, 1e9), LIDAR.directions(), np.eye(3), np.ones(n), (128, 128)),
     ):  # fmt: skip
         assert not descent.filter.update_scan(scan, descent.time)
     assert np.array_equal(descent.filter.covariance, before[0])
