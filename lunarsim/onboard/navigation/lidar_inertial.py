@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 # The pose at the scan kept for odometry, in the error state.
 _KEY = "key"
+# No return comes from farther, m.
+_FARTHEST = 20_000.0
 
 
 @dataclass(frozen=True)
@@ -221,6 +223,7 @@ class LidarInertialFilter:
 
         A scan without returns, or too slanted to average, changes nothing.
         """
+        scan = _plausible(scan)
         width = self._width(scan)
         if not np.isfinite(width):
             return False
@@ -455,6 +458,13 @@ class LidarInertialFilter:
             position=key.position + error[:3],
             attitude=normalised(quat_multiply(key.attitude, turn)),
         )
+
+
+def _plausible(scan: LidarScan) -> LidarScan:
+    """Return a scan without ranges that no LiDAR could give."""
+    with np.errstate(invalid="ignore"):
+        good = (scan.range > 0.0) & (scan.range < _FARTHEST)
+    return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))
 
 
 def _window(elevation: Array, row: int, col: int, rows: int, cols: int) -> Array:
