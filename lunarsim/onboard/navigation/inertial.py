@@ -201,11 +201,10 @@ class StrapdownState:
         """
         angle, velocity = np.atleast_2d(angle), np.atleast_2d(velocity)
         with np.errstate(invalid="ignore"):
-            wild = (np.abs(angle) > _MOST_RATE * self.step) | (
-                np.abs(velocity) > _MOST_FORCE * self.step
-            )
-        if wild.any():
-            gone = wild.any(axis=1)[:, None]
+            spun = (np.abs(angle) > _MOST_RATE * self.step).any(axis=1)
+            pushed = (np.abs(velocity) > _MOST_FORCE * self.step).any(axis=1)
+        gone = (spun | pushed)[:, None]
+        if gone.any():
             angle, velocity = np.where(gone, np.nan, angle), np.where(gone, np.nan, velocity)
         self._x, transition, noise = kernels.propagate(
             self._x, self._held, angle, velocity, self.step,
