@@ -203,7 +203,7 @@ class StrapdownState:
         with np.errstate(invalid="ignore"):
             spun = (np.abs(angle) > _MOST_RATE * self.step).any(axis=1)
             pushed = (np.abs(velocity) > _MOST_FORCE * self.step).any(axis=1)
-        gone = (spun | pushed)[:, None]
+        gone = np.logical_or(spun, pushed).reshape(-1, 1)
         if gone.any():
             angle, velocity = np.where(gone, np.nan, angle), np.where(gone, np.nan, velocity)
         self._x, transition, noise = kernels.propagate(
