@@ -106,3 +106,20 @@ def test_wild_readings_do_no_harm(scenario, value):
         simulation.step()
     assert np.isfinite(simulation.computer.navigation.covariance).all()
     assert np.linalg.norm(error_of(simulation)[3:6]) < 3.0
+
+
+def test_sensors_may_be_called_anything_and_be_there_twice(scenario):
+    named = scenario.changed(
+        sensors={
+            "stars": None, "ground": {"kind": "star-tracker"}, "key": {"kind": "star-tracker"},
+            "second": {"kind": "radar-altimeter"}, "third": {"kind": "velocimeter", "beams": 4},
+        }
+    )  # fmt: skip
+    simulation = Simulation(named, 4, "no-divert")
+    while simulation.time < 6.0:
+        simulation.step()
+    watches = simulation.computer.navigation.watches
+    for kind in ("ground attitude", "key attitude", "second range", "third speed"):
+        assert watches[kind].degrees > 15
+        assert watches[kind].refused == 0
+    assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1

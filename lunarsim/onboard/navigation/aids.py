@@ -79,8 +79,13 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
     out = {} if ground.sigma is None else {GROUND: np.array([[ground.sigma**2]])}
     for name, instrument in instruments.items():
         if isinstance(instrument, StarInstrument):
-            out[name] = instrument.misalignment**2 * np.eye(3)
+            out[_mount(name)] = instrument.misalignment**2 * np.eye(3)
     return out
+
+
+def _mount(sensor: str) -> str:
+    """Return the name of the block of how a sensor is mounted; no sensor is called so."""
+    return f"mount of {sensor}"
 
 
 class Aids:
@@ -146,7 +151,7 @@ class Aids:
         elif isinstance(measurement, DopplerReading):
             self._doppler(sensor, measurement, time)
         elif isinstance(measurement, AttitudeReading):
-            block = sensor if sensor in self._stars else None
+            block = _mount(sensor) if sensor in self._stars else None
             found = take_attitude(
                 self.state, measurement.attitude, measurement.covariance, block=block,
                 gate=_OTHER_GATE,
@@ -181,8 +186,8 @@ class Aids:
             across = float(np.linalg.norm(quat_rotate(self.state.inertial.attitude, beam)[:2]))
             rise = self.ground.relief**2 * _CORRELATION * across * abs(distance)
         found = take_range(
-            self.state, distance, float(np.sqrt(sigma**2 + rise)), beam, self.ground.elevation,
-            block=block, gate=_RANGE_GATE,
+            self.state, distance, sigma, beam, self.ground.elevation, block=block, rise=rise,
+            gate=_RANGE_GATE,
         )  # fmt: skip
         self._judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
 

@@ -22,6 +22,7 @@ def take_range(
     ground: float,
     *,
     block: str | None = None,
+    rise: float = 0.0,
     gate: float = np.inf,
 ) -> Outcome:
     """Take in a range.
@@ -39,6 +40,8 @@ def take_range(
         Elevation of the ground, m.
     block
         What is to be added to that elevation is kept there in the state; left out: nothing.
+    rise
+        Variance of the ground's height where the beam meets it, along the beam, m^2.
     gate
         See `ErrorState.measure`.
     """
@@ -57,4 +60,4 @@ def take_range(
     if block is not None:
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(block).start)
-    return state.measure(jacobian, columns, distance + height / down, [sigma**2], gate)
+    return state.measure(jacobian, columns, distance + height / down, [sigma**2 + rise], gate)
