@@ -116,7 +116,7 @@ def test_sensors_may_be_called_anything_and_be_there_twice(scenario):
         }
     )  # fmt: skip
     simulation = Simulation(named, 4, "no-divert")
-    while simulation.time < 6.0:
+    while simulation.time < 25.0:
         simulation.step()
     watches = simulation.computer.navigation.watches
     for kind in ("ground attitude", "key attitude", "second range", "third speed"):
