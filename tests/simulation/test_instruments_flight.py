@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.messages.measurements import AltimeterReading, DopplerReading
+from lunarsim.messages.measurements import AltimeterReading, DopplerReading, InertialSamples
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.conftest import SCENARIOS
@@ -123,3 +123,14 @@ def test_sensors_may_be_called_anything_and_be_there_twice(scenario):
         assert watches[kind].degrees > 15
         assert watches[kind].refused == 0
     assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1
+
+
+def test_an_accelerometer_that_jumps_is_found_by_its_drift(scenario):
+    simulation = Simulation(scenario, 5, "no-divert")
+    push = 0.01 * np.array([0.05, 0.0, 0.0])
+    tampered(simulation, InertialSamples, lambda m: replace(m, velocity=m.velocity + push), 17.0)
+    while simulation.time < 32.0:
+        simulation.step()
+    assert "drift" in events(simulation)
+    bias, _ = simulation.computer.navigation.inertial.biases
+    assert 0.02 < bias[0] < 0.08, "the unit itself is good for 0.003"

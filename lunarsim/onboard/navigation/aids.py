@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
@@ -26,9 +29,8 @@ from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
 Array = NDArray[np.float64]
 
-# Normalised innovations squared beyond which a measurement is refused: once in 15,000 (1 degree of
-# freedom) and in 60,000 (3).
-_RANGE_GATE, _OTHER_GATE = 16.0, 23.0
+# A measurement that is good is refused once in so many.
+_REFUSED = 20_000.0
 # Standard deviations beyond which a doubt widens no error: m/s, rad, m.
 _MOST_SPEED, _MOST_TURN, _MOST_HEIGHT = 30.0, 0.2, 300.0
 # Variances grow at least and at most by these factors where a watch asks for it.
@@ -64,6 +66,21 @@ class LevelGround:
     elevation: float = 0.0
     sigma: float | None = 10.0
     relief: float = float(np.tan(np.deg2rad(5.0)))
+
+    def __post_init__(self) -> None:
+        for name, value in (("sigma", self.sigma), ("relief", self.relief)):
+            if value is not None and not (np.isfinite(value) and value >= 0.0):
+                raise InputError(
+                    f"navigation.ground_{name}", value, "a number that is not negative"
+                )
+        if not np.isfinite(self.elevation):
+            raise InputError("navigation.ground_elevation", self.elevation, "a finite height")
+
+
+@lru_cache
+def gate_of(degrees: int) -> float:
+    """Return the normalised innovation squared beyond which a measurement is refused."""
+    return float(chi2.isf(1.0 / _REFUSED, degrees))
 
 
 def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, Array]:
@@ -121,6 +138,7 @@ class Aids:
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
         self._place = state.inertial.position[:2].copy()
+        self._time = -np.inf
 
     @property
     def lost(self) -> bool:
@@ -144,7 +162,16 @@ class Aids:
             self.state.widen(at, self.ground.relief**2 * _CORRELATION * moved)
 
     def take(self, sensor: str, measurement: Any, time: float) -> bool:
-        """Take in a measurement; return whether it is of a kind known here."""
+        """Take in a measurement; return whether it is of a kind known here.
+
+        Raises
+        ------
+        InputError
+            If time runs backwards, or the arrays of a reading are not of one length.
+        """
+        if not time >= self._time:
+            raise InputError("time", time, f"at least {self._time} s: time does not run backwards")
+        self._time = time
         if isinstance(measurement, AltimeterReading):
             beam = self._beams[sensor].boresight if sensor in self._beams else (0.0, 0.0, -1.0)
             self._range(sensor, measurement.range, measurement.sigma, beam, time)
@@ -154,7 +181,7 @@ class Aids:
             block = _mount(sensor) if sensor in self._stars else None
             found = take_attitude(
                 self.state, measurement.attitude, measurement.covariance, block=block,
-                gate=_OTHER_GATE,
+                gate=gate_of(3),
             )  # fmt: skip
             columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
             if block is not None:
@@ -167,9 +194,16 @@ class Aids:
 
     def _doppler(self, sensor: str, reading: DopplerReading, time: float) -> None:
         beams = self._cones.get(sensor)
-        if beams is None or np.shape(reading.speed) != (len(beams),):
+        if beams is None:
             return
-        found = take_speeds(self.state, reading.speed, reading.speed_sigma, beams, _OTHER_GATE)
+        for name in ("speed", "speed_sigma", "range", "range_sigma"):
+            shape = np.shape(getattr(reading, name))
+            if shape != (len(beams),):
+                raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
+        seen = int(np.isfinite(reading.speed).sum())
+        found = take_speeds(
+            self.state, reading.speed, reading.speed_sigma, beams, gate_of(max(seen, 1))
+        )
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
         most = np.repeat([_MOST_SPEED, _MOST_TURN], 3)
         self._judge(sensor, "speed", found, columns, most, time)
@@ -187,7 +221,7 @@ class Aids:
             rise = self.ground.relief**2 * _CORRELATION * across * abs(distance)
         found = take_range(
             self.state, distance, sigma, beam, self.ground.elevation, block=block, rise=rise,
-            gate=_RANGE_GATE,
+            gate=gate_of(1),
         )  # fmt: skip
         self._judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
 

@@ -223,12 +223,15 @@ class ErrorState:
             Its covariance (m, m), or the variances (m,) of independent parts.
         gate
             Greatest normalised innovation squared; beyond it nothing changes. Nor does it where
-            anything is not finite.
+            anything is not finite, or the noise not positive: that tells nothing, and `nis` is
+            NaN. A covariance of the state that is no longer good refuses all, `nis` being infinite.
         """
         h, at = np.atleast_2d(np.asarray(jacobian, np.float64)), np.asarray(columns)
         y = np.atleast_1d(np.asarray(innovation, np.float64))
         r = np.asarray(noise, np.float64)
         r = np.diag(r) if r.ndim == 1 else np.atleast_2d(r)
+        if not (np.isfinite(r).all() and np.linalg.eigvalsh(r).min() > 0.0):
+            return Outcome(np.nan, len(y), False)
         hp = h @ self.p[at, : self.size]
         return self.absorb(hp, hp[:, at] @ h.T + r, y, gate)
 
@@ -240,8 +243,10 @@ class ErrorState:
         `expected` (m, m) is the innovation's covariance. Overwrites `hp`.
         """
         m = len(innovation)
-        if not (np.isfinite(expected).all() and np.isfinite(innovation).all()):
+        if not np.isfinite(innovation).all():
             return Outcome(np.nan, m, False)
+        if not np.isfinite(expected).all():
+            return Outcome(np.inf, m, False)
         try:
             lower = np.linalg.cholesky(0.5 * (expected + expected.T))
         except np.linalg.LinAlgError:
@@ -317,6 +322,8 @@ def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
 def _covariance(name: str, given: ArrayLike) -> Array:
     own = np.atleast_2d(np.asarray(given, dtype=np.float64))
     good = own.ndim == 2 and own.shape[0] == own.shape[1] and np.isfinite(own).all()
-    if not (good and np.allclose(own, own.T) and np.linalg.eigvalsh(own).min() >= 0.0):
+    # Singular ones are good; rounding makes their least eigenvalue a little negative.
+    good = good and own.size > 0 and np.allclose(own, own.T)
+    if not (good and np.linalg.eigvalsh(own).min() >= -1e-12 * np.abs(own).max()):
         raise InputError(name, np.shape(given), "a symmetric covariance that is not negative")
     return own

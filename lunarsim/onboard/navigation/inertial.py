@@ -81,6 +81,8 @@ class StrapdownState:
             raise InputError("navigation.start", start.tolist(), "ten finite numbers")
         if abs(float(np.linalg.norm(start[6:])) - 1.0) > _OFF_UNIT:
             raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
+        if not np.isfinite(gravity):
+            raise InputError("navigation.gravity", gravity, "a finite acceleration")
         if not (np.isfinite(step) and step > 0.0):
             raise InputError("navigation.step", step, "a positive number of seconds")
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))

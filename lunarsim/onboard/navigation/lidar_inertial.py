@@ -170,7 +170,7 @@ class LidarInertialFilter:
 
     @property
     def covariance(self) -> Array:
-        """Of the error state (21, 21): the lander's, and the pose at the scan kept."""
+        """Of the error state: the lander's (15), the pose at the scan kept (6), what aids need."""
         return self.state.covariance
 
     @property

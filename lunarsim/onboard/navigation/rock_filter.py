@@ -146,7 +146,7 @@ class RockFilter:
 
     @property
     def covariance(self) -> Array:
-        """Of the lander's error state and the rocks' coordinates (15 + 2 n, 15 + 2 n)."""
+        """Of the lander's error state (15), what aids need, and the rocks' coordinates (2 n)."""
         return self.state.covariance
 
     @property

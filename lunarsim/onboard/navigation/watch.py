@@ -39,7 +39,7 @@ class WatchSettings:
     window_s
         Over which they are watched, s.
     least
-        Fewest measurements by which to judge.
+        Fewest measurements by which to judge, however long they took.
     most_refused
         Greatest share of them that may be refused.
     chance
@@ -116,11 +116,14 @@ class Watch:
     def _judge_window(self, time: float, outcome: Outcome) -> Verdict:
         s = self.settings
         self._seen.append((time, outcome))
-        while self._seen[0][0] < time - s.window_s:
+        # The last few count however long ago: a slow sensor is to be judged too.
+        while len(self._seen) > s.least and self._seen[0][0] < time - s.window_s:
             self._seen.popleft()
         while self._widened and self._widened[0] < time - 3.0 * s.window_s:
             self._widened.popleft()
-        if len(self._seen) < s.least or not self._doubtful():
+        if len(self._seen) < s.least:
+            return Verdict.WELL
+        if not self._doubtful():
             if s.patience is not None and not self._widened:
                 self.lost = False
             return Verdict.WELL

@@ -120,7 +120,8 @@ BAD = [
     lambda s: take_range(s, 100.0, 0.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 100.0, np.nan, BEAMS[0], 0.0),
     lambda s: take_range(s, 100.0, 1.0, -BEAMS[0], 0.0),
-    lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4),
+    lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4, gate=16.0),
+    lambda s: take_range(s, -100.0, 1.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 1e6, 1.0, BEAMS[0], 0.0, gate=16.0),
     lambda s: take_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
     lambda s: take_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
@@ -129,6 +130,9 @@ BAD = [
     lambda s: take_attitude(s, np.zeros(4), np.eye(3)),
     lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.5], np.eye(3)),
     lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.full((3, 3), np.nan)),
+    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], -np.eye(3)),
+    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.zeros((3, 3))),
+    lambda s: s.measure([[1.0]], [2], [0.1], [-20.0]),
 ]
 
 

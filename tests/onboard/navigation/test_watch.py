@@ -51,6 +51,18 @@ def test_trust_comes_back():
     assert not watch.lost
 
 
+def test_a_slow_sensor_is_judged_too():
+    found = verdicts(Watch(SPEEDS), [Outcome(400.0, 3, False)] * 10, step=1.0)
+    assert Verdict.LOST in found
+
+
+def test_one_reading_after_silence_brings_no_trust():
+    watch = Watch()
+    verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    watch.note(60.0, Outcome(400.0, 1, False))
+    assert watch.lost
+
+
 def test_nothing_measured_says_nothing():
     watch = Watch()
     nothing = [Outcome(np.nan, 1, False), Outcome(0.0, 0, False)] * 100

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lunarsim.errors import InputError
 from lunarsim.frames import normalised, quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE
@@ -36,8 +37,15 @@ def take_attitude(
         has none. Without it readings would average away what they share.
     gate
         See `ErrorState.measure`.
+
+    Raises
+    ------
+    InputError
+        If the arrays are of other shapes.
     """
     q, r = np.asarray(attitude, np.float64), np.asarray(covariance, np.float64)
+    if q.shape != (4,) or r.shape != (3, 3):
+        raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance (3, 3)")
     if not (np.isfinite(q).all() and np.isfinite(r).all()):
         return Outcome(np.nan, 3, False)
     if abs(float(np.linalg.norm(q)) - 1.0) > _OFF_UNIT:

@@ -46,14 +46,14 @@ def take_range(
         See `ErrorState.measure`.
     """
     nothing = Outcome(np.nan, 1, False)
-    if not (np.isfinite(distance) and np.isfinite(sigma) and sigma > 0.0):
+    if not (np.isfinite(distance) and distance > 0.0 and np.isfinite(sigma) and sigma > 0.0):
         return nothing
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
     down = float(rotation[2] @ b)
     level = ground if block is None else ground + float(state.value(block)[0])
     height = float(state.inertial.position[2]) - level
-    if down > -_LEAST_DOWN or height <= 0.0:
+    if down > -_LEAST_DOWN:
         return nothing
     jacobian = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
     columns = POSE[2:]

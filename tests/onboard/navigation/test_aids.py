@@ -1,0 +1,156 @@
+"""Ranges, speeds and attitudes as a filter takes them: ground, beams, doubts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
+from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.onboard.navigation.aids import GROUND, Aids, LevelGround, blocks_of, gate_of
+from lunarsim.onboard.navigation.error_state import ErrorState
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))
+INSTRUMENTS = {
+    "down": FixedBeam((0.0, 0.0, -1.0)), "slanted": FixedBeam((0.6, 0.0, -0.8)),
+    "doppler": FixedBeams(BEAMS), "stars": StarInstrument(1e-4),
+}  # fmt: skip
+
+
+def made(relief=0.1, sigma=5.0, instruments=INSTRUMENTS):
+    inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
+    ground, events = LevelGround(0.0, sigma, relief), []
+    state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks_of(instruments, ground))
+    return state, Aids(state, instruments, ground, events), events
+
+
+def test_ground_wanders_with_the_way_flown():
+    state, aids, _ = made(relief=0.2)
+    before = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
+    state.inertial.correct(np.array([30.0, 40.0, 5.0, *np.zeros(12)]))
+    aids.travel()
+    after = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
+    assert after - before == pytest.approx(0.2**2 * 10.0 * 50.0)
+    aids.travel()
+    assert state.covariance[state.block(GROUND), state.block(GROUND)][0, 0] == after
+
+
+def test_a_range_is_along_its_own_beam():
+    for sensor, distance in (("down", 100.0), ("slanted", 125.0)):
+        state, aids, _ = made()
+        aids.take(sensor, AltimeterReading(0.0, distance, 0.1), 0.0)
+        watch = aids.watches[f"{sensor} range"]
+        assert watch.refused == 0
+        assert watch.total == pytest.approx(0.0, abs=1e-12)
+        assert state.inertial.position[2] == pytest.approx(100.0)
+
+
+def test_a_slanted_beam_tells_less_of_rough_ground():
+    sigma = []
+    for relief in (0.0, 0.3):
+        state, aids, _ = made(relief=relief)
+        aids.take("slanted", AltimeterReading(0.0, 125.0, 0.1), 0.0)
+        at = np.array([2, state.block(GROUND).start])
+        over = np.array([1.0, -1.0])
+        sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
+    # 125 m away and 75 m aside: the ground there lies off by 0.3 sqrt(10 x 75).
+    assert sigma[0] < 0.2
+    assert sigma[1] > 3.0
+
+
+def test_refusals_widen_height_and_ground_until_the_gate_opens():
+    state, aids, events = made(sigma=1.0)
+    before = np.diag(state.covariance).copy()
+    for k in range(6):
+        aids.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.1 * k)
+    after = np.diag(state.covariance)
+    place = state.block(GROUND).start
+    assert [e.name for e in events] == ["doubted"]
+    assert after[2] >= 4.0 * before[2]
+    assert after[place] >= 4.0 * before[place]
+    assert after[:2] == pytest.approx(before[:2])
+    aids.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.7)
+    assert aids.watches["down range"].degrees == 1, "taken at last"
+
+
+def test_trust_that_comes_back_is_reported():
+    _, aids, events = made(sigma=1.0)
+    for k in range(60):
+        aids.take("down", AltimeterReading(0.0, 1e4, 0.1), 0.1 * k)
+    assert aids.lost
+    for k in range(200):
+        aids.take("down", AltimeterReading(0.0, 100.0, 0.1), 6.0 + 0.1 * k)
+    assert not aids.lost
+    assert [e.name for e in events][-1] == "believed"
+
+
+def test_a_lander_that_believes_itself_below_ground_is_told_so():
+    state, aids, _ = made(sigma=0.1)
+    state.inertial.correct(np.array([0.0, 0.0, -103.0, *np.zeros(12)]))
+    for k in range(100):
+        aids.take("down", AltimeterReading(0.0, 120.0, 0.1), 0.1 * k)
+    assert aids.watches["down range"].refused > 0
+    assert aids.lost or abs(state.inertial.position[2] - 120.0) < 10.0
+
+
+@pytest.mark.parametrize("kind", ["speed", "attitude"])
+def test_a_drift_lets_go_of_the_bias_behind_it(kind):
+    state, aids, events = made()
+    own = slice(6, 9) if kind == "speed" else slice(12, 15)
+    other = slice(12, 15) if kind == "speed" else slice(6, 9)
+    before = np.diag(state.covariance).copy()
+    for k in range(100):
+        # Always a little more than is believed, however the filter follows.
+        if kind == "speed":
+            seen = np.array(BEAMS) @ (state.inertial.velocity + [0.05, 0.0, 0.0])
+            reading = DopplerReading(
+                0.0, seen, np.full(3, np.nan), np.full(3, 0.03), np.full(3, np.nan)
+            )
+            aids.take("doppler", reading, 0.1 * k)
+        else:
+            off = state.value("mount of stars") + [2e-4, 0.0, 0.0]
+            seen = quat_multiply(state.inertial.attitude, quat_from_rotation_vector(off))
+            aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.1 * k)
+    after = np.diag(state.covariance)
+    assert {e.name for e in events} == {"drift"}
+    assert (after[own] > 50.0 * before[own]).all()
+    assert (after[other] <= before[other] * (1.0 + 1e-9)).all()
+
+
+def test_gates_refuse_alike_whatever_the_number_of_beams():
+    rng = np.random.default_rng(0)
+    for degrees in (1, 3, 8):
+        refused = (rng.chisquare(degrees, 2_000_000) > gate_of(degrees)).mean()
+        assert refused == pytest.approx(5e-5, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "measurement", "field"),
+    [
+        ("doppler", DopplerReading(0.0, np.zeros(2), np.ones(3), np.ones(3), np.ones(3)), "speed"),
+        ("doppler", DopplerReading(0.0, np.zeros(3), np.ones(2), np.ones(3), np.ones(3)), "range"),
+        ("stars", AttitudeReading(0.0, UPRIGHT, np.eye(2)), "attitude"),
+    ],
+)
+def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measurement, field):
+    state, aids, _ = made()
+    p, x = state.covariance.copy(), state.inertial.velocity.copy()
+    with pytest.raises(InputError, match=field):
+        aids.take(sensor, measurement, 0.0)
+    assert np.array_equal(state.covariance, p)
+    assert np.array_equal(state.inertial.velocity, x)
+
+
+def test_time_does_not_run_backwards_and_ground_is_a_number():
+    _, aids, _ = made()
+    aids.take("down", AltimeterReading(0.0, 100.0, 1.0), 5.0)
+    for time in (4.0, np.nan):
+        with pytest.raises(InputError, match="time"):
+            aids.take("down", AltimeterReading(0.0, 100.0, 1.0), time)
+    for changes in ({"sigma": -1.0}, {"relief": np.nan}, {"elevation": np.inf}):
+        with pytest.raises(InputError, match="ground"):
+            LevelGround(**changes)
