@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
@@ -87,16 +86,18 @@ def test_innovations_to_one_side_are_found_though_each_is_small():
     assert all(v is Verdict.WELL for row in never for v in row)
 
 
-def test_a_drift_is_weighed_against_its_own_deviation():
+def test_a_drift_is_told_when_its_mean_stands_out():
     """The mean that forgets, against sums written out."""
-    rng = np.random.default_rng(4)
-    watch, whites, times = Watch(SPEEDS), [], 0.1 * np.arange(40)
-    for t, outcome in zip(times, whitened(rng, 40), strict=True):
-        watch.note(t, outcome)
-        whites.append(outcome.white)
-    weight = np.exp(-(times[-1] - times) / 8.0)
-    assert watch._mean[3] == pytest.approx(weight @ np.array(whites))
-    assert watch._weight[3] == pytest.approx((weight**2).sum())
+    outcomes = list(whitened(np.random.default_rng(4), 120, np.array([0.9, 0.0, 0.0])))
+    found = verdicts(Watch(SPEEDS), outcomes)
+    first = found.index(Verdict.DRIFT)
+    times, whites = 0.1 * np.arange(120), np.array([o.white for o in outcomes])
+    levels = []
+    for k in range(120):
+        weight = np.exp(-(times[k] - times[: k + 1]) / 8.0)
+        levels.append(np.abs(weight @ whites[: k + 1]).max() / np.sqrt((weight**2).sum()))
+    expected = next(k for k, level in enumerate(levels) if k >= 5 and level > 5.5)
+    assert first == expected
 
 
 def test_what_cannot_jump_is_lost_at_once_and_stays_so():
