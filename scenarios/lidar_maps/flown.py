@@ -274,13 +274,24 @@ def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, Mapped]:
 
 
 def judge_all(maps: Maps, error: np.ndarray, truth: Truth, strata: np.ndarray) -> dict[str, Judged]:
-    """Judge maps on one grid over all ground that any of them has seen.
+    """Judge maps over all ground that any of them has seen.
 
-    What a map has not seen it does not call safe.
+    What a map has not seen it does not call safe. Each is judged on its own grid: mappers may have
+    laid them about different points.
     """
-    grid = next(iter(maps.values())).grid
-    where = np.logical_or.reduce([m.observed for m in maps.values()])
-    where &= truth.safety.grid.contains(grid.centres() - error[:2])
-    where &= under(grid, error, truth, truth.safety.observed)
-    safe, own = under(grid, error, truth, truth.safety.safe), under(grid, error, truth, strata)
-    return {name: judge(m, where, safe, own) for name, m in maps.items()}
+    out = {}
+    for name, drawn in maps.items():
+        where = np.logical_or.reduce([seen_under(drawn.grid, m) for m in maps.values()])
+        where &= truth.safety.grid.contains(drawn.grid.centres() - error[:2])
+        where &= under(drawn.grid, error, truth, truth.safety.observed)
+        safe = under(drawn.grid, error, truth, truth.safety.safe)
+        out[name] = judge(drawn, where, safe, under(drawn.grid, error, truth, strata))
+    return out
+
+
+def seen_under(grid: Grid, hazard_map: HazardMap) -> np.ndarray:
+    """Tell which cells of a grid a map has seen (rows, cols)."""
+    own, xy = hazard_map.grid, grid.centres()
+    row, col = own.cell(xy)
+    at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)
+    return np.asarray(own.contains(xy) & hazard_map.observed[at])

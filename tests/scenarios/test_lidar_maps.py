@@ -179,6 +179,27 @@ def test_a_map_is_judged_on_the_ground_that_lies_under_it(script):
     assert judged.counts[1].tolist() == [(hits & west).sum(), 0, 0, 0]
 
 
+def test_maps_on_grids_of_their_own_are_judged_on_the_same_ground(script):
+    flown = script("lidar_maps", "flown")
+    own = Grid.centred((0.0, 0.0), 30.0, 0.5)
+    east = own.centres()[..., 0]
+    flat = np.zeros(own.shape, np.float32)
+    safety = SafetyMap(own, flat, flat, east < 1.0, np.ones(own.shape, bool))
+    truth = SimpleNamespace(safety=safety)
+    maps = {}
+    for name, middle in (("one", 0.0), ("other", 4.0)):
+        grid = Grid.centred((middle, 0.0), 20.0, 0.5)
+        x, y = grid.centres()[..., 0], grid.centres()[..., 1]
+        seen = (np.abs(x) < 5.0) & (np.abs(y) < 5.0)
+        maps[name] = HazardMap(grid, ((x < 1.0) & seen).astype(np.float32), seen)
+    judged = flown.judge_all(maps, np.zeros(3), truth, np.zeros(own.shape, int))
+    for name in maps:
+        hits, false, missed, _ = judged[name].counts.sum(axis=0)
+        assert (false, missed) == (0, 0)
+        assert hits == 12 * 20
+    assert np.array_equal(judged["one"].counts, judged["other"].counts)
+
+
 def test_ground_is_told_apart_by_slope_and_rocks(script):
     flown = script("lidar_maps", "flown")
     lander = Lander()
