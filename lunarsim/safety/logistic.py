@@ -73,7 +73,8 @@ class Logistic:
             if before - loss < _CONVERGED:
                 break
             before, w = loss, _better(x, y, w, least, loss, gradient, curvature)
-        return cls(tuple(float(v) for v in w), note)
+        # Steps stop short of the bounds by rounding.
+        return cls(tuple(float(v) for v in np.maximum(w, least)), note)
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
