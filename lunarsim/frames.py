@@ -68,6 +68,13 @@ def normalised(v: ArrayLike) -> Array:
     return np.asarray(v / length)
 
 
+def is_rotation(q: ArrayLike) -> bool:
+    """Tell whether numbers are a rotation: a quaternion (4,), as long as 1 to a thousandth."""
+    q = np.asarray(q, dtype=np.float64)
+    good = q.shape == (4,) and np.isfinite(q).all()
+    return bool(good and abs(np.linalg.norm(q) - 1.0) <= 1e-3)
+
+
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """Return the product ``p q`` (rotate by q, then by p), each (..., 4) scalar last."""
     p = np.asarray(p, dtype=np.float64)

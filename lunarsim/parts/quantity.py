@@ -161,6 +161,18 @@ def quantity_of(metadata: Any) -> Quantity | None:
     return found if isinstance(found, Quantity) else None
 
 
+def check_direction(field: str, vector: Any) -> None:
+    """Refuse what is no unit vector (3,).
+
+    Raises
+    ------
+    InputError
+        Naming the field.
+    """
+    if np.shape(vector) != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-6):
+        raise InputError(field, vector, "a unit vector")
+
+
 def check_bounds(part: Any, table: str) -> None:
     """Refuse numbers of a dataclass that are not finite or beyond what its fields declare.
 

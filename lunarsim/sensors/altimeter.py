@@ -8,11 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.models.instruments import FixedBeam
-from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.parts.quantity import check_bounds, check_direction, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -47,8 +46,7 @@ class RadarAltimeter:
     tasked: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if not np.isclose(np.linalg.norm(self.boresight), 1.0, atol=1e-6):
-            raise InputError("altimeter.boresight", self.boresight, "a unit vector")
+        check_direction("altimeter.boresight", self.boresight)
         check_bounds(self, "altimeter")
 
     def calibration(self) -> FixedBeam:

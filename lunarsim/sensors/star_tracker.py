@@ -8,11 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.messages.measurements import AttitudeReading
 from lunarsim.models.instruments import StarInstrument
-from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.parts.quantity import check_bounds, check_direction, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -54,8 +53,7 @@ class StarTracker:
     tasked: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if not np.isclose(np.linalg.norm(self.boresight), 1.0, atol=1e-6):
-            raise InputError("star_tracker.boresight", self.boresight, "a unit vector")
+        check_direction("star_tracker.boresight", self.boresight)
         check_bounds(self, "star_tracker")
 
     def build(self, rng: np.random.Generator, step: float) -> MountedTracker:

@@ -98,6 +98,9 @@ def test_it_sees_no_stars_while_it_turns_looks_down_or_at_the_sun(changes, where
 def test_bad_figures_are_refused():
     with pytest.raises(InputError, match="boresight"):
         StarTracker(boresight=(0.0, 0.0, 2.0))
+    for odd in ((1.0,), (0.0, 0.0, 1.0, 0.0)):
+        with pytest.raises(InputError, match="boresight"):
+            StarTracker(boresight=odd)
     with pytest.raises(InputError, match="cone"):
         DopplerVelocimeter(cone=0.0)
     with pytest.raises(InputError, match="beams"):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import normalised, quat_multiply, quat_to_matrix
+from lunarsim.frames import is_rotation, normalised, quat_multiply, quat_to_matrix
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadErrors
 from lunarsim.models.instruments import InertialInstrument
@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
-# A quaternion whose length is farther from 1 than this is no rotation.
-_OFF_UNIT = 1e-3
 # No lander pushes or turns like this: such a sample is a fault of the unit, m/s^2 and rad/s.
 _MOST_FORCE, _MOST_RATE = 500.0, 50.0
 
@@ -79,7 +77,7 @@ class StrapdownState:
         start = np.concatenate((position, velocity, attitude)).astype(np.float64)
         if start.shape != (10,) or not np.isfinite(start).all():
             raise InputError("navigation.start", start.tolist(), "ten finite numbers")
-        if abs(float(np.linalg.norm(start[6:])) - 1.0) > _OFF_UNIT:
+        if not is_rotation(start[6:]):
             raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
         if not np.isfinite(gravity):
             raise InputError("navigation.gravity", gravity, "a finite acceleration")

@@ -33,7 +33,6 @@ from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.measured import take_range
 from lunarsim.onboard.navigation.planar import inverse
 
 Array = NDArray[np.float64]
@@ -209,23 +208,6 @@ class RockFilter:
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         self.state.propagate(angle, velocity)
-
-    # --- altimeter ------------------------------------------------------------------------
-
-    def update_range(
-        self,
-        distance: float,
-        sigma: float,
-        boresight: ArrayLike = (0.0, 0.0, -1.0),
-        gate: float = 4.0,
-    ) -> float:
-        """Take in a slant range (Eq. 9, for any boresight); return its squared innovation.
-
-        The innovation is in units of its standard deviation. A range that is no number or lies
-        more than `gate` deviations off leaves the filter as it was.
-        """
-        found = take_range(self.state, distance, sigma, boresight, self.ground, gate=gate**2)
-        return found.nis
 
     # --- rocks ----------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.inertial import StrapdownState
@@ -245,7 +246,7 @@ def test_a_wrong_altitude_changes_nothing(reading):
     fly(flight, 1.0)
     f = flight.filter
     p, z = f.covariance.copy(), f.inertial.position.copy()
-    f.update_range(reading, 1.0)
+    f.take("altimeter", AltimeterReading(1.0, reading, 1.0), 1.0)
     assert np.array_equal(f.covariance, p)
     assert np.array_equal(f.inertial.position, z)
 

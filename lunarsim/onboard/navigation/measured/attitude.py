@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
-from lunarsim.frames import normalised, quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.frames import (
+    is_rotation,
+    normalised,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_rotation_vector,
+)
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE
-
-# A quaternion whose length is farther from 1 than this is no rotation.
-_OFF_UNIT = 1e-3
 
 
 def take_attitude(
@@ -46,9 +49,7 @@ def take_attitude(
     q, r = np.asarray(attitude, np.float64), np.asarray(covariance, np.float64)
     if q.shape != (4,) or r.shape != (3, 3):
         raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance (3, 3)")
-    if not (np.isfinite(q).all() and np.isfinite(r).all()):
-        return Outcome(np.nan, 3, False)
-    if abs(float(np.linalg.norm(q)) - 1.0) > _OFF_UNIT:
+    if not is_rotation(q):
         return Outcome(np.nan, 3, False)
     between = quat_multiply(quat_conjugate(state.inertial.attitude), normalised(q))
     columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
