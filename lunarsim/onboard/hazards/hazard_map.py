@@ -45,8 +45,8 @@ class HazardMap:
     Raises
     ------
     InputError
-        If `eligible`, `in_domain` or `value` has another shape or type, or a value is NaN or
-        outside [0, 1].
+        If `eligible`, `in_domain` or `value` has another shape or type, or an entry of `p_safe` or
+        `value` is NaN or outside [0, 1].
     """
 
     grid: Grid
@@ -71,10 +71,13 @@ class HazardMap:
                 raise InputError(f"map.{name}", np.shape(layer), f"the grid's {self.grid.shape}")
             if isinstance(layer, np.ma.MaskedArray) or not np.issubdtype(layer.dtype, kind):
                 raise InputError(f"map.{name}", type(layer), f"a plain array of {kind.__name__}")
-        if self.value is not None:
-            wrong = ~((self.value >= 0.0) & (self.value <= 1.0))
+        for name in ("p_safe", "value"):
+            layer = getattr(self, name)
+            if layer is None:
+                continue
+            wrong = ~((layer >= 0.0) & (layer <= 1.0))
             if wrong.any():
-                raise InputError("map.value", float(self.value[wrong][0]), "numbers from 0 to 1")
+                raise InputError(f"map.{name}", float(layer[wrong][0]), "numbers from 0 to 1")
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:

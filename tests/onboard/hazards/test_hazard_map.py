@@ -15,7 +15,7 @@ GRID = Grid.centred((0.0, 0.0), 4.0, 1.0)
 
 def hazard_map(**layers) -> HazardMap:
     ones = np.ones(GRID.shape, np.float32)
-    return HazardMap(GRID, ones, ones > 0.0, **layers)
+    return HazardMap(GRID, **({"p_safe": ones, "observed": ones > 0.0} | layers))
 
 
 def test_without_layers_all_is_eligible_and_of_value():
@@ -47,6 +47,9 @@ def test_layers_are_read_where_they_lie():
         ({"value": np.full(GRID.shape, np.nan, np.float32)}, "map.value"),
         ({"value": np.full(GRID.shape, 1.5, np.float32)}, "map.value"),
         ({"value": np.full(GRID.shape, -0.1, np.float32)}, "map.value"),
+        ({"p_safe": np.full(GRID.shape, np.nan, np.float32)}, "map.p_safe"),
+        ({"p_safe": np.full(GRID.shape, 1.01, np.float32)}, "map.p_safe"),
+        ({"p_safe": np.full(GRID.shape, -0.01, np.float32)}, "map.p_safe"),
         ({"value": np.ma.masked_equal(np.ones(GRID.shape), 1.0)}, "map.value"),
     ],
 )

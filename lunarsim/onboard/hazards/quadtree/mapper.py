@@ -247,12 +247,10 @@ class QuadtreeMapper(HazardMapper):
         return self.map.count == 0
 
     def hazard_map(self) -> HazardMap:
-        """Return the map as it was when sites were last selected."""
-        if self.selection is None:
-            self.select()
-        if self._drawn is None:
-            assert self.selection is not None
-            self._drawn = self._draw(self.selection)
+        """Return the map as it was when sites were last selected, or first asked for since."""
+        if self._drawn is None or self.selection is None:
+            # What points tell of sites belongs to the same points that the sites were selected on.
+            self._drawn = self._draw(self.select())
         return self._drawn
 
     def scoreboard(self, site: Array) -> Scoreboard:

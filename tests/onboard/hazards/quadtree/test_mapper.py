@@ -103,6 +103,22 @@ def test_where_no_site_is_eligible_the_ground_is_as_safe_as_before():
     assert strict.hazard_map().p_safe.max() > 0.1
 
 
+def test_a_map_is_drawn_of_the_points_that_its_sites_were_selected_on():
+    late, whole = mapper(interval=1e9), mapper()
+    late.update(scan(bump=False), estimate())
+    late.refresh(0.0)
+    late.update(scan(half=0.1), estimate((4.0, 0.0, 30.0)))  # too soon to select again
+    late.refresh(1.0)
+    whole.update(scan(bump=False), estimate())
+    whole.update(scan(half=0.1), estimate((4.0, 0.0, 30.0)))
+    a, b = late.hazard_map(), whole.hazard_map()
+    for name in ("p_safe", "observed", "elevation", "eligible", "in_domain"):
+        assert np.array_equal(getattr(a, name), getattr(b, name), equal_nan=name == "elevation")
+    # Asked again it is the same, until sites are selected anew.
+    late.update(scan(), estimate())
+    assert late.hazard_map() is a
+
+
 def test_the_board_tells_the_score_of_the_site_flown_to():
     m = mapper(interest=interest(0.5))
     assert m.scoreboard(np.zeros(3)).score.size == 0
