@@ -9,6 +9,7 @@ from itertools import takewhile
 from typing import TypeVar
 
 import numba
+import threadpoolctl
 from rich.console import Console
 from rich.progress import Progress
 
@@ -19,6 +20,7 @@ R = TypeVar("R")
 def _one_thread() -> None:
     """Keep a worker to one thread: the processes share the cores."""
     numba.set_num_threads(1)
+    threadpoolctl.threadpool_limits(1)
 
 
 def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[tuple[int, R]]:

@@ -16,8 +16,8 @@ from lunarsim.safety.calibration import (
     ceiling,
     in_domain,
     judged,
-    log_odds,
     measured,
+    odds_of,
 )
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.refit import LEAST_SITES, ScenarioCalibration, enough
@@ -38,10 +38,11 @@ class Sites:
     ----------
     flight
         Index of the flight.
-    log_odds
-        By the packaged regression.
+    log_odds, agreed
+        The lowest of the packaged regressions, and whether they agree.
     ceiling, bound, known
-        What p cannot exceed, the bound outside the domain, and whether it lies in the packaged one.
+        What p cannot exceed, the bound outside the domain, and whether few enough rocks can stand
+        unseen for the packaged regressions.
     hazards, tilting, noise, spacing
         See `Domain`.
     safe
@@ -50,6 +51,7 @@ class Sites:
 
     flight: NDArray[np.int64]
     log_odds: Array
+    agreed: BoolArray
     ceiling: Array
     bound: Array
     known: BoolArray
@@ -78,9 +80,11 @@ class Sites:
         """
         n = int(where.sum())
         e = evidence
+        odds = odds_of(e, where, measured())
         return cls(
             np.full(n, flight, np.int64),
-            log_odds(e, where, measured()),
+            odds.low,
+            odds.agreed,
             ceiling(e)[where],
             bound(e)[where],
             in_domain(e)[where],
@@ -225,7 +229,7 @@ class LeftOut:
     Attributes
     ----------
     packaged_domain, refit_domain
-        On the sites in the domain of the packaged regression, and in that of the refit.
+        On the sites where the packaged regressions claim a frequency, and in the refit's domain.
     """
 
     packaged_domain: Judgement
@@ -262,7 +266,8 @@ def judged_by_flights_left_out(
     before = sites.probability()
     drawn = rng.multinomial(flights, np.full(flights, 1.0 / flights), _RESAMPLES)
     weights = np.vstack((np.ones(flights), drawn)).astype(np.float64)
-    groups = (_judgement(sites, before, after, where, weights) for where in (sites.known, inside))
+    claimed = sites.known & sites.agreed
+    groups = (_judgement(sites, before, after, where, weights) for where in (claimed, inside))
     return LeftOut(*groups)
 
 

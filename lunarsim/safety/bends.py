@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.safety import _bend_kernels as k
+
 Array = NDArray[np.float64]
 
 
@@ -45,14 +47,36 @@ def columns(terms: Sequence[Term], n: int) -> Array:
     return np.column_stack(out)
 
 
-def score(terms: Sequence[Term], weights: Array) -> Array:
-    """Return ``columns(terms) @ weights`` (n,) without the columns."""
-    total: Array = np.zeros(())
+def extremes(terms: Sequence[Term], base: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the least and the greatest of ``base + columns(terms) @ weights.T`` (n,) each.
+
+    Parameters
+    ----------
+    terms
+        Of n sites; at least one has a value for each.
+    base
+        What each fit begins with, at all sites (fits,) or each (n, fits).
+    weights
+        Of the fits (fits, sum of the terms' k - 1).
+    """
+    base = np.atleast_2d(np.asarray(base, dtype=np.float64))
+    values, knots, heights = [], [], []
     at = 0
     for term in terms:
-        own = weights[at : at + len(term.knots) - 1]
-        at += len(own)
-        risen = np.concatenate(([0.0], np.cumsum(own)))
-        height = risen[-1] - risen if term.falls else risen
-        total = total + np.interp(term.values, term.knots, height)
-    return total
+        own = weights[:, at : at + len(term.knots) - 1]
+        at += own.shape[1]
+        risen = np.concatenate((np.zeros((len(own), 1)), np.cumsum(own, axis=1)), axis=1)
+        height = (risen[:, -1:] - risen if term.falls else risen).T
+        if np.ndim(term.values) == 0:
+            base = base + [np.interp(term.values, term.knots, h) for h in height.T]
+            continue
+        values.append(term.values)
+        knots.append(term.knots)
+        heights.append(height)
+    first = np.concatenate(([0], np.cumsum([len(x) for x in knots])))
+    low, high = np.empty(len(values[0])), np.empty(len(values[0]))
+    k.extremes(
+        np.ascontiguousarray(base), np.array(values, dtype=np.float64), np.concatenate(knots),
+        first, np.ascontiguousarray(np.concatenate(heights)), low, high,
+    )  # fmt: skip
+    return low, high

@@ -5,10 +5,12 @@ hold; what the support planes say of the mean knows nothing of what was not seen
 regression on both, and on the rocks that no sample has met, turns them into a frequency. All is
 dimensionless: heights count by the lander's limits, distances by its legs, rocks by footprint.
 
-The regression holds where few hazards stand unseen. Elsewhere no fit to other worlds can know how
-often a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance
-that no unseen rock stands there, and says that it does. A calibration of a scenario's own
-(`lunarsim.safety.refit`) brings its own last stage and its own domain.
+The regression was fitted once to all worlds and once without each of them, and the lowest counts
+(`lunarsim.safety.ensemble`). It is a frequency where these fits agree and few hazards stand unseen.
+Where many may, no fit to other worlds can know how often a site is safe: the map then gives the
+lowest of Eqs. 15 to 17, the regression, and the chance that no unseen rock stands there. A
+calibration of a scenario's own (`lunarsim.safety.refit`) brings its own last stage and its own
+domain.
 """
 
 from __future__ import annotations
@@ -17,18 +19,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.safety.bends import Term, columns, score
+from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
+from lunarsim.safety.ensemble import Ensemble, Odds
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
-from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import HeightCurve
 
@@ -173,12 +175,9 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     return np.column_stack((np.tile(_free(evidence), (n, 1)), columns(terms, n)))
 
 
-def log_odds(evidence: Evidence, where: NDArray[np.bool_], model: Logistic) -> Array:
-    """Return what the regression says of sites (n,), chosen by a mask (rows, cols)."""
-    weights = np.array(model.weights)
-    return np.asarray(
-        float(_free(evidence) @ weights[:FREE]) + score(_terms(evidence, where), weights[FREE:])
-    )
+def odds_of(evidence: Evidence, where: NDArray[np.bool_], model: Ensemble) -> Odds:
+    """Return what the regressions say of sites (n,), chosen by a mask (rows, cols)."""
+    return model.judge(_free(evidence), _terms(evidence, where))
 
 
 def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
@@ -220,20 +219,20 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
 
 
 @lru_cache(maxsize=1)
-def measured() -> Logistic:
+def measured() -> Ensemble:
     """Return the weights measured by `scenarios/lidar_maps/calibration.py`."""
-    return Logistic.packaged("lunarsim.safety", "calibration.json", COUNT)
+    return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT)
 
 
 def calibrated_safety(
     evidence: Evidence,
-    model: Logistic | None = None,
+    model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
 ) -> tuple[FloatMap, BoolMap]:
     """Return the probability that a site is safe (rows, cols), and where it is a frequency.
 
-    It never rises with slope, roughness, or rocks, seen or expected. Outside the domain it is a
-    bound, see the head of this module; where not observed it is 0.
+    It never rises with slope, roughness, or rocks, seen or expected. Where it is no frequency it is
+    low, see the head of this module; where not observed it is 0.
 
     Parameters
     ----------
@@ -254,12 +253,14 @@ def calibrated_safety(
         refit.check(evidence.lander, model)
     seen, known = evidence.observed, in_domain(evidence)
     covered = known if refit is None else in_domain(evidence, refit.domain)
-    p = np.zeros(seen.shape, np.float32)
+    p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():
         most, least = ceiling(evidence)[seen], bound(evidence)[seen]
-        odds = log_odds(evidence, seen, model)
-        p[seen] = judged(odds, most, least, known[seen], covered[seen], refit)
-    return p, covered
+        said = odds_of(evidence, seen, model)
+        p[seen] = judged(said.low, most, least, known[seen], covered[seen], refit)
+        if refit is None:
+            claimed[seen] &= said.agreed
+    return p, claimed
 
 
 def judged(
@@ -277,7 +278,7 @@ def judged(
     Parameters
     ----------
     odds
-        `log_odds` of the sites (n,).
+        Lowest log odds of the sites (n,).
     most, least
         `ceiling` and `bound` of the sites (n,).
     known, covered
@@ -307,8 +308,3 @@ def bound(evidence: Evidence) -> Array:
     """Return the lower of Eqs. 15 to 17 and the chance that no unseen rock stands there."""
     none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
     return np.minimum(evidence.level.p_safe.astype(np.float64), none)
-
-
-def model_from(features_of: ArrayLike, safe: ArrayLike, note: str) -> Logistic:
-    """Fit the regression to features (n, `COUNT`) of sites and whether they are safe (n,)."""
-    return Logistic.fit(features_of, safe, note, rising=RISING)

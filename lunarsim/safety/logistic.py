@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from dataclasses import asdict, dataclass
-from importlib import resources
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,23 +22,15 @@ _RIDGE = 1e-5
 
 @dataclass(frozen=True)
 class Logistic:
-    """Weights, and where they come from.
+    """Weights of the log odds.
 
     Attributes
     ----------
     weights
         One a feature.
-    note
-        The command that measured them.
     """
 
     weights: tuple[float, ...]
-    note: str = ""
-
-    @property
-    def digest(self) -> str:
-        """Sixteen hexadecimal digits that tell these weights from others."""
-        return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
 
     def probability(self, features: ArrayLike) -> Array:
         """Return the probability (n,) of features (n, k)."""
@@ -50,11 +38,17 @@ class Logistic:
 
     @classmethod
     def fit(
-        cls, features: ArrayLike, outcome: ArrayLike, note: str = "", *, rising: int = 0
+        cls,
+        features: ArrayLike,
+        outcome: ArrayLike,
+        *,
+        rising: int = 0,
+        start: ArrayLike | None = None,
     ) -> Logistic:
         """Fit features (n, k) to outcomes (n,) by maximum likelihood.
 
-        The weights of the last `rising` features are kept from falling below 0.
+        The weights of the last `rising` features are kept from falling below 0. Steps begin at the
+        weights of `start` (k,), which must not be below their bounds; left out, at 0.
 
         Raises
         ------
@@ -66,7 +60,7 @@ class Logistic:
             raise InputError("calibration.safe", float(y.mean()), "both safe and unsafe sites")
 
         least = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]
-        w = np.zeros(x.shape[1])
+        w = np.zeros(x.shape[1]) if start is None else np.asarray(start, dtype=np.float64)
         before = np.inf
         for _ in range(_NEWTON_STEPS):
             loss, gradient, curvature = _likelihood(x, y, w)
@@ -74,36 +68,7 @@ class Logistic:
                 break
             before, w = loss, _better(x, y, w, least, loss, gradient, curvature)
         # Steps stop short of the bounds by rounding.
-        return cls(tuple(float(v) for v in np.maximum(w, least)), note)
-
-    def save(self, path: Path) -> None:
-        """Write as JSON."""
-        path.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
-
-    @classmethod
-    def load(cls, path: Path, features: int) -> Logistic:
-        """Read what `save` wrote, for so many features."""
-        return cls._parsed(path.read_text(encoding="utf-8"), str(path), features)
-
-    @classmethod
-    def packaged(cls, package: str, name: str, features: int) -> Logistic:
-        """Read a file that comes with a package."""
-        text = (resources.files(package) / name).read_text(encoding="utf-8")
-        return cls._parsed(text, name, features)
-
-    @classmethod
-    def _parsed(cls, text: str, name: str, features: int) -> Logistic:
-        try:
-            data = json.loads(text)
-            weights = tuple(data["weights"])
-            if not all(isinstance(w, float | int) and np.isfinite(w) for w in weights):
-                raise ValueError("weights are finite numbers")
-            model = cls(tuple(float(w) for w in weights), str(data.get("note", "")))
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise InputError("calibration", name, f"a calibration file ({error})") from None
-        if len(model.weights) != features:
-            raise InputError("calibration", name, f"{features} weights, one a feature")
-        return model
+        return cls(tuple(float(v) for v in np.maximum(w, least)))
 
 
 def _likelihood(x: Array, y: Array, w: Array) -> tuple[float, Array, Array]:

@@ -23,6 +23,7 @@ from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.parts.quantity import quantity_of
 from lunarsim.safety.domain import Domain
+from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.logistic import Logistic
 
 Array = NDArray[np.float64]
@@ -92,7 +93,7 @@ class ScenarioCalibration:
     lander
         Figures of the lander that sites were judged for, by key and unit of `[vehicle]`.
     regression
-        `Logistic.digest` of the regression before it.
+        `Ensemble.digest` of the regressions before it.
     scenario, mapper
         Names.
     flights, sites, seed
@@ -123,7 +124,7 @@ class ScenarioCalibration:
         known: BoolArray,
         domain: Domain,
         lander: Lander,
-        model: Logistic,
+        model: Ensemble,
     ) -> ScenarioCalibration:
         """Fit the last stage by maximum likelihood.
 
@@ -167,7 +168,7 @@ class ScenarioCalibration:
         p = self.inside.probability(log_odds)
         return np.where(known, p, np.minimum(p, self.outside.probability(log_odds)))
 
-    def check(self, lander: Lander, model: Logistic) -> None:
+    def check(self, lander: Lander, model: Ensemble) -> None:
         """Refuse another lander, and another regression.
 
         Raises
@@ -184,7 +185,7 @@ class ScenarioCalibration:
                     f"fitted; {_ADVICE}",
                 )  # fmt: skip
 
-    def check_regression(self, model: Logistic) -> None:
+    def check_regression(self, model: Ensemble) -> None:
         """Raise `InputError` for another regression than that of the fit."""
         if model.digest != self.regression:
             raise InputError(

@@ -2,7 +2,8 @@
 
 Scans a matrix of worlds (relief, rocks, lander, range, angle, noise; `worlds.py`), fits the
 calibrated probability of `lunarsim.safety.calibration` to all of them, and then once more without
-each relief, each rock law, each lander and each range, to judge it on what it has not seen.
+each relief, each rock law, each lander and each range, to judge it on what it has not seen. A fit
+is an ensemble: to its worlds, and without each of them.
 
 python scenarios/lidar_maps/calibration.py --scenes 480 --jobs 2 --out out/lidar_maps
 """
@@ -11,14 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from scipy.special import expit
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
 
 from lunarsim.campaign.pool import gathered
@@ -27,8 +29,8 @@ from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.calibration import bound, ceiling, features, in_domain, model_from
-from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.calibration import RISING, bound, ceiling, features, in_domain
+from lunarsim.safety.ensemble import Ensemble
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -104,16 +106,23 @@ class Sites:
         return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
 
 
-def fitted(judged: list[Judged], note: str = "") -> Logistic:
-    """Fit to the sites in the domain."""
+def fitted(judged: list[Judged], rising: int = RISING, note: str = "") -> Ensemble:
+    """Fit to the sites that may lie in the domain, and without each world."""
     s = Sites.of(judged)
-    return model_from(s.features[s.known], s.safe[s.known], note)
+    number = np.repeat(np.arange(len(judged)), [len(j.safe) for j in judged])[s.known]
+    worlds = {
+        f"{axis} {name}": np.array([of(j.scene) == name for j in judged])[number]
+        for axis, names, of in AXES
+        for name in names
+    }
+    return Ensemble.fit(s.features[s.known], s.safe[s.known], worlds, note, rising=rising)
 
 
-def probability(model: Logistic, sites: Sites) -> np.ndarray:
-    """Return what the map would say of all sites (n,)."""
-    p = np.minimum(model.probability(sites.features), sites.ceiling)
-    return np.where(sites.known, p, np.minimum(p, sites.bound))
+def probability(model: Ensemble, sites: Sites) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the map would say of all sites, and where it claims a frequency (n,)."""
+    odds = model.of_features(sites.features)
+    p = np.minimum(expit(odds.low), sites.ceiling)
+    return np.where(sites.known, p, np.minimum(p, sites.bound)), sites.known & odds.agreed
 
 
 def nearest_range(scene: Scene) -> str:
@@ -121,15 +130,17 @@ def nearest_range(scene: Scene) -> str:
     return f"{RANGES[int(np.argmin(np.abs(np.log(np.divide(RANGES, scene.distance)))))]:.0f} m"
 
 
+AXES: tuple[tuple[str, tuple[str, ...], Callable[[Scene], str]], ...] = (
+    ("relief", RELIEFS, lambda s: s.relief),
+    ("rocks", ROCKS, lambda s: s.rocks),
+    ("lander", tuple(LANDERS), lambda s: s.lander),
+    ("range", tuple(f"{r:.0f} m" for r in RANGES), nearest_range),
+)
+
+
 def left_out(judged: list[Judged]) -> Iterator[tuple[str, list[Judged], list[Judged]]]:
     """Yield the name of a row of the matrix, the scenes outside of it and those in it."""
-    axes = (
-        ("relief", RELIEFS, lambda s: s.relief),
-        ("rocks", ROCKS, lambda s: s.rocks),
-        ("lander", tuple(LANDERS), lambda s: s.lander),
-        ("range", tuple(f"{r:.0f} m" for r in RANGES), nearest_range),
-    )
-    for axis, names, of in axes:
+    for axis, names, of in AXES:
         for name in names:
             inside = [of(j.scene) == name for j in judged]
             others = [j for j, i in zip(judged, inside, strict=True) if not i]
@@ -153,13 +164,15 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     }
 
 
-def worst_stratum(p: np.ndarray, sites: Sites, least: int = 20) -> tuple[float, str]:
+def worst_stratum(
+    p: np.ndarray, claimed: np.ndarray, sites: Sites, least: int = 20
+) -> tuple[float, str]:
     """Return the least Brier skill of the strata of slope and cover with enough sites.
 
     Only where some sites are safe and some are not: else there is no skill to be had.
     """
     worst = (np.inf, "")
-    k = sites.known
+    k = claimed
     for i in range(len(SLOPES) - 1):
         for j in range(len(COVERS) - 1):
             s, c = sites.slope[k], sites.cover[k]
@@ -175,29 +188,40 @@ def worst_stratum(p: np.ndarray, sites: Sites, least: int = 20) -> tuple[float, 
     return worst
 
 
-def table_of(rows: list[tuple[str, np.ndarray, Sites]]) -> Table:
-    """Return the figures of rows of the matrix: name, probabilities, sites."""
+@dataclass(frozen=True)
+class Row:
+    """A row of the matrix: what the fit without it says of its sites, and where it claims that."""
+
+    name: str
+    p: np.ndarray
+    claimed: np.ndarray
+    sites: Sites
+
+
+def table_of(rows: list[Row]) -> Table:
+    """Return the figures of rows of the matrix."""
     table = Table(title="Sites in the domain; each row judged by the fit without it")
     for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE", "Brier\nskill",
                     "p > 0.95", "mean p less\nshare safe", "p > 0.99", "share\nsafe",
-                    "out: p > 0.95", "share\nsafe", "least skill\nof a stratum",
-                    "where"):  # fmt: skip
+                    "fits differ:\nmean p less\nshare safe", "out: p > 0.95", "share\nsafe",
+                    "least skill\nof a stratum", "where"):  # fmt: skip
         table.add_column(heading, justify="right")
-    for name, p, sites in rows:
-        k = sites.known
+    for row in rows:
+        p, k, sites = row.p, row.claimed, row.sites
         f = figures(p[k], sites.safe[k])
-        out = ~k & (p > 0.95)
+        apart, out = sites.known & ~k, ~k & (p > 0.95)
+        gap = f"{(p - sites.safe)[apart].mean():+.3f} ({apart.sum()})" if apart.any() else "-"
         right = f"{sites.safe[out].mean():.4f}" if out.any() else "-"
-        least, where = worst_stratum(p, sites)
+        least, where = worst_stratum(p, k, sites)
         table.add_row(
-            name, f"{k.size}", f"{k.mean():.2f}", f"{f['base']:.3f}", f"{f['ece']:.4f}",
+            row.name, f"{k.size}", f"{k.mean():.2f}", f"{f['base']:.3f}", f"{f['ece']:.4f}",
             f"{f['skill']:+.3f}", f"{f['share']:.2f}", f"{f['gap']:+.4f}", f"{f['surer']:.2f}",
-            f"{f['right']:.4f}", f"{out.sum()}", right, f"{least:+.2f}", where,
+            f"{f['right']:.4f}", gap, f"{out.sum()}", right, f"{least:+.2f}", where,
         )  # fmt: skip
     return table
 
 
-def draw(rows: list[tuple[str, np.ndarray, Sites]], path: Path) -> None:
+def draw(rows: list[Row], path: Path) -> None:
     """Draw the reliability of what was kept out, by axis of the matrix."""
     figure = new_figure(9.6, 9.6)
     for panel, axis in zip(
@@ -205,9 +229,9 @@ def draw(rows: list[tuple[str, np.ndarray, Sites]], path: Path) -> None:
         ("relief", "rocks", "lander", "range"), strict=True,
     ):  # fmt: skip
         plot_ideal(panel)
-        mine = [r for r in rows if r[0].startswith(axis)]
-        p = np.concatenate([r[1][r[2].known] for r in mine])
-        safe = np.concatenate([r[2].safe[r[2].known] for r in mine])
+        mine = [r for r in rows if r.name.startswith(axis)]
+        p = np.concatenate([r.p[r.claimed] for r in mine])
+        safe = np.concatenate([r.sites.safe[r.claimed] for r in mine])
         table = reliability(p, safe)
         label = f"{len(mine)} kept out in turn, ECE {calibration_error(table):.3f}"
         plot_reliability(panel, table, color=COLOURS[0], label=label)
@@ -246,22 +270,27 @@ def options(count: int, own: str) -> Callable[[F], F]:
 
 def report(
     judged: list[Judged],
-    fit: Callable[[list[Judged], str], Logistic],
+    rising: int,
     note: str,
     target: Path | None,
     picture: Path | None,
+    jobs: int,
     console: Console,
 ) -> None:
     """Fit to all scenes and write that model; judge every row of the matrix by a fit without it."""
-    model = fit(judged, note)
+    model = fitted(judged, rising, note)
     if target is not None:
         model.save(target)
-    everything = Sites.of(judged)
-    rows = [("nothing", probability(model, everything), everything)]
-    for name, others, kept in track(list(left_out(judged)), "fits", console=console):
-        sites = Sites.of(kept)
-        if sites.known.any():
-            rows.append((name, probability(fit(others, ""), sites), sites))
+    left = list(left_out(judged))
+    fit = partial(fitted, rising=rising)
+    models = [model, *gathered(fit, [others for _, others, _ in left], jobs, console, "fits")]
+    kept = [("nothing", judged), *((name, inside) for name, _, inside in left)]
+    rows = []
+    for (name, inside), own in zip(kept, models, strict=False):
+        sites = Sites.of(inside)
+        p, claimed = probability(own, sites)
+        if claimed.any():
+            rows.append(Row(name, p, claimed, sites))
     console.print(table_of(rows))
     if picture is not None:
         draw(rows, picture)
@@ -271,11 +300,11 @@ def report(
 @options(480, "lunarsim/safety/calibration.json")
 def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | None) -> None:
     """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
-    console = Console(width=190)
+    console = Console(width=205)
     judged = gathered(judge, list(scenes(count, seed)), jobs, console, "scenes")
     note = f"scenarios/lidar_maps/calibration.py --scenes {count} --seed {seed}"
     path = None if picture is None else picture / "calibration.png"
-    report(judged, fitted, note, target, path, console)
+    report(judged, RISING, note, target, path, jobs, console)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from calibration import SITES, Judged, Sites, options, report
+from calibration import SITES, Judged, options, report
 from rich.console import Console
 from worlds import LANDERS, UPRIGHT, Scene, scenes
 
@@ -28,7 +28,6 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
 )
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.logistic import Logistic
 
 FLASHES = 4
 # Half side of the landing zone over that of the lander's footprint, as in the paper.
@@ -74,12 +73,6 @@ def judge(scene: Scene) -> Judged:
     )
 
 
-def fitted(judged: list[Judged], note: str = "") -> Logistic:
-    """Fit to the sites in the domain."""
-    s = Sites.of(judged)
-    return Logistic.fit(s.features[s.known], s.safe[s.known], note, rising=RISING)
-
-
 def drawn(count: int, seed: int) -> list[Scene]:
     """Return scenes that are near enough for the paper's density of points."""
     rng = np.random.default_rng([seed, 98])
@@ -92,11 +85,11 @@ def drawn(count: int, seed: int) -> list[Scene]:
 @options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
 def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | None) -> None:
     """Fit the quadtree's probability, and judge it on worlds kept out of the fit."""
-    console = Console(width=190)
+    console = Console(width=205)
     judged = gathered(judge, drawn(count, seed), jobs, console, "scenes")
     note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
     path = None if picture is None else picture / "quadtree_calibration.png"
-    report([j for j in judged if len(j.safe)], fitted, note, target, path, console)
+    report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console)
 
 
 if __name__ == "__main__":

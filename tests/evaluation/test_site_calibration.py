@@ -47,9 +47,10 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     z = rng.normal(0.0, 3.0, n)
     inside = rng.random(n) < known
     return Sites(
-        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n), bound=np.full(n, 0.1),
-        known=inside, hazards=np.where(inside, 0.01, 0.2), tilting=np.full(n, 0.1),
-        noise=np.full(n, 0.05), spacing=np.full(n, 0.2), safe=rng.random(n) < expit(z + shift),
+        flight=np.full(n, flight), log_odds=z, agreed=np.abs(z - 0.5) > 0.1, ceiling=np.ones(n),
+        bound=np.full(n, 0.1), known=inside, hazards=np.where(inside, 0.01, 0.2),
+        tilting=np.full(n, 0.1), noise=np.full(n, 0.05), spacing=np.full(n, 0.2),
+        safe=rng.random(n) < expit(z + shift),
     )  # fmt: skip
 
 
@@ -64,7 +65,8 @@ def test_figures_are_those_of_plain_counting():
     parts = [sites(i) for i in range(3)]
     every = Sites.joined(parts)
     found = judged(*parts)
-    k = every.known
+    k = every.known & every.agreed
+    assert k.sum() < every.known.sum()
     p, safe = every.probability()[k], every.safe[k]
     f = found.packaged_domain.packaged
     assert (f.sites, f.sure) == (k.sum(), (p > 0.95).sum())

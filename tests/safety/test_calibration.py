@@ -19,17 +19,19 @@ from lunarsim.safety.calibration import (
     calibrated_safety,
     in_domain,
     measured,
-    model_from,
 )
-from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.unseen_rocks import HeightCurve, height_curve, law_share
 from tests.map_evidence import SIDE, evidence, rocky
 
 weights = st.integers(0, 10_000).map(
-    lambda seed: Logistic(
-        (
-            *np.random.default_rng(seed).normal(0.0, 1.0, FREE),
-            *np.random.default_rng(seed + 1).exponential(0.4, COUNT - FREE),
+    lambda seed: Ensemble(
+        tuple(
+            (
+                *np.random.default_rng([seed, fit]).normal(0.0, 1.0, FREE),
+                *np.random.default_rng([seed, fit, 1]).exponential(0.4, COUNT - FREE),
+            )
+            for fit in range(3)
         )
     )
 )
@@ -62,7 +64,8 @@ def test_worse_ground_is_never_called_safer(model, slope, rough, times, density,
 
 def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
     model = measured()
-    assert min(model.weights[FREE:]) >= 0.0
+    assert min(w for fit in model.weights for w in fit[FREE:]) >= 0.0
+    assert len(model.without) == len(model.weights) - 1 > 20
     assert "scenarios/lidar_maps/calibration.py" in model.note
     good, known = calibrated_safety(
         evidence(slope=0.05, rough=0.05, level=6.0, planes=6.0, curve=rocky(0.001))
@@ -84,6 +87,18 @@ def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
     for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
                 replace(sparse, density=sparse.density * 100, spacing=9.0)):  # fmt: skip
         assert not in_domain(odd).any()
+
+
+def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
+    rows = np.zeros((2, COUNT))
+    rows[:, 0] = 1.0, 2.0
+    apart, near = Ensemble(tuple(map(tuple, rows))), Ensemble((tuple(rows[0]),) * 2)
+    e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
+    assert in_domain(e).all()
+    for model, claims in ((apart, False), (near, True)):
+        p, known = calibrated_safety(e, model)
+        assert p == pytest.approx(1.0 / (1.0 + np.exp(-1.0)), rel=1e-5)
+        assert (known == claims).all()
 
 
 def test_the_domain_ends_where_samples_grow_sparse():
@@ -158,16 +173,3 @@ def test_the_law_raises_as_much_ground_as_its_rocks_do():
     assert law_share([h], cover, 0.5)[0] == pytest.approx(
         float((area * -np.diff(number)).sum()), rel=0.02
     )
-
-
-def test_a_fit_finds_what_made_its_data():
-    rng = np.random.default_rng(5)
-    x = np.column_stack((np.ones((4000, 1)), rng.uniform(0.0, 1.0, (4000, COUNT - 1))))
-    truth = np.zeros(COUNT)
-    truth[0], truth[FREE], truth[-1] = -2.0, 3.0, 2.0
-    safe = rng.random(4000) < 1.0 / (1.0 + np.exp(-x @ truth))
-    model = model_from(x, safe, "here")
-    assert min(model.weights[FREE:]) >= 0.0
-    p = model.probability(x)
-    assert np.mean((p - 1.0 / (1.0 + np.exp(-x @ truth))) ** 2) < 0.01
-    assert model.note == "here"

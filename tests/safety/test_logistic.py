@@ -7,7 +7,6 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import calibration_error, reliability
-from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.logistic import Logistic
 
 
@@ -23,11 +22,11 @@ def test_a_known_law_is_recovered():
         Logistic.fit(x, np.ones(20_000))
 
 
-def test_files_are_checked(tmp_path):
-    model = quadtree.measured()
-    model.save(tmp_path / "m.json")
-    assert Logistic.load(tmp_path / "m.json", quadtree.COUNT) == model
-    for text in ("", "{}", '{"weights": [1, 2]}', '{"weights": "x"}'):
-        (tmp_path / "bad.json").write_text(text)
-        with pytest.raises(InputError, match="calibration"):
-            Logistic.load(tmp_path / "bad.json", quadtree.COUNT)
+def test_steps_that_begin_elsewhere_end_at_the_same_weights():
+    rng = np.random.default_rng(1)
+    x = np.column_stack((np.ones(5000), rng.uniform(0.0, 1.0, (5000, 4))))
+    y = rng.random(5000) < Logistic((-1.0, 2.0, -1.0, 0.5, 0.0)).probability(x)
+    plain = Logistic.fit(x, y, rising=4)
+    moved = Logistic.fit(x, y, rising=4, start=(3.0, 0.0, 2.0, 0.0, 5.0))
+    assert np.array(moved.weights) == pytest.approx(plain.weights, abs=1e-3)
+    assert min(plain.weights[1:]) == 0.0

@@ -23,7 +23,7 @@ from lunarsim.safety.calibration import (
     measured,
 )
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from tests.map_evidence import LANDER, evidence, rocky
 
@@ -78,7 +78,8 @@ def test_each_side_of_the_packaged_domain_has_its_stage():
     assert in_domain(near).all()
     assert not in_domain(far).any()
     for e, stages_of in ((near, ((0.3, 0.8),)), (far, ((0.3, 0.8), (-0.5, 0.6)))):
-        z = (features(e, e.observed) @ np.array(measured().weights)).reshape(e.level.grid.shape)
+        z = (features(e, e.observed) @ np.array(measured().weights).T).min(axis=1)
+        z = z.reshape(e.level.grid.shape)
         p, known = calibrated_safety(e, refit=refit())
         assert known.all()
         expected = np.min([expit(a + b * z) for a, b in stages_of], axis=0)
@@ -179,8 +180,8 @@ def test_another_lander_is_refused(change, key, right):
 
 
 def test_another_regression_is_refused():
-    weights = measured().weights
-    other = Logistic((*weights[:-1], weights[-1] + 1e-9))
+    *weights, last = measured().weights
+    other = Ensemble((*weights, (*last[:-1], last[-1] + 1e-9)))
     assert other.digest != measured().digest
     with pytest.raises(InputError, match=r"calibration\.regression"):
         calibrated_safety(evidence(), other, refit())

@@ -75,13 +75,18 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
         assert not {id(j) for j in others} & {id(j) for j in kept}
     name, others, kept = rows[0]
     sites = study.Sites.of(kept)
-    p = study.probability(study.fitted(others), sites)
+    model = study.fitted(others)
+    assert name not in model.without
+    assert set(model.without) <= {row for row, _, _ in rows}
+    p, claimed = study.probability(model, sites)
     assert study.figures(p, sites.safe)["skill"] > 0.0
+    assert not claimed[~sites.known].any()
+    assert (p <= study.expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no error of calibration, and no skill.
     flat = study.figures(np.full(len(p), sites.safe.mean()), sites.safe)
     assert flat["ece"] < 0.01
     assert flat["skill"] == pytest.approx(0.0, abs=1e-9)
-    assert study.table_of([(name, p, sites)]).row_count == 1
+    assert study.table_of([study.Row(name, p, claimed, sites)]).row_count == 1
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.unseen_rocks import HeightCurve, law_share
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
@@ -119,10 +119,13 @@ def test_a_map_of_few_points_among_large_rocks_claims_no_domain():
 
 
 weights = st.integers(0, 10_000).map(
-    lambda seed: Logistic(
-        (
-            *np.random.default_rng(seed).normal(0.0, 1.0, FREE),
-            *np.random.default_rng(seed + 1).exponential(0.5, COUNT - FREE),
+    lambda seed: Ensemble(
+        tuple(
+            (
+                *np.random.default_rng([seed, fit]).normal(0.0, 1.0, FREE),
+                *np.random.default_rng([seed, fit, 1]).exponential(0.5, COUNT - FREE),
+            )
+            for fit in range(3)
         )
     )
 )
@@ -158,6 +161,16 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
     for name, value in here.items():
         assert site_safety(site(rocks, **here | {name: value + worse}), model)[0][0] <= p, name
     assert site_safety(site(rocks * (1.0 + worse), **here), model)[0][0] <= p + 1e-12
+
+
+def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
+    rows = np.zeros((2, COUNT))
+    rows[:, 0] = 1.0, 2.0
+    apart, near = Ensemble(tuple(map(tuple, rows))), Ensemble((tuple(rows[0]),) * 2)
+    for model, claims in ((apart, False), (near, True)):
+        p, known = site_safety(site(0.02), model)
+        assert p[0] == pytest.approx(1.0 / (1.0 + np.exp(-1.0)))
+        assert known[0] == claims
 
 
 def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
@@ -213,5 +226,7 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
 
 
 def test_the_packaged_weights_of_the_quadtree_do_not_fall():
-    assert min(measured().weights[FREE:]) >= 0.0
-    assert "scenarios/lidar_maps/quadtree_calibration.py" in measured().note
+    model = measured()
+    assert min(w for fit in model.weights for w in fit[FREE:]) >= 0.0
+    assert len(model.without) == len(model.weights) - 1 > 20
+    assert "scenarios/lidar_maps/quadtree_calibration.py" in model.note

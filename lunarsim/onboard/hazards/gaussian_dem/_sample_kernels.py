@@ -100,12 +100,14 @@ def add_kinks(mean, measured, noise, share, variance):
     none.
     """
     rows, cols = mean.shape
-    for i in prange(1, rows - 1):
-        for j in range(1, cols - 1):
+    for i in prange(rows):
+        for j in range(cols):
             if not measured[i, j]:
                 continue
             most = 0.0
             for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                if i < di or i + di >= rows or j < abs(dj) or j + abs(dj) >= cols:
+                    continue  # along the edge of the map there is one direction left
                 bend = 0.5 * (mean[i + di, j + dj] + mean[i - di, j - dj]) - mean[i, j]
                 if np.isfinite(bend):
                     most = max(most, bend * bend)

@@ -36,8 +36,11 @@ _LEAST_GROWTH = 1e-6
 _SUB = 0.15
 # Of the squared bend of the ground at a cell.
 _KINK = 0.4
-# A triangle's own growth counts where its edges have grown by this many times their noise.
-_SIGNIFICANT = 6.0
+# Ground is smoother within a triangle than along its edges ...
+_WITHIN = 0.7
+# ... but a triangle's own growth counts for more where its edges have grown by so many times their
+# noise: what stands there is as high between its corners as at them, or higher.
+_SIGNIFICANT, _BETWEEN = 6.0, 2.5
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     )  # fmt: skip
     if len(triangles) and not observed.all():
         own = grown[:, 0] - (_SIGNIFICANT - 1.0) * _edge_noise(noise, triangles)
-        rate = np.maximum(squares.at(growth, middles), own / grown[:, 1])
+        rate = np.maximum(_WITHIN * squares.at(growth, middles), _BETWEEN * own / grown[:, 1])
         prior = _WIDE * (noise[triangles].max(axis=1) + rate * grown[:, 1])
         k.regress(
             vertices, noise, triangles, usable, gradient, grid.x0, grid.y0, grid.posting,

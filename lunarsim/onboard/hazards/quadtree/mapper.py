@@ -24,7 +24,7 @@ from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.ensemble import Ensemble
 
 Array = NDArray[np.float64]
 
@@ -138,7 +138,7 @@ class QuadtreeMapper(HazardMapper):
         least: float = 0.1,
         split_count: int = 8,
         interest: InterestMap | None = None,
-        model: Logistic | None = None,
+        model: Ensemble | None = None,
         hold_sigma: float = 0.5,
         interval: float = 1.0,
         gravity: float = 0.0,

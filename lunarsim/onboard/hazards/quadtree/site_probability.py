@@ -5,8 +5,8 @@ put on the mean ground under its legs, at every heading, and what the points of 
 the zone tell is added: how far they reach, how they spread, what may stand between them unseen. All
 is dimensionless: slopes and heights count by the lander's limits. Weights on all but the first
 `FREE` are not negative, so that the probability never rises with slope, roughness, exceptions,
-their height, or the rocks that may stand unseen. Where too many of these are to be expected it is
-a bound and no frequency, as on the Gaussian DEM (`lunarsim.safety.calibration`).
+their height, or the rocks that may stand unseen. It is a frequency where fits without one world
+agree and few rocks may stand unseen, as on the Gaussian DEM (`lunarsim.safety.calibration`).
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from lunarsim.onboard.hazards.quadtree.surface import Sampling, rises, sampling,
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
-from lunarsim.safety.bends import Term, columns, score
+from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.calibration import MOST_TILTING, NOISES
+from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.exposure import (
     footprint_area,
     pad_ring_area,
     tilt_of,
     tilting_height,
 )
-from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
 
 Array = NDArray[np.float64]
@@ -265,15 +265,15 @@ def _free(e: SiteEvidence, where: BoolArray) -> Array:
 
 
 @lru_cache(maxsize=1)
-def measured() -> Logistic:
+def measured() -> Ensemble:
     """Return the weights measured by `scenarios/lidar_maps/quadtree_calibration.py`."""
-    return Logistic.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT)
+    return Ensemble.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT)
 
 
-def site_safety(evidence: SiteEvidence, model: Logistic | None = None) -> tuple[Array, BoolArray]:
+def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
     """Return the probability that sites are safe (n,), and where it is a frequency (n,).
 
-    Outside the domain no more than `bound`; 0 where not judged.
+    Where too many rocks may stand unseen no more than `bound`; 0 where not judged.
 
     Parameters
     ----------
@@ -283,13 +283,13 @@ def site_safety(evidence: SiteEvidence, model: Logistic | None = None) -> tuple[
         Left out: the packaged one.
     """
     e, known = evidence, evidence.in_domain
-    p = np.zeros(len(e.slope))
+    p, claimed = np.zeros(len(e.slope)), known.copy()
     if e.judged.any():
-        weights = np.array((model or measured()).weights)
-        free = _free(e, e.judged) @ weights[:FREE]
-        p[e.judged] = expit(free + score(_terms(e, e.judged), weights[FREE:]))
+        said = (model or measured()).judge(_free(e, e.judged), _terms(e, e.judged))
+        p[e.judged] = expit(said.low)
+        claimed[e.judged] &= said.agreed
     p = np.minimum(p, ceiling(e))
-    return np.where(known, p, np.minimum(p, bound(e))), known
+    return np.where(known, p, np.minimum(p, bound(e))), claimed
 
 
 def ceiling(evidence: SiteEvidence) -> Array:

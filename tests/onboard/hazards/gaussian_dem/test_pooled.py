@@ -103,13 +103,12 @@ def test_a_bend_is_the_greatest_of_four_directions():
     measured, noise = np.isfinite(z), np.full(GRID.shape, 1e-4)
     variance = np.zeros(GRID.shape, np.float32)
     sk.add_kinks(z, measured, noise, 0.5, variance)
-    for i in range(1, GRID.rows - 1):
-        for j in range(1, GRID.cols - 1):
+    wide = np.pad(z, 1, constant_values=np.nan)  # off the map nothing is known
+    for i in range(GRID.rows):
+        for j in range(GRID.cols):
             pairs = [
-                (z[i, j - 1], z[i, j + 1]),
-                (z[i - 1, j], z[i + 1, j]),
-                (z[i - 1, j - 1], z[i + 1, j + 1]),
-                (z[i - 1, j + 1], z[i + 1, j - 1]),
+                (wide[i + 1 - di, j + 1 - dj], wide[i + 1 + di, j + 1 + dj])
+                for di, dj in ((0, 1), (1, 0), (1, 1), (-1, 1))
             ]
             bends = [(0.5 * (a + b) - z[i, j]) ** 2 for a, b in pairs]
             most = max((b for b in bends if np.isfinite(b)), default=0.0)
@@ -160,7 +159,7 @@ def test_over_a_descent_it_errs_as_it_says(seed):
         for name, squares in strata(pooled_dem(pool), pool, terrain).items():
             total[name] = total[name].plus(float(squares.sum()), len(squares))
     for name, (low, high) in {
-        "measured": (0.7, 1.5), "interpolated": (0.6, 1.5), "rocks": (0.6, 4.0)
+        "measured": (0.7, 1.5), "interpolated": (0.65, 1.5), "rocks": (0.65, 1.5)
     }.items():  # fmt: skip
         assert low < total[name].ratio < high, name
 

@@ -1,0 +1,48 @@
+"""Compiled kernel of sums of bent lines, for many fits at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+
+
+@kernel(parallel=True)
+def extremes(base, values, knots, first, heights, low, high):
+    """Write the least and the greatest sum of the fits at each site (n,).
+
+    `base` (1 or n, fits) is what each fit begins with; term t of `values` (terms, n) bends at
+    ``knots[first[t]:first[t + 1]]``, where it is worth those rows of `heights` (knots, fits), and
+    beyond them what it is worth at the ends.
+    """
+    terms, n = values.shape
+    fits = heights.shape[1]
+    shared = base.shape[0] == 1
+    for i in prange(n):
+        total = np.empty(fits)
+        start = np.int64(0) if shared else np.int64(i)
+        for m in range(fits):
+            total[m] = base[start, m]
+        for t in range(terms):
+            x = values[t, i]
+            a = first[t]
+            b = first[t + 1] - 1
+            if x <= knots[a]:
+                for m in range(fits):
+                    total[m] += heights[a, m]
+            elif x >= knots[b]:
+                for m in range(fits):
+                    total[m] += heights[b, m]
+            else:
+                while x >= knots[a + 1]:
+                    a += 1
+                share = (x - knots[a]) / (knots[a + 1] - knots[a])
+                for m in range(fits):
+                    total[m] += heights[a, m] + share * (heights[a + 1, m] - heights[a, m])
+        least = total[0]
+        most = total[0]
+        for m in range(1, fits):
+            least = min(least, total[m])
+            most = max(most, total[m])
+        low[i] = least
+        high[i] = most

@@ -1,0 +1,157 @@
+"""Regressions fitted to all worlds and to all but one: what a single world decides is not known.
+
+Worlds differ in more than their features say, and no count of sites of one world tells how the next
+will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). Where the fits
+agree, no world by itself decides what is said of a site, and another one will hardly change it;
+where they do not, the probability is no frequency. What is told is the lowest of them: it falls
+wherever all of them do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
+
+from lunarsim.errors import InputError
+from lunarsim.safety.bends import Term, extremes
+from lunarsim.safety.logistic import Logistic
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Fits agree on a site where their probabilities lie no farther apart.
+MOST_APART = 0.05
+
+
+@dataclass(frozen=True)
+class Odds:
+    """What the fits say of sites (n,).
+
+    Attributes
+    ----------
+    low, high
+        Least and greatest log odds.
+    """
+
+    low: Array
+    high: Array
+
+    @property
+    def agreed(self) -> BoolArray:
+        """Where no world by itself decides (n,)."""
+        return np.asarray(expit(self.high) - expit(self.low) <= MOST_APART)
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Weights of several regressions on the same features.
+
+    Attributes
+    ----------
+    weights
+        One row a fit, the first to all worlds (fits, features).
+    without
+        The world that each other fit was made without (fits - 1,).
+    note
+        The command that measured them.
+    """
+
+    weights: tuple[tuple[float, ...], ...]
+    without: tuple[str, ...] = ()
+    note: str = ""
+
+    @property
+    def digest(self) -> str:
+        """Sixteen hexadecimal digits that tell these weights from others."""
+        return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
+
+    def judge(self, free: ArrayLike, terms: Sequence[Term]) -> Odds:
+        """Return what the fits say of sites.
+
+        Parameters
+        ----------
+        free
+            Features on which weights have any sign, of all sites (f,) or each (n, f).
+        terms
+            What speaks for and against the sites; their features follow the free ones.
+        """
+        w, f = np.array(self.weights), np.asarray(free, dtype=np.float64)
+        count = f.shape[-1]
+        return Odds(*extremes(terms, f @ w[:, :count].T, w[:, count:]))
+
+    def of_features(self, features: ArrayLike) -> Odds:
+        """Return what the fits say of sites with features (n, k)."""
+        odds = np.asarray(features, dtype=np.float64) @ np.array(self.weights).T
+        return Odds(odds.min(axis=1), odds.max(axis=1))
+
+    @classmethod
+    def fit(
+        cls,
+        features: ArrayLike,
+        outcome: ArrayLike,
+        worlds: Mapping[str, BoolArray],
+        note: str = "",
+        *,
+        rising: int = 0,
+    ) -> Ensemble:
+        """Fit features (n, k) to outcomes (n,), to all and to all without each world.
+
+        Parameters
+        ----------
+        features, outcome, note, rising
+            As for `Logistic.fit`.
+        worlds
+            Which sites belong to a world (n,), by its name. One without any site says nothing.
+        """
+        x, y = np.asarray(features, dtype=np.float64), np.asarray(outcome)
+        named = {name: inside for name, inside in worlds.items() if inside.any()}
+        whole = Logistic.fit(x, y, rising=rising)
+        fits = [whole] + [
+            Logistic.fit(x[~inside], y[~inside], rising=rising, start=whole.weights)
+            for inside in named.values()
+        ]
+        return cls(tuple(f.weights for f in fits), tuple(named), note)
+
+    # --- files ----------------------------------------------------------------------------
+
+    def save(self, path: Path) -> None:
+        """Write as JSON, a fit a line."""
+        rows = ",\n".join(f"  {json.dumps(row)}" for row in self.weights)
+        head = f'"note": {json.dumps(self.note)},\n "without": {json.dumps(self.without)}'
+        path.write_text(f'{{\n {head},\n "weights": [\n{rows}\n ]\n}}\n', encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path, features: int) -> Ensemble:
+        """Read what `save` wrote, for so many features."""
+        return cls._parsed(path.read_text(encoding="utf-8"), str(path), features)
+
+    @classmethod
+    def packaged(cls, package: str, name: str, features: int) -> Ensemble:
+        """Read a file that comes with a package."""
+        text = (resources.files(package) / name).read_text(encoding="utf-8")
+        return cls._parsed(text, name, features)
+
+    @classmethod
+    def _parsed(cls, text: str, name: str, features: int) -> Ensemble:
+        try:
+            data = json.loads(text)
+            rows = [list(row) for row in data["weights"]]
+            numbers = [w for row in rows for w in row]
+            if not all(isinstance(w, float | int) and np.isfinite(w) for w in numbers):
+                raise ValueError("weights are finite numbers")
+            without = tuple(str(world) for world in data.get("without", ()))
+            weights = tuple(tuple(float(w) for w in row) for row in rows)
+            note = str(data.get("note", ""))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise InputError("calibration", name, f"a calibration file ({error})") from None
+        if not weights or any(len(row) != features for row in weights):
+            raise InputError("calibration", name, f"rows of {features} weights, one a feature")
+        return cls(weights, without, note)

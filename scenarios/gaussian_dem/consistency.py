@@ -1,0 +1,119 @@
+"""Whether the Gaussian DEM of a descent errs as it says: NEES by stratum, over several worlds.
+
+Four scans from ever lower fall on fractal ground with ellipsoid boulders. After each, the squared
+error of the mean over the variance is taken over all observed cells: those with samples of their
+own, those between samples, and those that the map shows as rocks (more than 0.12 m above the ground
+without them). 1 is right, more is too sure, less is modest.
+
+python scenarios/gaussian_dem/consistency.py --seeds 4 --jobs 2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
+from lunarsim.onboard.hazards.gaussian_dem.gaussian import DENSE
+from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
+
+STRATA = ("measured", "interpolated", "on rocks")
+# Distance of samples and their standard deviation, m: scan by scan.
+DESCENT = ((0.8, 0.03), (0.6, 0.025), (0.45, 0.02), (0.3, 0.012))
+# Ground that stands so far above what lies under the rocks is shown as one, m.
+SHOWN = 0.12
+GRID = Grid.centred((0.0, 0.0), 24.0, 0.2)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """RMS slope (deg) and Hurst exponent of the relief, diameters (m) and number of boulders."""
+
+    slope: float = 5.0
+    hurst: float = 0.85
+    diameters: tuple[float, float] = (0.4, 1.2)
+    rocks: int = 60
+
+
+WORLDS = {
+    "5 deg, boulders of 0.4 to 1.2 m": Ground(),
+    "1 deg": Ground(slope=1.0),
+    "12 deg": Ground(slope=12.0),
+    "Hurst exponent 0.6": Ground(hurst=0.6),
+    "Hurst exponent 0.95": Ground(hurst=0.95),
+    "3 deg, 300 boulders of 0.3 to 0.6 m": Ground(3.0, 0.85, (0.3, 0.6), 300),
+    "3 deg, 30 boulders of 1 to 2 m": Ground(3.0, 0.85, (1.0, 2.0), 30),
+    "6 deg, no boulders": Ground(slope=6.0, rocks=0),
+}
+
+
+def made(ground: Ground, rng: np.random.Generator) -> Terrain:
+    """Return a terrain of 60 m."""
+    grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
+    relief = fractal_relief(grid, rng, hurst=ground.hurst, rms_slope=np.deg2rad(ground.slope))
+    diameters = rng.uniform(*ground.diameters, ground.rocks)
+    return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("ellipsoid")))
+
+
+def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generator) -> np.ndarray:
+    """Return samples (n, 3) straight from above, `spacing` m apart."""
+    line = np.arange(-15.9, 16.0, spacing)
+    x, y = np.meshgrid(line, line)
+    xy = np.column_stack((x.ravel(), y.ravel())) + 0.5 * spacing * rng.uniform(-0.5, 0.5, 2)
+    return np.column_stack((xy, terrain.elevation(xy) + sigma * rng.standard_normal(len(xy))))
+
+
+def descend(task: tuple[str, int, int]) -> np.ndarray:
+    """Return sum and number of normalised squares (strata, 2) over one descent."""
+    name, seed, index = task
+    rng = np.random.default_rng([seed, index, list(WORLDS).index(name)])
+    terrain = made(WORLDS[name], rng)
+    truth = terrain.raster(GRID)
+    bare = Terrain(terrain.relief, RockField.empty()).raster(GRID)
+    pool, total = SamplePool(GRID), np.zeros((len(STRATA), 2))
+    for spacing, sigma in DESCENT:
+        pool.add(scan(terrain, spacing, sigma, rng), sigma, spacing)
+        dem = pooled_dem(pool)
+        square = (dem.mean - truth) ** 2 / dem.variance
+        rock, measured = dem.mean - bare > SHOWN, pool.splat[..., 0] > DENSE
+        for n, where in enumerate((measured & ~rock, ~measured & ~rock, rock)):
+            own = square[dem.observed & where]
+            total[n] += own.sum(), own.size
+    return total
+
+
+@click.command()
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=4,
+    show_default=True,
+    help="Descents over each world.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+def main(seeds: int, seed: int, jobs: int) -> None:
+    """Print the NEES of cells measured, interpolated and on rocks, world by world."""
+    console = Console(width=120)
+    tasks = [(name, seed, index) for name in WORLDS for index in range(seeds)]
+    found = gathered(descend, tasks, jobs, console, "descents")
+    table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans; cells")
+    for heading in ("world", *STRATA):
+        table.add_column(heading, justify="left" if heading == "world" else "right")
+    for n, name in enumerate(WORLDS):
+        total = np.sum(found[n * seeds : (n + 1) * seeds], axis=0)
+        cells = [f"{s / c:.2f} ({c:.0f})" if c else "-" for s, c in total]
+        table.add_row(name, *cells)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

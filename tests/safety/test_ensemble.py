@@ -1,0 +1,86 @@
+"""Regressions without one world each: what they agree on, and that the lowest counts."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import expit
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
+from lunarsim.safety.bends import Term, columns
+from lunarsim.safety.ensemble import MOST_APART, Ensemble, Odds
+from lunarsim.safety.logistic import Logistic
+
+
+@given(st.integers(0, 10_000), st.integers(1, 5), st.booleans())
+def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
+    rng = np.random.default_rng(seed)
+    n = 40
+    knots = [np.sort(rng.normal(0.0, 1.0, k)) for k in (2, 3, 7)]
+    terms = [Term(rng.normal(0.0, 1.5, n), x, bool(rng.random() < 0.5)) for x in knots]
+    # At a knot, and where all sites share a value.
+    terms[1].values[:2] = knots[1][:2]
+    terms.insert(1, Term(np.array(rng.normal()), np.array([-1.0, 0.0, 1.0])))
+    free = rng.normal(0.0, 1.0, (n, 2) if each else 2)
+    x = np.column_stack((np.broadcast_to(free, (n, 2)), columns(terms, n)))
+    model = Ensemble(tuple(map(tuple, rng.normal(0.0, 2.0, (fits, x.shape[1])))))
+    found, wanted = model.judge(free, terms), [
+        [sum(w * v for w, v in zip(row, site, strict=True)) for row in model.weights] for site in x
+    ]  # fmt: skip
+    assert found.low == pytest.approx(np.min(wanted, axis=1), abs=1e-9)
+    assert found.high == pytest.approx(np.max(wanted, axis=1), abs=1e-9)
+    of_features = model.of_features(x)
+    assert of_features.low == pytest.approx(found.low, abs=1e-9)
+    assert of_features.high == pytest.approx(found.high, abs=1e-9)
+
+
+def test_fits_agree_where_their_probabilities_are_near():
+    low, apart = np.array([-9.0, 0.0, 0.0, 9.0]), np.array([2.0, 0.19, 0.21, 5.0])
+    odds = Odds(low, low + apart)
+    assert odds.agreed.tolist() == [True, True, False, True]
+    assert expit(0.19) - 0.5 < MOST_APART < expit(0.21) - 0.5
+
+
+def test_what_one_world_decides_is_not_agreed_on():
+    """Two worlds say the same of the first feature; of the second one of them alone knows."""
+    rng = np.random.default_rng(2)
+    n = 6000
+    one = rng.random(n) < 0.5
+    x = np.column_stack((np.ones(n), rng.random(n), np.where(one, rng.random(n), 0.0)))
+    law = -2.0 + 4.0 * x[:, 1] + 3.0 * x[:, 2]
+    worlds = {"one": one, "other": ~one, "never seen": np.zeros(n, bool)}
+    safe = rng.random(n) < expit(law)
+    model = Ensemble.fit(x, safe, worlds, "here", rising=2)
+    assert model.without == ("one", "other")
+    assert model.note == "here"
+    assert min(w for row in model.weights for w in row[1:]) >= 0.0
+    sites = np.array([[1.0, 0.9, 0.0], [1.0, 0.1, 0.9]])
+    odds = model.of_features(sites)
+    assert odds.agreed.tolist() == [True, False]
+    whole = sites @ np.array(model.weights[0])
+    assert whole == pytest.approx(sites @ [-2.0, 4.0, 3.0], abs=0.3)
+    assert (odds.low <= whole).all()
+    # Each fit is that without its world.
+    alone = Logistic.fit(x[~one], safe[~one], rising=2)
+    assert np.array(model.weights[1]) == pytest.approx(alone.weights, abs=1e-3)
+
+
+def test_files_are_checked(tmp_path):
+    model = quadtree.measured()
+    model.save(tmp_path / "m.json")
+    assert Ensemble.load(tmp_path / "m.json", quadtree.COUNT) == model
+    assert Ensemble.load(tmp_path / "m.json", quadtree.COUNT).digest == model.digest
+    row = [0.0] * quadtree.COUNT
+    for wrong in (
+        "", "{}", "[]", "1", '{"weights": [1, 2]}', '{"weights": "x"}', '{"weights": []}',
+        json.dumps({"weights": [row, row[1:]]}), json.dumps({"weights": [[*row[1:], "a"]]}),
+        json.dumps({"weights": [[*row[1:], float("nan")]]}),
+    ):  # fmt: skip
+        (tmp_path / "bad.json").write_text(wrong)
+        with pytest.raises(InputError, match="calibration"):
+            Ensemble.load(tmp_path / "bad.json", quadtree.COUNT)
