@@ -34,23 +34,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shift:
-    """From the site frame to the local frame; both point the same way.
+    """From the site frame to the local frame; both have the same up.
 
     Attributes
     ----------
     offset
-        Local less site coordinates (3,), m.
+        Local coordinates of the site frame's origin (3,), m.
+    turn
+        Angle about up by which what points east in the site frame points north of east in the
+        local one, rad.
     """
 
     offset: Array = field(default_factory=lambda: np.zeros(3))
+    turn: float = 0.0
+
+    def _rotation(self) -> Array:
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
     def to_local(self, points: ArrayLike) -> Array:
         """Return local coordinates of points (..., 3) of the site frame."""
-        return np.asarray(points, dtype=np.float64) + self.offset
+        given = np.asarray(points, dtype=np.float64)
+        if self.turn:
+            given = given @ self._rotation().T
+        return np.asarray(given + self.offset)
 
     def to_site(self, points: ArrayLike) -> Array:
         """Return site coordinates of points (..., 3) of the local frame."""
-        return np.asarray(points, dtype=np.float64) - self.offset
+        out = np.asarray(points, dtype=np.float64) - self.offset
+        return np.asarray(out @ self._rotation()) if self.turn else out
 
 
 def normalised(v: ArrayLike) -> Array:

@@ -21,6 +21,25 @@ class PointedInstrument:
 
 
 @dataclass(frozen=True)
+class LidarInstrument(PointedInstrument):
+    """A LiDAR on a gimbal, with what it may err by over a whole flight, 1 sigma each.
+
+    Attributes
+    ----------
+    range_bias
+        Of all ranges, m.
+    boresight
+        Between the sensor and what the gimbal's encoders tell, an axis, rad.
+    latency
+        Between the flash and the time that it is given, s.
+    """
+
+    range_bias: float = 0.0
+    boresight: float = 0.0
+    latency: float = 0.0
+
+
+@dataclass(frozen=True)
 class InertialInstrument:
     """An inertial unit.
 

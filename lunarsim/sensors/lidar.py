@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_to_matrix
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.camera import DOWN
-from lunarsim.models.instruments import PointedInstrument
+from lunarsim.models.instruments import LidarInstrument
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -53,6 +53,11 @@ class FlashLidar:
         footprint.
     gimbal_limit
         Greatest angle of the boresight from straight down through the lander, rad.
+    range_sigma, boresight_sigma, latency_sigma
+        What a LiDAR errs by over a whole flight, 1 sigma, m, rad (an axis), s: drawn once a flight,
+        and stated in the calibration.
+    range_bias, boresight_off, late
+        Errors besides that the calibration says nothing of, m, rad, s.
     """
 
     rows: int = quantity(256, ge=2, le=4096, help="of the detector")
@@ -72,6 +77,25 @@ class FlashLidar:
         180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
     )
 
+    range_sigma: float = quantity(
+        0.0, "m", ge=0, lt=10, help="constant of all ranges, 1 sigma, drawn and stated"
+    )
+    boresight_sigma: float = quantity(
+        0.0, "deg", ge=0, lt=5, help="constant of the mount, 1 sigma an axis, drawn and stated"
+    )
+    latency_sigma: float = quantity(
+        0.0, "s", ge=0, lt=1, help="of the times of flashes, 1 sigma, drawn and stated"
+    )
+    range_bias: float = quantity(
+        0.0, "m", ge=-10, le=10, help="of all ranges besides, which nobody is told of"
+    )
+    boresight_off: float = quantity(
+        0.0, "deg", ge=-5, le=5, help="about the sensor's x besides, which nobody is told of"
+    )
+    late: float = quantity(
+        0.0, "s", ge=0, lt=1, help="of flashes besides, which nobody is told of"
+    )
+
     gives: ClassVar[type] = LidarScan
     tasked: ClassVar[bool] = True
 
@@ -80,9 +104,17 @@ class FlashLidar:
         if self.spacing not in {"tangent", "angle"}:
             raise InputError("lidar.spacing", self.spacing, "tangent or angle")
 
-    def calibration(self) -> PointedInstrument:
+    def build(self, rng: np.random.Generator, step: float) -> FlashLidar | BiasedLidar:
+        """Return the LiDAR of one flight."""
+        constant = (self.range_bias, self.boresight_off, self.late)
+        stated = (self.range_sigma, self.boresight_sigma, self.latency_sigma)
+        return BiasedLidar(self, rng) if any(np.ravel((*constant, *stated))) else self
+
+    def calibration(self) -> LidarInstrument:
         """Return what the onboard computer may know of it."""
-        return PointedInstrument(self.gimbal_limit)
+        return LidarInstrument(
+            self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma
+        )
 
     def directions(self) -> Array:
         """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""
@@ -167,3 +199,53 @@ class FlashLidar:
             total[seen] += found[seen]
             count += seen
         return np.asarray(total / count)
+
+
+class BiasedLidar:
+    """A LiDAR with what it errs by over a whole flight.
+
+    Parameters
+    ----------
+    figures
+        Of the LiDAR.
+    rng
+        Source of its errors.
+
+    Attributes
+    ----------
+    range_bias
+        Added to all ranges, m.
+    boresight
+        Small rotation between sensor and what the gimbal tells (3,), sensor axes, rad.
+    latency
+        By which a flash comes before the time that it is given, s.
+    """
+
+    def __init__(self, figures: FlashLidar, rng: np.random.Generator) -> None:
+        f, drawn = figures, rng.standard_normal(5)
+        self.figures = figures
+        self.range_bias = f.range_bias + f.range_sigma * float(drawn[0])
+        self.boresight = f.boresight_sigma * drawn[1:4] + [f.boresight_off, 0.0, 0.0]
+        self.latency = f.late + f.latency_sigma * float(drawn[4])
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> LidarScan:
+        """Flash once; the lander is taken to have moved evenly over the latency."""
+        told = DOWN if mount is None else mount
+        aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))
+        turn = quat_from_rotation_vector(-self.latency * np.asarray(state.rate))
+        then = replace(
+            state,
+            position=state.position - self.latency * state.velocity,
+            attitude=quat_multiply(state.attitude, turn),
+        )
+        scan = self.figures.measure(world, then, time, rng, told @ aim)
+        # A range biased to below nothing is no return.
+        biased = scan.range + self.range_bias
+        return replace(scan, range=np.where(biased > 0.0, biased, np.nan), mount=told)

@@ -40,6 +40,9 @@ _WATCHED = {
     "range": WatchSettings(),
     "speed": WatchSettings(patience=None, drift_s=8.0),
     "attitude": WatchSettings(patience=None, drift_s=8.0),
+    "map": WatchSettings(drift_s=8.0),
+    # A scan's noise is in all that is compared with it: innovations are alike for its time.
+    "scans": WatchSettings(),
 }
 # What drifts where innovations lie to one side, and how far it may: m/s^2, rad/s.
 _BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
@@ -161,8 +164,10 @@ class Aids:
             at = [self.state.block(GROUND).start]
             self.state.widen(at, self.ground.relief**2 * _CORRELATION * moved)
 
-    def take(self, sensor: str, measurement: Any, time: float) -> bool:
+    def take(self, sensor: str, measurement: Any, time: float, *, used: bool = False) -> bool:
         """Take in a measurement; return whether it is of a kind known here.
+
+        What has been `used` already is left alone.
 
         Raises
         ------
@@ -172,6 +177,8 @@ class Aids:
         if not time >= self._time:
             raise InputError("time", time, f"at least {self._time} s: time does not run backwards")
         self._time = time
+        if used:
+            return False
         if isinstance(measurement, AltimeterReading):
             beam = self._beams[sensor].boresight if sensor in self._beams else (0.0, 0.0, -1.0)
             self._range(sensor, measurement.range, measurement.sigma, beam, time)
@@ -187,7 +194,7 @@ class Aids:
             if block is not None:
                 own = self.state.block(block)
                 columns = np.concatenate((columns, np.arange(own.start, own.stop)))
-            self._judge(sensor, "attitude", found, columns, _MOST_TURN, time)
+            self.judge(sensor, "attitude", found, columns, _MOST_TURN, time)
         else:
             return False
         return True
@@ -206,7 +213,7 @@ class Aids:
         )
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
         most = np.repeat([_MOST_SPEED, _MOST_TURN], 3)
-        self._judge(sensor, "speed", found, columns, most, time)
+        self.judge(sensor, "speed", found, columns, most, time)
         for distance, sigma, beam in zip(reading.range, reading.range_sigma, beams, strict=True):
             self._range(sensor, float(distance), float(sigma), beam, time)
 
@@ -223,9 +230,9 @@ class Aids:
             self.state, distance, sigma, beam, self.ground.elevation, block=block, rise=rise,
             gate=gate_of(1),
         )  # fmt: skip
-        self._judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
+        self.judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
 
-    def _judge(
+    def judge(
         self,
         sensor: str,
         kind: str,
@@ -233,15 +240,31 @@ class Aids:
         columns: NDArray[np.int64],
         most: Any,
         time: float,
+        *,
+        drifting: tuple[NDArray[np.int64], Any] | None = None,
     ) -> None:
-        """Watch what came of a measurement; widen what it depends on where it is doubted."""
+        """Watch what came of a measurement; widen what it depends on where it is doubted.
+
+        Parameters
+        ----------
+        sensor, kind, found, time
+            What was measured and what came of it; s.
+        columns, most
+            Errors (k,) on which it depends, and the deviations beyond which a doubt widens none.
+        drifting
+            What may be wrong where innovations lie to one side: errors (j,) and deviations (j,) to
+            let them go to; left out: a bias of the inertial unit.
+        """
         watch = self._watches.setdefault((sensor, kind), Watch(_WATCHED[kind]))
         before = watch.lost
         verdict = watch.note(time, found)
         if verdict is Verdict.DRIFT:
-            # A bias of the inertial unit is what drifts: let it be found anew.
-            place, sigma = _BIASES[kind]
-            self.state.inflate(np.arange(place.start, place.stop), _MOST_GROWTH, sigma)
+            # A bias of the inertial unit or of the sensor is what drifts: let it be found anew.
+            if drifting is None:
+                place, sigma = _BIASES[kind]
+                self.state.inflate(np.arange(place.start, place.stop), _MOST_GROWTH, sigma)
+            else:
+                self.state.let_go(*drifting)
             self._note(time, "drift", sensor, kind)
         elif verdict is not Verdict.WELL:
             growth = float(np.clip(watch.excess, _LEAST_GROWTH, _MOST_GROWTH))

@@ -25,6 +25,9 @@ Index = NDArray[np.int64]
 
 # The lander's pose in the error state.
 POSE = np.r_[0:3, 9:12]
+# Name of a block: where the site frame lies in that of the lander's pose, position (m) and azimuth
+# about up (rad). Without it both are one frame.
+MAP = "map"
 # One thread for the small products of an update: more would wait for each other, and the bits must
 # not depend on how many there are.
 BLAS = ThreadpoolController()
@@ -45,7 +48,7 @@ class Outcome:
     taken
         Whether it corrected the state.
     white
-        Whitened innovation (degrees,) of what was taken; else empty.
+        Whitened innovation of what was taken, (degrees,) or an error each; else empty.
     """
 
     nis: float
@@ -143,6 +146,12 @@ class ErrorState:
         times = np.minimum(np.sqrt(factor), room)
         p[at] *= times[:, None]
         p[:, at] *= times
+
+    def let_go(self, columns: ArrayLike, sigma: ArrayLike) -> None:
+        """Widen errors (k,) to standard deviations (k,) where they are less; correlations fade."""
+        at = np.asarray(columns)
+        before = self.p[at, at]
+        self.p[at, at] = np.maximum(before, np.square(sigma))
 
     def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
         """Add to the covariance of some errors (k,) what they may have moved by (k, k)."""
@@ -283,17 +292,22 @@ class ErrorState:
         system = np.eye(len(part)) + information @ own
         inner = np.linalg.solve(system, np.column_stack((information, vector)))
         gain, innovation = inner[:, :-1], inner[:, -1]
-        correction = own @ innovation
-        spread = own @ gain @ own
-        inverse = np.linalg.pinv(spread, rcond=_SINGULAR, hermitian=True)
-        distance = float(correction @ inverse @ correction)
+        # In units of the deviations before: metres, radians and seconds do not compare.
+        unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
+        correction = own @ innovation / unit
+        spread = own @ gain @ own / np.outer(unit, unit)
+        value, axes = np.linalg.eigh(0.5 * (spread + spread.T))
+        told = value > _SINGULAR * max(float(value[-1]), 0.0)
+        white = (axes[:, told].T @ correction) / np.sqrt(value[told])
+        distance, degrees = float(white @ white), int(told.sum())
         if not distance <= gate:
-            return Outcome(distance, len(part), False)
+            return Outcome(distance, degrees, False)
         error = p[:, part] @ innovation
         p -= p[:, part] @ gain @ p[part]
         p[:] = 0.5 * (p + p.T)
         self.correct(error)
-        return Outcome(distance, len(part), True)
+        # Turned back to the errors' own axes, which are the same in every measurement.
+        return Outcome(distance, degrees, True, axes[:, told] @ white)
 
     def correct(self, error: Array) -> None:
         """Add estimated errors (size,) to the lander and to all that listen."""

@@ -18,7 +18,7 @@ from lunarsim.messages.measurements import (
 )
 from lunarsim.onboard.navigation.aids import LevelGround
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.parts.quantity import check_bounds, quantity
 
 
@@ -40,13 +40,13 @@ class InertialNavigation:
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")
 
-    def build(self, briefing: Briefing) -> LidarInertialFilter:
+    def build(self, briefing: Briefing) -> Navigator:
         """Return the filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         ground = LevelGround(
             float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
         )
-        return LidarInertialFilter(
+        return Navigator(
             state, sigmas, None, instruments=briefing.instruments, ground=ground
         )
 
@@ -59,7 +59,7 @@ class PriorMapNavigation:
     takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
     uses_prior_map: ClassVar[bool] = True
 
-    def build(self, briefing: Briefing) -> LidarInertialFilter:
+    def build(self, briefing: Briefing) -> Navigator:
         """Return the filter of one flight.
 
         Raises
@@ -70,7 +70,7 @@ class PriorMapNavigation:
         if briefing.prior_map is None:
             raise InputError("prior_map", None, "a table: this navigation finds its place on it")
         state, sigmas = StrapdownState.of(briefing)
-        return LidarInertialFilter(
+        return Navigator(
             state, sigmas, briefing.prior_map, instruments=briefing.instruments,
             ground=LevelGround(float(briefing.target[2])),
         )  # fmt: skip

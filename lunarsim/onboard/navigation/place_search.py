@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.signal import correlate
 
-from lunarsim.onboard.navigation.registration import Surface
+from lunarsim.onboard.navigation.surface import Surface
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -7,53 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
-from lunarsim.grid import Grid
-from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation import _registration_kernels as k
+from lunarsim.onboard.navigation.seen_scan import SeenScan
+from lunarsim.onboard.navigation.surface import Surface, surface_of
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A scan averaged over the squares of a grid, at their middles.
-
-    Attributes
-    ----------
-    col, row
-        Of the squares (m,); may lie beyond the grid.
-    position
-        Middles of the squares at the scan's height there (m, 3), ENU, m.
-    normal
-        (-dz/dx, -dz/dy, 1) of the scan (m, 3). It comes from the scan, not from the map, whose
-        noise would look like slope and make flat ground seem to tell where it is.
-    """
-
-    col: IntArray
-    row: IntArray
-    position: Array
-    normal: Array
-
-    def __len__(self) -> int:
-        return len(self.col)
-
-
-def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
-    """Average points (n, 3), NaN for none, over the squares of a grid."""
-    col, row, mean, _ = k.average(
-        np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
-    )
-    height, slope, good = k.surface(
-        col, row, mean, grid.x0, grid.y0, grid.posting, 0.25 * grid.posting
-    )
-    col, row, height, slope = col[good], row[good], height[good], slope[good]
-    position = np.stack(
-        (grid.x0 + grid.posting * col, grid.y0 + grid.posting * row, height), axis=-1
-    )
-    return Surface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))
 
 
 @dataclass(frozen=True)
@@ -124,36 +83,6 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
     )
 
 
-def point_jacobian(point: Array, position: Array, attitude: Array) -> Array:
-    """Return how a point (3,) seen from a pose moves with the pose's error (3, 6).
-
-    Columns: position (ENU) and small rotation (body axes).
-    """
-    rotation = quat_to_matrix(attitude)
-    x, y, z = point - position
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.hstack((np.eye(3), -cross @ rotation))
-
-
-def pose_jacobian(points: Array, normals: Array, position: Array, attitude: Array) -> Array:
-    """Return how the height of a scanned surface over fixed places moves with the pose's error.
-
-    Parameters
-    ----------
-    points, normals
-        On the surface (m, 3), and (-dz/dx, -dz/dy, 1) there (m, 3), ENU.
-    position, attitude
-        Of the lander.
-
-    Returns
-    -------
-    jacobian
-        (m, 6); columns: position (ENU) and small rotation (body axes).
-    """
-    turn = np.cross(points - position, normals) @ quat_to_matrix(attitude)
-    return np.hstack((normals, turn))
-
-
 def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
     """Tell which squares of a scan (m,) a map has an elevation for."""
     g, row, col = prior.grid, surface.row, surface.col
@@ -163,10 +92,8 @@ def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
 
 
 def register(
-    scan: LidarScan,
+    seen: SeenScan,
     prior: PriorMap,
-    position: Array,
-    attitude: Array,
     covariance: Array,
     variance: Array,
     *,
@@ -174,17 +101,15 @@ def register(
 ) -> tuple[Fit, tuple[IntArray, IntArray]]:
     """Fit a scan to a map.
 
-    Gauss-Newton: the scan is averaged afresh at each corrected pose, until the ground moves by less
-    than a twentieth of a post. What is returned refers to the pose that was given.
+    Gauss-Newton: the scan is averaged afresh with each correction, until the ground moves by less
+    than a twentieth of a post. What is returned refers to the scan as it was given.
 
     Parameters
     ----------
-    scan, prior
-        To be compared.
-    position, attitude
-        Estimated pose (3,) and (4,).
+    seen, prior
+        To be compared; the scan in the frame of the map.
     covariance
-        Of its error (6, 6): position (ENU), small rotation (body axes).
+        Of the scan's errors (11, 11): see `SeenScan`.
     variance
         Of a residual at each post (rows, cols), m^2.
     passes
@@ -193,31 +118,29 @@ def register(
     Returns
     -------
     fit
-        Information on the error of the pose.
+        Information on the scan's errors.
     posts
         Rows and columns of the posts compared.
     """
     g = prior.grid
-    error = np.zeros(6)
+    error = np.zeros(len(covariance))
     for _ in range(passes):
-        turned = quat_multiply(attitude, quat_from_rotation_vector(error[3:]))
-        surface = surface_of(scan.points(position + error[:3], turned), g)
+        moved = seen.moved(error)
+        surface = surface_of(moved.points(), g)
         inside = _on_known_ground(surface, prior)
         posts = surface.row[inside], surface.col[inside]
-        jacobian = pose_jacobian(
-            surface.position[inside], surface.normal[inside], position + error[:3], turned
-        )
+        jacobian = moved.jacobian(surface.position[inside], surface.normal[inside])
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
         result = fit(jacobian, residual, variance[posts], covariance)
         if result.used == 0:
             break
         step = (
-            covariance @ np.linalg.solve(np.eye(6) + result.information @ covariance, result.vector)
+            covariance
+            @ np.linalg.solve(np.eye(len(error)) + result.information @ covariance, result.vector)
             - error
         )
         error = error + step
         middle = surface.position[inside].mean(axis=0)
-        moved = point_jacobian(middle, position, attitude) @ step
-        if np.abs(moved).max() < 0.05 * g.posting:
+        if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * g.posting:
             break
     return result, posts

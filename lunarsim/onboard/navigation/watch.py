@@ -158,7 +158,7 @@ class Watch:
         for kind in self._mean:
             self._mean[kind] = keep * self._mean[kind]
             self._weight[kind] *= keep**2
-        m = outcome.degrees
+        m = len(outcome.white)
         # Sums of independent unit normals; their variance is the sum of the squared weights.
         self._mean[m] = self._mean.get(m, np.zeros(m)) + outcome.white
         self._weight[m] = self._weight.get(m, 0.0) + 1.0

@@ -10,10 +10,12 @@ from lunarsim.frames import (
     is_rotation,
     normalised,
     quat_conjugate,
+    quat_from_rotation_vector,
     quat_multiply,
+    quat_to_matrix,
     quat_to_rotation_vector,
 )
-from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE
 
 
@@ -32,7 +34,7 @@ def take_attitude(
     state
         Of the filter.
     attitude
-        Quaternion, body to ENU (4,); what is not finite or no rotation tells nothing.
+        Quaternion, body to ENU of the site frame (4,); what is not finite or no rotation tells nothing.
     covariance
         Of its noise, small rotation in body axes (3, 3), rad^2.
     block
@@ -51,7 +53,11 @@ def take_attitude(
         raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance (3, 3)")
     if not is_rotation(q):
         return Outcome(np.nan, 3, False)
-    between = quat_multiply(quat_conjugate(state.inertial.attitude), normalised(q))
+    believed = state.inertial.attitude
+    if state.has(MAP):
+        azimuth = float(state.value(MAP)[3])
+        believed = quat_multiply(quat_from_rotation_vector([0.0, 0.0, azimuth]), believed)
+    between = quat_multiply(quat_conjugate(believed), normalised(q))
     columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
     jacobian = np.eye(3)
     innovation = quat_to_rotation_vector(between)
@@ -60,4 +66,8 @@ def take_attitude(
         columns = np.concatenate((columns, np.arange(own.start, own.stop)))
         jacobian = np.hstack((jacobian, np.eye(3)))
         innovation = innovation - state.value(block)
+    if state.has(MAP):
+        # Stars tell of the site frame's azimuth, not of the local one's.
+        columns = np.append(columns, state.block(MAP).start + 3)
+        jacobian = np.column_stack((jacobian, quat_to_matrix(believed)[2]))
     return state.measure(jacobian, columns, innovation, r, gate)

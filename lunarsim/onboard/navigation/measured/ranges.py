@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outcome
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def take_range(
     beam
         Unit vector (3,), body axes.
     ground
-        Elevation of the ground, m.
+        Elevation of the ground in the site frame, m.
     block
         What is to be added to that elevation is kept there in the state; left out: nothing.
     rise
@@ -52,6 +52,8 @@ def take_range(
     b = np.asarray(beam, dtype=np.float64)
     down = float(rotation[2] @ b)
     level = ground if block is None else ground + float(state.value(block)[0])
+    if state.has(MAP):
+        level += float(state.value(MAP)[2])
     height = float(state.inertial.position[2]) - level
     if down > -_LEAST_DOWN:
         return nothing
@@ -60,4 +62,8 @@ def take_range(
     if block is not None:
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(block).start)
+    if state.has(MAP):
+        # The ground's elevation is known in the site frame.
+        jacobian = np.append(jacobian, 1.0 / down)
+        columns = np.append(columns, state.block(MAP).start + 2)
     return state.measure(jacobian, columns, distance + height / down, [sigma**2 + rise], gate)

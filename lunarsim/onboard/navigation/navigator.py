@@ -1,0 +1,179 @@
+"""The navigator: one error state, and parts that take measurements into it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.frames import Shift, quat_to_matrix
+from lunarsim.messages.measurements import InertialSamples, LidarScan
+from lunarsim.messages.prior_map import PriorMap
+from lunarsim.models.instruments import LidarInstrument
+from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.error_state import ErrorState
+from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
+from lunarsim.onboard.navigation.map_matcher import MapMatcher
+from lunarsim.onboard.navigation.parts import Part, Shared
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.scan_odometry import KEY, ScanOdometry, key_block, width_of
+from lunarsim.onboard.navigation.seen_scan import scanner_block, scanner_covariance
+from lunarsim.onboard.navigation.watch import Watch
+
+Array = NDArray[np.float64]
+
+# No return comes from farther, m.
+_FARTHEST = 20_000.0
+
+
+class Navigator:
+    """Error-state filter: inertial samples carry it, its parts take in what else is measured.
+
+    The lander's pose is kept in the local frame, which begins where the lander says that it is and
+    then hangs on the ground of the first scan; where the site lies in it is estimated with it
+    (`LocalFrame`). Each measurement goes to the parts in their order; what one has used counts no
+    second time. Scans are fitted to the map; where that fails, they are compared with an earlier
+    one.
+
+    Parameters
+    ----------
+    inertial
+        State at the start, as the mission tells it, site frame.
+    errors
+        Its standard deviations.
+    prior
+        The map; None: scans are compared with each other alone.
+    settings
+        Limits of the registration.
+    instruments
+        Calibrations of the sensors, by name.
+    ground
+        What is known of the ground's height.
+
+    Attributes
+    ----------
+    state, frame
+        All that errs, and where the site lies in the local frame.
+    events
+        What has been reported so far.
+    parts
+        In the order in which they are offered measurements.
+    matcher
+        The part that knows the map; None without one.
+    """
+
+    def __init__(
+        self,
+        inertial: StrapdownState,
+        errors: StartSigmas,
+        prior: PriorMap | None = None,
+        settings: RegistrationSettings | None = None,
+        *,
+        instruments: Mapping[str, Any] | None = None,
+        ground: LevelGround | None = None,
+    ) -> None:
+        level, known, limits = ground or LevelGround(), instruments or {}, settings
+        limits = limits or RegistrationSettings()
+        blocks = key_block() | blocks_of(known, level) | blank_block()
+        for name, instrument in known.items():
+            if isinstance(instrument, LidarInstrument):
+                blocks[scanner_block(name)] = scanner_covariance(instrument)
+        self.state = ErrorState(inertial, errors, blocks=blocks)
+        self.frame = LocalFrame(self.state)
+        self.events: list[NavigationEvent] = []
+        self._aids = Aids(self.state, known, level, self.events)
+        shared = Shared(self.state, self.frame, self._aids, self.events)
+        self.matcher = None if prior is None else MapMatcher(shared, prior, limits)
+        self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
+        self.parts += [ScanOdometry(shared, limits), self._aids]
+        self._shared = shared
+        self._hangs = False
+
+    # --- state ----------------------------------------------------------------------------
+
+    @property
+    def inertial(self) -> StrapdownState:
+        """The lander's state, local frame."""
+        return self.state.inertial
+
+    @property
+    def covariance(self) -> Array:
+        """Of the error state: the lander's (15) in the local frame, then all blocks."""
+        return self.state.covariance
+
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """What watches over the kinds of measurements, by "sensor kind"."""
+        return self._aids.watches
+
+    @property
+    def locked(self) -> bool:
+        """Whether scans agree with the map."""
+        return self.matcher is not None and self.matcher.locked
+
+    @property
+    def found(self) -> bool:
+        """Whether the lander has been found on the map at least once."""
+        return self.matcher is not None and self.matcher.found
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state as the rest of the loop takes it, local frame."""
+        found = self.inertial.estimate(self.covariance, time, mass)
+        # Attitude errors are kept in body axes here, in ENU there.
+        turn = np.eye(9)
+        turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)
+        covariance = turn @ self.frame.covariance_in_site() @ turn.T
+        return replace(found, covariance=covariance, lost=self._aids.lost)
+
+    def estimate_in_site(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state in the site frame: what its covariance refers to."""
+        return self.frame.estimate_in_site(self.estimate(time, mass))
+
+    @property
+    def site_to_local(self) -> Shift:
+        """Where the site frame is taken to lie in the local one."""
+        return self.frame.shift
+
+    def take(self, sensor: str, measurement: Any, time: float) -> None:
+        """Take in a measurement; what it cannot use changes nothing."""
+        if isinstance(measurement, InertialSamples):
+            self.propagate(measurement.angle, measurement.velocity)
+            return
+        if isinstance(measurement, LidarScan):
+            measurement = _plausible(measurement)
+            if not np.isfinite(width_of(measurement)):
+                return
+            self._hang(sensor, measurement)
+        used = False
+        for part in self.parts:
+            used = part.take(sensor, measurement, time, used=used) or used
+
+    def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
+        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        self.state.propagate(angle, velocity)
+        self._aids.travel()
+
+    def _hang(self, sensor: str, scan: LidarScan) -> None:
+        """Let the local frame hang on the ground of the first scan."""
+        if self._hangs:
+            return
+        self._hangs = True
+        seen = self._shared.seen(sensor, scan)
+        columns, jacobian = self._shared.local_errors(sensor)
+        middle = np.nanmean(seen.points(), axis=0)
+        key = self.state.block(KEY)
+        self.frame.hang(
+            seen.point_jacobian(middle) @ jacobian, columns, [slice(key.start, key.start + 3)]
+        )
+
+
+def _plausible(scan: LidarScan) -> LidarScan:
+    """Return a scan without ranges that no LiDAR could give."""
+    with np.errstate(invalid="ignore"):
+        good = (scan.range > 0.0) & (scan.range < _FARTHEST)
+    return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))

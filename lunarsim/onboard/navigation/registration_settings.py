@@ -1,0 +1,70 @@
+"""How scans are compared with a map and with each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lunarsim.onboard.navigation.registration import Fit
+
+
+@dataclass(frozen=True)
+class RegistrationSettings:
+    """How scans are compared with the map and with each other.
+
+    Attributes
+    ----------
+    model_sigma
+        What else sets a scan's mean over a post's square apart from the post: rocks that hide the
+        ground behind them, points that lie unevenly, m.
+    least_squares
+        Fewest squares for a registration.
+    least_share
+        Least share of them that must agree with the map.
+    greatest_misfit
+        Mean square of their residuals, in units of their variance, above which there is no match.
+    gate
+        Greatest squared Mahalanobis distance of a correction; chi-squared of 11 exceeds 40 once in
+        28,000.
+    certainty
+        Probability of the best place that a search must reach to be believed.
+    patch_s
+        Scans of so many seconds are searched for together, s.
+    level_sigma
+        Of a height taken from the level of the ground before the place is known, m.
+    feature_reach
+        What is wider than twice this many posts is no feature to search by.
+    search_s
+        Between two searches, s.
+    lost_s
+        Without agreement for so long the lock is lost, s.
+    odometry_postings
+        Least and greatest squares in which scans are compared with each other, m: a
+        twenty-fourth of a scan's width between them.
+    odometry_sigma
+        Of the difference of their heights there, m.
+    key_share
+        A scan is compared with an earlier one until less than this share of it lies on that one.
+    """
+
+    model_sigma: float = 0.03
+    least_squares: int = 12
+    least_share: float = 0.6
+    greatest_misfit: float = 2.5
+    gate: float = 40.0
+    certainty: float = 0.99999
+    patch_s: float = 4.0
+    level_sigma: float = 0.5
+    feature_reach: int = 4
+    search_s: float = 0.5
+    lost_s: float = 2.0
+    odometry_postings: tuple[float, float] = (0.05, 0.4)
+    odometry_sigma: float = 0.03
+    key_share: float = 0.8
+
+    def believes(self, found: Fit) -> bool:
+        """Tell whether enough agrees, and well enough."""
+        return (
+            found.used >= self.least_squares
+            and found.share >= self.least_share
+            and found.misfit <= self.greatest_misfit
+        )

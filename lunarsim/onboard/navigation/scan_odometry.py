@@ -1,0 +1,151 @@
+"""Scans against an earlier scan: how the lander has moved, not where it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation.error_state import POSE
+from lunarsim.onboard.navigation.parts import Shared
+from lunarsim.onboard.navigation.registration import fit
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.seen_scan import SeenScan
+from lunarsim.onboard.navigation.surface import Surface
+
+Array = NDArray[np.float64]
+
+# The pose at the scan kept, in the error state.
+KEY = "key"
+
+
+def key_block() -> dict[str, Array]:
+    """Return the block for an error state."""
+    return {KEY: np.zeros((6, 6))}
+
+
+@dataclass(frozen=True)
+class _Key:
+    """A scan kept to compare later ones with: whose, its squares, and how it was seen then."""
+
+    sensor: str
+    grid: Grid
+    surface: Surface
+    seen: SeenScan
+
+
+class ScanOdometry:
+    """Compares scans with one kept; the pose at that one is part of the state.
+
+    Parameters
+    ----------
+    shared
+        Its state has the block of `key_block`.
+    settings
+        Limits of the comparison.
+    """
+
+    def __init__(self, shared: Shared, settings: RegistrationSettings) -> None:
+        self.shared = shared
+        self.settings = settings
+        self._key: _Key | None = None
+        self._share = 0.0
+        shared.state.listeners.append(self._corrected)
+
+    def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
+        """Compare a scan with the one kept, unless it is used already, and keep it if need be."""
+        if not isinstance(measurement, LidarScan):
+            return False
+        taken = False
+        if not used:
+            taken = self._follow(sensor, measurement, time)
+        self._remember(sensor, measurement)
+        return taken
+
+    def _remember(self, sensor: str, scan: LidarScan) -> None:
+        """Keep this scan and the pose at it for later ones, if the last kept is left behind."""
+        if self._key is not None and self._share >= self.settings.key_share:
+            return
+        posting = float(np.clip(width_of(scan) / 24.0, *self.settings.odometry_postings))
+        grid = Grid(0.0, 0.0, posting, 1, 1)
+        seen = self.shared.seen(sensor, scan)
+        self._key = _Key(sensor, grid, seen.surface(grid), seen)
+        self.shared.state.clone(KEY, POSE)
+        self._share = 1.0
+
+    def _follow(self, sensor: str, scan: LidarScan, time: float) -> bool:
+        """Compare a scan with the one kept."""
+        self._share = 0.0
+        if self._key is None or self._key.sensor != sensor:
+            return False
+        key, least, state = self._key, self.settings.least_squares, self.shared.state
+        seen = self.shared.seen(sensor, scan)
+        new = seen.surface(key.grid)
+        i, j = _common(key.surface, new)
+        if len(i) < least:
+            return False
+        # A scan from nearer covers less ground: it need only lie on the one kept.
+        self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
+        here = seen.jacobian(new.position[j], new.normal[j])
+        there = key.seen.jacobian(key.surface.position[i], new.normal[j])
+        own = self.shared.scanner(sensor)
+        both = np.concatenate((POSE, np.arange(state.head)[state.block(KEY)], own))
+        of_scanner = (here - there)[:, 6 : 6 + len(own)]
+        result = fit(
+            np.hstack((here[:, :6], -there[:, :6], of_scanner)),
+            key.surface.position[i, 2] - new.position[j, 2],
+            np.full(len(i), self.settings.odometry_sigma**2),
+            state.covariance[np.ix_(both, both)],
+        )
+        if not self.settings.believes(result):
+            return False
+        found = state.inform(both, result.information, result.vector, self.settings.gate)
+        self.shared.judge(sensor, "scans", found, POSE, time)
+        return found.taken
+
+    def _corrected(self, error: Array) -> None:
+        """Move the scan kept with its pose; drop it where its squares would no longer hold."""
+        if self._key is None:
+            return
+        key, state = self._key, self.shared.state
+        own = error[self.shared.scanner(key.sensor)]
+        change = np.zeros(11)
+        change[:6], change[6 : 6 + len(own)] = error[state.block(KEY)], own
+        middle = key.surface.position.mean(axis=0) if len(key.surface) else key.seen.position
+        if np.abs(key.seen.point_jacobian(middle) @ change).max() > 0.5 * key.grid.posting:
+            self._key, self._share = None, 0.0
+            return
+        position = key.surface.position.copy()
+        position[:, 2] += key.seen.jacobian(key.surface.position, key.surface.normal) @ change
+        self._key = replace(
+            key, surface=replace(key.surface, position=position), seen=key.seen.moved(change)
+        )
+
+
+def width_of(scan: LidarScan) -> float:
+    """Return the width of the ground that a scan covers, across the line of sight, m.
+
+    NaN without returns.
+    """
+    if not np.isfinite(scan.range).any():
+        return np.nan
+    reach = np.nanmedian(scan.range)
+    cosine = float(np.min(scan.direction @ scan.direction[len(scan.direction) // 2]))
+    return float(2.0 * reach * np.sqrt(max(1.0 - cosine**2, 0.0)))
+
+
+def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the places in `a` and in `b` of the squares that both hold."""
+    if len(a) == 0 or len(b) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1
+    west = min(a.col.min(), b.col.min())
+    _, i, j = np.intersect1d(
+        a.row * wide + a.col - west, b.row * wide + b.col - west,
+        assume_unique=True, return_indices=True,
+    )  # fmt: skip
+    return i, j
