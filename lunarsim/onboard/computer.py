@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lunarsim._frame_kernels import turned
 from lunarsim.errors import InputError
-from lunarsim.frames import Shift
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
@@ -110,7 +109,7 @@ class OnboardComputer:
         self.mapped: set[str] = set()
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
-        self._shift = Shift()
+        self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
         self._aim: tuple[FloatMap, FloatMap] | None = None
@@ -238,12 +237,10 @@ class OnboardComputer:
             self.navigation.take(sensor, measurement, self.time)
             self._follow_navigation()
             return
-        before = self.navigation.estimate(self.time, self.mass)
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
         after = self.navigation.estimate(self.time, self.mass)
         for name, mapper in self.mappers.items():
-            mapper.correct(before, after)
             if self.briefing.software.mappers[name].sensor == sensor:
                 mapper.update(measurement, after)
                 self.mapped.add(name)
@@ -251,13 +248,13 @@ class OnboardComputer:
     def _follow_navigation(self) -> None:
         """Note what navigation reports, and move the briefed target where it is known to lie."""
         shift = self.navigation.site_to_local
-        if not np.array_equal(shift.offset, self._shift.offset):
-            self._shift = shift
+        target = shift.to_local(self.briefing.target)
+        if not np.array_equal(target, self._target):
+            self._target = target
             if not self.diverts:
-                self.site = shift.to_local(self.briefing.target)
-            for mapper in self.mappers.values():
-                if mapper.blank:
-                    mapper.recentre(shift.to_local(self.briefing.target))
+                self.site = target
+                for mapper in self.mappers.values():
+                    mapper.recentre(target)
         for event in self.navigation.events[self._events :]:
             self.telemetry.append((event.time, event.name, dict(event.details)))
             if event.name in {"lock", "relock"} and self.approach.time_to_go is None:

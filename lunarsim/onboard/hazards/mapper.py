@@ -38,11 +38,12 @@ class HazardMapper(ABC):
     def blank(self) -> bool:
         """Whether nothing has been mapped yet."""
 
-    def correct(self, before: Estimate, after: Estimate) -> None:  # noqa: B027
-        """Move what depends on the pose by what navigation has just learnt of it."""
-
     def recentre(self, centre: Array) -> None:  # noqa: B027
-        """Lay the map about another point (3,), local frame, m; only called while it is blank."""
+        """Lay the map about another point (3,), local frame, m, if it lies too far aside for that.
+
+        Called whenever navigation has learnt that the target lies elsewhere. What has been mapped
+        stays where it is; what lies off the new map may be dropped.
+        """
 
     def ground_height(self, xy: Array) -> float | None:
         """Return the local height of the ground at a point (2,), m, where the map does not say.
@@ -98,6 +99,16 @@ class MapperPart(Protocol):
             If the map is smaller than the lander's footprint or its posting is too coarse.
         """
         ...
+
+
+def is_aside(grid: Grid, centre: Array) -> bool:
+    """Tell whether a point (2,) or (3,) lies so far off a map's middle that it is worth laying anew.
+
+    Farther than an eighth of its side.
+    """
+    west, east, south, north = grid.extent
+    far = np.abs(np.asarray(centre)[:2] - grid.centre)
+    return bool((far > 0.125 * min(east - west, north - south)).any())
 
 
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:

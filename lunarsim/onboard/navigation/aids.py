@@ -40,7 +40,8 @@ _WATCHED = {
     "range": WatchSettings(),
     "speed": WatchSettings(patience=None, drift_s=8.0),
     "attitude": WatchSettings(patience=None, drift_s=8.0),
-    "map": WatchSettings(drift_s=8.0),
+    # A part of a map may be out of date, and is then refused for as long as it is looked at.
+    "map": WatchSettings(least=10, most_refused=0.8, drift_s=8.0),
     # A scan's noise is in all that is compared with it: innovations are alike for its time.
     "scans": WatchSettings(),
 }

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.blas import dtrsm
+from scipy.stats import chi2
 from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
@@ -280,12 +281,20 @@ class ErrorState:
         return Outcome(nis, m, True, white)
 
     def inform(
-        self, part: Index, information: Array, vector: Array, gate: float = np.inf
+        self,
+        part: Index,
+        information: Array,
+        vector: Array,
+        gate: float = np.inf,
+        *,
+        chance: float = 0.0,
     ) -> Outcome:
         """Take in information (k, k) and its vector (k,) on the errors at `part` (k,).
 
         Written without the inverse of the covariance, which is singular while two poses coincide.
-        The outcome's `nis` is the squared Mahalanobis distance of the correction.
+        The outcome's `nis` is the squared Mahalanobis distance of the correction. Nothing changes
+        where it exceeds `gate`, or where good information would be as far off with less than a
+        `chance`.
         """
         p = self.covariance
         own = p[np.ix_(part, part)]
@@ -300,7 +309,7 @@ class ErrorState:
         told = value > _SINGULAR * max(float(value[-1]), 0.0)
         white = (axes[:, told].T @ correction) / np.sqrt(value[told])
         distance, degrees = float(white @ white), int(told.sum())
-        if not distance <= gate:
+        if not (distance <= gate and chi2.sf(distance, max(degrees, 1)) >= chance):
             return Outcome(distance, degrees, False)
         error = p[:, part] @ innovation
         p -= p[:, part] @ gain @ p[part]

@@ -100,11 +100,12 @@ class MapMatcher:
         columns, jacobian = self.shared.site_errors(sensor)
         own = self.shared.state.covariance[np.ix_(columns, columns)]
         result, posts = register(
-            self._in_site(sensor, scan), self.prior, jacobian @ own @ jacobian.T, self._variance
-        )
+            self._in_site(sensor, scan), self.prior, jacobian @ own @ jacobian.T, self._variance,
+            1.5 * self.prior.sigma**2 + s.model_sigma**2,
+        )  # fmt: skip
         if not s.believes(result):
             return False
-        outcome = self._inform(sensor, result.information, result.vector)
+        outcome = self._inform(sensor, result.information, result.vector, s.map_chance)
         if self.locked:
             self.shared.judge(sensor, "map", outcome, columns[:10], time)
         if not outcome.taken:
@@ -116,11 +117,11 @@ class MapMatcher:
         self._agreed = time
         return True
 
-    def _inform(self, sensor: str, information: Array, vector: Array) -> Outcome:
+    def _inform(self, sensor: str, information: Array, vector: Array, chance: float) -> Outcome:
         """Take in information (11, 11) on a scan's errors in the site frame."""
         columns, jacobian = self.shared.site_errors(sensor)
         return self.shared.state.inform(
-            columns, jacobian.T @ information @ jacobian, jacobian.T @ vector, self.settings.gate
+            columns, jacobian.T @ information @ jacobian, jacobian.T @ vector, chance=chance
         )
 
     def _of_uses(self, prior: PriorMap, uses: NDArray[np.int32]) -> Array:
@@ -163,8 +164,9 @@ class MapMatcher:
             return False
         information = np.linalg.inv(match.covariance)
         return self._inform(
-            sensor, jacobian.T @ information @ jacobian, jacobian.T @ information @ match.shift
-        ).taken
+            sensor, jacobian.T @ information @ jacobian, jacobian.T @ information @ match.shift,
+            s.chance,
+        ).taken  # fmt: skip
 
     def _place_of(self, patch: ScanPatch, spread: Array) -> Match | None:
         """Look for a patch on the map, as far off as its place is uncertain (2, 2), m^2."""
@@ -187,7 +189,8 @@ class MapMatcher:
         if (
             9.0 * variance < before
             and self._inform(
-                sensor, np.outer(row, row) / variance, row * match.up / variance
+                sensor, np.outer(row, row) / variance, row * match.up / variance,
+                self.settings.chance,
             ).taken
         ):
             # Earlier scans lie where the lander was thought to be.

@@ -43,7 +43,15 @@ class Fit:
         return self.used / self.offered if self.offered else 0.0
 
 
-def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: float = 3.0) -> Fit:
+def fit(
+    jacobian: Array,
+    residual: Array,
+    variance: Array,
+    prior: Array,
+    gate: float = 3.0,
+    *,
+    expected: Array | None = None,
+) -> Fit:
     """Fit an error to residuals, leaving out those that no likely error explains.
 
     Parameters
@@ -54,16 +62,21 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
         Covariance (d, d) of the error before.
     gate
         Residuals farther than so many deviations from the fit are left out.
+    expected
+        Variance of a residual by which they are judged (m,); left out, `variance`, which may be
+        greater because a measurement has been used before. Judged by that, ground that has changed
+        would agree once it has been looked at often enough.
     """
     d = jacobian.shape[1]
     if len(residual) == 0:
         return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
+    judged = variance if expected is None else expected
     keep = np.ones(len(residual), np.bool_)
     # The first fit rests on the bulk: a patch that has changed would pull a plain mean along.
     middle = np.median(residual)
     spread = 1.4826 * np.median(np.abs(residual - middle))
     if spread > 0.0:
-        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(variance.min())))
+        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(judged.min())))
     for _ in range(4):
         j, w = jacobian[keep], 1.0 / variance[keep]
         information = (j * w[:, None]).T @ j
@@ -71,12 +84,12 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
         # The prior may be singular: two scans at nearly the same place err alike.
         error = prior @ np.linalg.solve(np.eye(d) + information @ prior, vector)
         after = residual - jacobian @ error
-        agree = after**2 <= gate**2 * variance
+        agree = after**2 <= gate**2 * judged
         if np.array_equal(agree, keep):
             break
         keep = agree
     used = int(keep.sum())
-    misfit = float(np.mean(after[keep] ** 2 / variance[keep])) if used else np.nan
+    misfit = float(np.mean(after[keep] ** 2 / judged[keep])) if used else np.nan
     j, w = jacobian[keep], 1.0 / variance[keep]
     return Fit(
         (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
@@ -96,6 +109,7 @@ def register(
     prior: PriorMap,
     covariance: Array,
     variance: Array,
+    expected: float,
     *,
     passes: int = 4,
 ) -> tuple[Fit, tuple[IntArray, IntArray]]:
@@ -111,7 +125,9 @@ def register(
     covariance
         Of the scan's errors (11, 11): see `SeenScan`.
     variance
-        Of a residual at each post (rows, cols), m^2.
+        Of a residual at each post (rows, cols), m^2, greater the more often it has been used.
+    expected
+        Of a residual by itself, m^2.
     passes
         At most.
 
@@ -131,7 +147,10 @@ def register(
         posts = surface.row[inside], surface.col[inside]
         jacobian = moved.jacobian(surface.position[inside], surface.normal[inside])
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
-        result = fit(jacobian, residual, variance[posts], covariance)
+        result = fit(
+            jacobian, residual, variance[posts], covariance,
+            expected=np.full(len(residual), expected),
+        )  # fmt: skip
         if result.used == 0:
             break
         step = (

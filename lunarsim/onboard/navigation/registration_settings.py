@@ -22,9 +22,9 @@ class RegistrationSettings:
         Least share of them that must agree with the map.
     greatest_misfit
         Mean square of their residuals, in units of their variance, above which there is no match.
-    gate
-        Greatest squared Mahalanobis distance of a correction; chi-squared of 11 exceeds 40 once in
-        28,000.
+    chance, map_chance
+        Of a good correction to be refused: by a scan kept or a search, and by a fit to the map,
+        where ground that has changed in part draws a fit aside by a few deviations.
     certainty
         Probability of the best place that a search must reach to be believed.
     patch_s
@@ -50,7 +50,8 @@ class RegistrationSettings:
     least_squares: int = 12
     least_share: float = 0.6
     greatest_misfit: float = 2.5
-    gate: float = 40.0
+    chance: float = 4e-5
+    map_chance: float = 1e-3
     certainty: float = 0.99999
     patch_s: float = 4.0
     level_sigma: float = 0.5

@@ -17,7 +17,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
@@ -205,9 +205,12 @@ class GaussianDemMapper(HazardMapper):
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (3,), local frame, m."""
-        self.grid = self.grid.about(centre)
-        self.pool = SamplePool(self.grid)
-        self._map, self._stale, self._due = HazardMap.unobserved(self.grid), False, -np.inf
+        if not (self.blank or is_aside(self.grid, centre)):
+            return
+        self.pool = self.pool.about(centre)
+        self.grid = self.pool.grid
+        self._map, self._stale = HazardMap.unobserved(self.grid), not self.blank
+        self._due = -np.inf
 
 
 def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:

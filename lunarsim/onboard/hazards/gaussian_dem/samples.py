@@ -106,6 +106,24 @@ class SamplePool:
         np.maximum(self.splat[..., 0], own, out=self.splat[..., 0])
         return int(count)
 
+    def about(self, centre: ArrayLike) -> SamplePool:
+        """Return the same samples on a grid about another point (2,) or (3,), m.
+
+        It moves by whole cells, and those that leave it are dropped; without samples, exactly.
+        """
+        g = self.grid
+        if self.base is None:
+            return SamplePool(g.about(centre))
+        by = np.asarray(centre, dtype=np.float64)[:2] - g.centre
+        east, north = (int(v) for v in np.rint(by / g.posting))
+        out = SamplePool(g.moved((east * g.posting, north * g.posting)))
+        out.base = self.base
+        rows, from_rows = _overlap(g.rows, north)
+        cols, from_cols = _overlap(g.cols, east)
+        for name in ("centroid", "splat", "spacing"):
+            getattr(out, name)[rows, cols] = getattr(self, name)[from_rows, from_cols]
+        return out
+
     def vertices(self) -> tuple[Array, Array, Array]:
         """Return a point a cell (n, 3) with variance (n,), m^2, and spacing (n,)."""
         rows, cols = np.nonzero(self.centroid[..., 0])
@@ -114,6 +132,12 @@ class SamplePool:
         mean[:, :2] += self.grid.centre_of(rows, cols)
         mean[:, 2] += self.base or 0.0
         return mean, 1.0 / total[:, 0], self.spacing[rows, cols].astype(np.float64)
+
+
+def _overlap(count: int, by: int) -> tuple[slice, slice]:
+    """Return which of a number of cells, moved by some, lie on which of them before."""
+    kept = max(count - abs(by), 0)
+    return slice(max(-by, 0), max(-by, 0) + kept), slice(max(by, 0), max(by, 0) + kept)
 
 
 def _positive(name: str, values: Array) -> Array:

@@ -9,13 +9,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import quat_conjugate, quat_multiply, quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
@@ -27,16 +26,6 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.ensemble import Ensemble
 
 Array = NDArray[np.float64]
-
-
-@dataclass
-class _Held:
-    """A scan whose place is too uncertain yet, and the pose it was taken at as known now."""
-
-    scan: LidarScan
-    time: float
-    position: Array
-    attitude: Array
 
 
 @dataclass(frozen=True)
@@ -51,8 +40,6 @@ class QuadtreeMapping:
         Of the map, m.
     least, split_count
         Least cells of the quadtree, m, and points at which one divides.
-    hold_sigma
-        See `QuadtreeMapper`, m.
     interval
         Between two selections of sites, s.
     interest_path
@@ -66,9 +53,6 @@ class QuadtreeMapping:
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     least: float = quantity(0.1, "m", gt=0, help="least cells of the quadtree")
     split_count: int = quantity(8, ge=2, help="points at which a cell divides")
-    hold_sigma: float = quantity(
-        0.5, "m", gt=0, help="with a prior map: scans whose ground is less certain wait"
-    )
     interval: float = quantity(1.0, "s", gt=0, help="between two selections of sites")
     interest_path: Path | None = quantity(
         None, help="NumPy archive of value, x0, y0, posting, relative to the scenario file"
@@ -86,10 +70,7 @@ class QuadtreeMapping:
             least=self.least,
             split_count=self.split_count,
             interest=None if self.interest_path is None else InterestMap.load(self.interest_path),
-            # Without a map to find there is nothing to wait for: an error of place is shared.
-            hold_sigma=np.inf if briefing.prior_map is None else self.hold_sigma,
             interval=self.interval,
-            gravity=briefing.weight,
             lander=briefing.lander,
             rocks=briefing.rocks,
         )
@@ -112,14 +93,8 @@ class QuadtreeMapper(HazardMapper):
         Left out: 1 everywhere.
     model
         Weights of `site_safety`; left out: the calibrated ones.
-    hold_sigma
-        Scans whose ground is uncertain by more than this in any direction (1 sigma, m) wait until
-        navigation knows better, and are then placed anew. Infinite: taken as they come, so that
-        what was seen before the first lock is smeared by the drift, as in the paper.
     interval
         Least time between two selections of sites while flying, s.
-    gravity
-        m/s^2, for what an error of attitude has done to the way since a scan that waits.
     lander, rocks
         Whose safety is asked for, and what rocks the mission expects; left out, the defaults.
 
@@ -139,9 +114,7 @@ class QuadtreeMapper(HazardMapper):
         split_count: int = 8,
         interest: InterestMap | None = None,
         model: Ensemble | None = None,
-        hold_sigma: float = 0.5,
         interval: float = 1.0,
-        gravity: float = 0.0,
         lander: Lander | None = None,
         rocks: RockExpectation | None = None,
     ) -> None:
@@ -152,11 +125,9 @@ class QuadtreeMapper(HazardMapper):
         self._model = model
         self._lander = lander or Lander()
         self._lay(grid, elevation)
+        self._target = np.array(grid.centre)
         self._rocks = rocks or RockExpectation()
-        self._hold_sigma = hold_sigma
-        self._held: list[_Held] = []
         self._interval = interval
-        self._gravity = gravity
         self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = self._nothing(grid)
@@ -178,54 +149,32 @@ class QuadtreeMapper(HazardMapper):
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (3,), local frame, m; what was of interest moves too."""
-        g = self.grid.about(centre)
+        by = np.asarray(centre, dtype=np.float64)[:2] - self._target
+        # The mission's interest lies about the target, and is laid anew with the map.
+        aside = self._interest is not None and np.abs(by).max() > self._interest.grid.posting
+        if not (self.blank or aside or is_aside(self.grid, centre)):
+            return
+        self._target = self._target + by
         if self._interest is not None:
-            by = g.x0 - self.grid.x0, g.y0 - self.grid.y0
             self._interest = InterestMap(self._interest.grid.moved(by), self._interest.value)
+        g = self.grid.about(centre)
+        points, noise = self.map.points, self.noise
         self._lay(g, float(centre[2]))
+        if len(points):
+            self.map.insert(points)
+            self.noise = noise
         self.selection, self._judged = None, -1
         self._drawn = self._nothing(g)
 
-    @property
-    def held(self) -> int:
-        """Scans that wait for a better estimate."""
-        return len(self._held)
-
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose, or hold it; without returns nothing changes."""
-        seen = np.isfinite(measurement.range)
-        if not seen.any():
-            return
-        if ground_sigma(measurement, estimate) > self._hold_sigma:
-            self._held.append(
-                _Held(measurement, estimate.time, estimate.position, estimate.attitude)
-            )
-            return
-        for held in self._held:
-            self._insert(held.scan, held.position, held.attitude)
-        self._held.clear()
-        self._insert(measurement, estimate.position, estimate.attitude)
+        """Add a scan taken at the estimated pose; without returns nothing changes."""
+        if np.isfinite(measurement.range).any():
+            self._insert(measurement, estimate.position, estimate.attitude)
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
         self.map.insert(_returns(scan, position, attitude))
         # The noisiest scan's: the points of all are on the map.
         self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
-
-    def correct(self, before: Estimate, after: Estimate) -> None:
-        """Move the scans held by what navigation has just learnt of pose and velocity.
-
-        The way since a scan is the velocity now carried back, and what the specific force has done
-        to it in between. That was turned by the error of attitude, the velocity was not.
-        """
-        turn = quat_multiply(after.attitude, quat_conjugate(before.attitude))
-        for held in self._held:
-            since = before.time - held.time
-            fallen = np.array([0.0, 0.0, 0.5 * self._gravity * since**2])
-            by_force = held.position - before.position + before.velocity * since + fallen
-            held.position = (
-                after.position - after.velocity * since + quat_rotate(turn, by_force) - fallen
-            )
-            held.attitude = quat_multiply(turn, held.attitude)
 
     def select(self) -> Selection:
         """Return all sites as they stand."""
@@ -345,15 +294,3 @@ def _returns(scan: LidarScan, position: Array, attitude: Array) -> Array:
     """Return the points (n, 3) of the pixels that got a return, taken at a pose."""
     points = np.asarray(scan.points(position, attitude)).reshape(-1, 3)
     return points[np.isfinite(scan.range).ravel()]
-
-
-def ground_sigma(scan: LidarScan, estimate: Estimate) -> float:
-    """Return the greatest standard deviation (m) of where the middle of a scan lies."""
-    points = _returns(scan, estimate.position, estimate.attitude)
-    x, y, z = points.mean(axis=0) - estimate.position
-    # A small turn phi (ENU) moves the point by phi x rho.
-    by_turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    jacobian = np.hstack((np.eye(3), by_turn))
-    keep = np.r_[0:3, 6:9]
-    covariance = jacobian @ estimate.covariance[np.ix_(keep, keep)] @ jacobian.T
-    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
