@@ -25,7 +25,7 @@ def loaded(module: str) -> set[str]:
         "lunarsim.sensors.lidar",
         "lunarsim.sensors.navigation_fix",
         "lunarsim.onboard.navigation.rock_filter",
-        "lunarsim.onboard.navigation.lidar_inertial",
+        "lunarsim.onboard.navigation.navigator",
         "lunarsim.onboard.hazards.gaussian_dem",
         "lunarsim.onboard.hazards.shadows",
         "lunarsim.onboard.hazards.quadtree",

@@ -24,7 +24,7 @@ from lunarsim.campaign.pool import gathered
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -85,7 +85,7 @@ def fly(task: Task) -> Flown:
         scenario = scenario.changed(start_knowledge={"position_m": task.start})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     navigation = simulation.computer.navigation
-    if not isinstance(navigation, LidarInertialFilter):
+    if not isinstance(navigation, Navigator):
         raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]
@@ -95,9 +95,8 @@ def fly(task: Task) -> Flown:
         simulation.step()
         if due and not simulation.done and simulation.time >= due[0] - 1e-9:
             due.pop(0)
-            keep = np.r_[0:6, 9:12]
             errors.append(error_of(simulation))
-            covariances.append(navigation.covariance[np.ix_(keep, keep)].copy())
+            covariances.append(simulation.estimate.covariance)
     names = [name for _, name, _ in simulation.computer.telemetry]
     return Flown(
         np.array(errors).reshape(-1, 9),
@@ -113,13 +112,14 @@ def fly(task: Task) -> Flown:
 
 
 def error_of(simulation: Simulation) -> np.ndarray:
-    """Return the errors of position (site frame), velocity and attitude (body axes) (9,)."""
-    state, own = simulation.state, simulation.computer.navigation.inertial
-    turn = quat_multiply(quat_conjugate(own.attitude), state.attitude)
+    """Return the errors of position, velocity and attitude (small rotation, ENU) (9,), site frame."""
+    state = simulation.state
+    found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
+    turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
     return np.concatenate(
         (
-            state.position - own.position,
-            state.velocity - own.velocity,
+            state.position - found.position,
+            state.velocity - found.velocity,
             quat_to_rotation_vector(turn),
         )
     )

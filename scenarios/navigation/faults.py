@@ -132,11 +132,10 @@ def fly(task: Task) -> Flown:
         honest(sensor, measurement, time)
 
     navigation.take = tampered  # type: ignore[method-assign]
-    keep = np.r_[3:6, 9:12]
     while not simulation.done:
         # As long as the lander flies: nothing is measured at rest.
         error = np.abs(error_of(simulation)[3:])
-        sigma = np.sqrt(np.diag(navigation.covariance)[keep])
+        sigma = np.sqrt(np.diag(simulation.estimate.covariance)[3:])
         far, lost = bool((error > FAR * sigma).any()), simulation.computer.estimate.lost
         simulation.step()
     names = [name for _, name, _ in simulation.computer.telemetry]

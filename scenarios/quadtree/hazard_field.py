@@ -30,7 +30,7 @@ from lunarsim.onboard.hazards.quadtree import (
     QuadtreeMapper,
     Selection,
 )
-from lunarsim.onboard.navigation.lidar_inertial import LidarInertialFilter
+from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -53,7 +53,6 @@ class Task:
 
     field: int
     seed: int
-    hold: bool
     pictures: bool
 
 
@@ -75,8 +74,6 @@ def prepared(task: Task, folder: Path) -> Simulation:
     g, path = interest.grid, folder / "interest.npz"
     np.savez(path, value=interest.value, x0=g.x0, y0=g.y0, posting=g.posting)
     sites: dict[str, Any] = {"interest_path": str(path)}
-    if not task.hold:
-        sites["hold_sigma_m"] = 1e9
     scenario = scenario.changed(mappers={"sites": sites})
     return Simulation(scenario, flight_seed(task.seed, task.field))
 
@@ -85,12 +82,12 @@ def fly(task: Task) -> dict[str, Any]:
     """Fly the sweep over one field; return figures of merit, and maps for the pictures."""
     with TemporaryDirectory() as folder:
         simulation = prepared(task, Path(folder))
-    found: LidarInertialFilter = simulation.computer.navigation
+    found: Navigator = simulation.computer.navigation
     pending, looks = list(TIMES), []
     track: list[tuple[float, ...]] = []
     while pending:
         simulation.step()
-        track.append((simulation.time, *navigation_error(simulation), *deviations(found)))
+        track.append((simulation.time, *navigation_error(simulation), *deviations(simulation)))
         if simulation.time >= pending[0] - 1e-9:
             looks.append(look(simulation, pending.pop(0), task.pictures))
     tree = simulation.computer.mappers["sites"].map
@@ -110,14 +107,17 @@ def fly(task: Task) -> dict[str, Any]:
 
 
 def navigation_error(simulation: Simulation) -> np.ndarray:
-    """Return true less estimated position on the map (m) and the small turn between (rad) (6,)."""
-    turn = quat_multiply(quat_conjugate(simulation.estimate.attitude), simulation.state.attitude)
-    return np.concatenate((-simulation.site_error, quat_to_rotation_vector(turn)))
+    """Return true less estimated position on the map (m), and the small turn between (ENU, rad)."""
+    found = simulation.computer.navigation.estimate_in_site(simulation.time, 1.0)
+    turn = quat_multiply(simulation.state.attitude, quat_conjugate(found.attitude))
+    return np.concatenate(
+        (simulation.state.position - found.position, quat_to_rotation_vector(turn))
+    )
 
 
-def deviations(found: LidarInertialFilter) -> np.ndarray:
+def deviations(simulation: Simulation) -> np.ndarray:
     """Return the standard deviations that go with `navigation_error` (6,)."""
-    return np.sqrt(np.diag(found.covariance)[np.r_[0:3, 9:12]])
+    return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
 
 def look(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
@@ -265,18 +265,14 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
-@click.option("--hold/--no-hold", default=True, show_default=True,
-              help="Let scans wait for the lock, or map them at once (the paper).")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write all figures to this file.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for pictures of the first field; left out, none are drawn.")  # fmt: skip
-def main(
-    fields: int, seed: int, jobs: int, hold: bool, json_file: Path | None, out: Path | None
-) -> None:
+def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
     """Sweep hazard fields and judge maps and sites against the truth."""
     console = Console(width=140)
-    tasks = [Task(i, seed, hold, out is not None and i == 0) for i in range(fields)]
+    tasks = [Task(i, seed, out is not None and i == 0) for i in range(fields)]
     results = gathered(fly, tasks, jobs, console, "sweeps")
     summary = summarise(results)
     show(summary, results[0], console)

@@ -197,7 +197,7 @@ def _larger_maps(rng) -> None:
 
 def lidar_inertial() -> None:
     """Scans fitted to a prior map, and the search for the place before the first fit."""
-    from lunarsim.onboard.navigation import lidar_inertial as navigation
+    from lunarsim.onboard.navigation import map_matcher as navigation
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 # boresight (small rotation, sensor axes, rad), latency (s).
 ERRORS = 11
 SCANNER = slice(6, 11)
+# No scanner is known better than this, whatever is said of it, m, rad, s. Claims beyond it make an
+# error that nobody told of look like one of pose, and nothing then contradicts it.
+LEAST = np.array([0.1, *np.full(3, np.deg2rad(0.15)), 0.01])
 # What is let go where innovations drift and nothing was said of the scanner: m, rad, s.
 LET_GO = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
 
@@ -29,12 +32,11 @@ def scanner_block(name: str) -> str:
     return f"lidar {name}"
 
 
-def scanner_covariance(instrument: object) -> Array:
-    """Return what a scanner's calibration says of its errors (5, 5); nothing said: 0."""
-    if not isinstance(instrument, LidarInstrument):
-        return np.zeros((5, 5))
+def scanner_covariance(instrument: LidarInstrument) -> Array:
+    """Return that of what a scanner errs by (5, 5), by its calibration and by what is likely."""
     i = instrument
-    return np.diag(np.square([i.range_bias, *np.full(3, i.boresight), i.latency]))
+    stated = np.array([i.range_bias, *np.full(3, i.boresight), i.latency])
+    return np.diag(np.maximum(stated, LEAST) ** 2)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def mapped(world, rng, **options):
 class Descent:
     """A straight descent with a filter on board."""
 
-    def __init__(self, world, seed, prior=None, errors=None):
+    def __init__(self, world, seed, prior=None, errors=None, lidar=LIDAR):
         self.rng = np.random.default_rng(seed)
         self.world = world
         errors = errors or StartSigmas(15.0, 0.1, np.deg2rad(0.3))
@@ -57,7 +57,10 @@ class Descent:
             9.81,
         )
         prior = prior if prior is not None else mapped(world, self.rng)
-        self.filter = Navigator(self.inertial, errors, prior)
+        self.lidar = lidar.build(self.rng, 0.01)
+        self.filter = Navigator(
+            self.inertial, errors, prior, instruments={"flash": lidar.calibration()}
+        )
         self.imu = Imu(self.rng)
         self.time = 0.0
 
@@ -82,7 +85,7 @@ class Descent:
         state = State(self.position, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
         found = self.estimate()
         mount = gimbal_mount(found.attitude, aim - found.position)
-        return LIDAR.measure(self.world, state, self.time, self.rng, mount)
+        return self.lidar.measure(self.world, state, self.time, self.rng, mount)
 
     def fly(self, seconds, aim=None, scans=True):
         for _ in range(round(seconds / 0.1)):

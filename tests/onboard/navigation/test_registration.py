@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
-from lunarsim.frames import quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_rotate
+from lunarsim.frames import (
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_rotate,
+    quat_to_matrix,
+)
 from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.onboard.navigation.place_search import ScanPatch, features_of, high_pass, search
-from lunarsim.onboard.navigation.registration import (
-    fit,
-    point_jacobian,
-    pose_jacobian,
-    register,
-    surface_of,
-)
+from lunarsim.onboard.navigation.registration import fit, register
+from lunarsim.onboard.navigation.seen_scan import SeenScan
+from lunarsim.onboard.navigation.surface import surface_of
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -96,18 +101,26 @@ def test_surface_takes_the_slope_between_the_squares_on_either_side():
 
 
 def test_jacobians_match_finite_differences():
-    p, n = np.array([3.0, 4.0, 0.5]), np.array([0.1, -0.2, 1.0])
-    body = quat_rotate(quat_conjugate(ATTITUDE), p - POSITION)
+    rng = np.random.default_rng(3)
+    velocity, rate = rng.normal(size=3), 0.1 * rng.normal(size=3)
+    direction = np.array([[0.02, -0.03, 1.0]]) / np.linalg.norm([0.02, -0.03, 1.0])
+    mount = quat_to_matrix(quat_from_rotation_vector([2.2, 0.3, -0.1]))
+    flash = LidarScan(0.0, np.array([240.0]), direction, mount, np.ones(1), (1, 1))
+    seen = SeenScan(flash, POSITION, ATTITUDE, velocity, rate)
+    p, n = seen.points()[0], np.array([0.1, -0.2, 1.0])
     moved = []
-    for i in range(6):
-        error = np.zeros(6)
+    for i in range(11):
+        error = np.zeros(11)
         error[i] = 1e-6
-        q = quat_multiply(ATTITUDE, quat_from_rotation_vector(error[3:]))
-        moved.append((POSITION + error[:3] + quat_rotate(q, body) - p) / 1e-6)
+        moved.append((seen.moved(error).points()[0] - p) / 1e-6)
     moved = np.array(moved).T
-    assert point_jacobian(p, POSITION, ATTITUDE) == pytest.approx(moved, abs=1e-3)
-    assert pose_jacobian(p[None], n[None], POSITION, ATTITUDE)[0] == pytest.approx(
-        n @ moved, abs=1e-3
+    assert seen.point_jacobian(p) == pytest.approx(moved, abs=1e-3)
+    assert seen.jacobian(p[None], n[None])[0] == pytest.approx(n @ moved, abs=1e-3)
+    # By hand: a rotation as of old, and 1 m of range along the ray.
+    body = quat_rotate(quat_conjugate(ATTITUDE), p - POSITION)
+    assert np.linalg.norm(moved[:, 6]) == pytest.approx(1.0)
+    assert moved[:, 3] == pytest.approx(
+        quat_rotate(ATTITUDE, np.cross([1.0, 0.0, 0.0], body)), abs=1e-3
     )
 
 
@@ -123,7 +136,12 @@ def registered(world, seed, stale=0.0):
     # The estimate is off by the error: truth = estimate + error.
     attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
     variance = np.full(prior.grid.shape, prior.sigma**2 + 0.03**2)
-    result, _ = register(scan, prior, POSITION - error[:3], attitude, before, variance)
+    seen = SeenScan(scan, POSITION - error[:3], attitude, np.zeros(3), np.zeros(3))
+    # Nothing is wrong with the scanner.
+    whole = np.zeros((11, 11))
+    whole[:6, :6] = before
+    result, _ = register(seen, prior, whole, variance, prior.sigma**2 + 0.03**2)
+    result = replace(result, information=result.information[:6, :6], vector=result.vector[:6])
     covariance = np.linalg.inv(result.information + np.linalg.inv(before))
     return covariance @ result.vector, covariance, error, result
 

@@ -122,7 +122,7 @@ class SamplePool:
         cols, from_cols = _overlap(g.cols, east)
         for name in ("centroid", "splat", "spacing"):
             getattr(out, name)[rows, cols] = getattr(self, name)[from_rows, from_cols]
-        return out
+        return out if out.centroid[..., 0].any() else SamplePool(g.about(centre))
 
     def vertices(self) -> tuple[Array, Array, Array]:
         """Return a point a cell (n, 3) with variance (n,), m^2, and spacing (n,)."""

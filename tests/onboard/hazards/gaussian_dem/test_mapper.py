@@ -52,6 +52,22 @@ def test_a_map_that_is_laid_elsewhere_is_due_at_once():
     assert mapper.hazard_map().elevation_at(np.array([20.0, 0.0])) == pytest.approx(0.0, abs=0.05)
 
 
+def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
+    mapper = GaussianDemMapper(GRID, Lander())
+    flash(mapper, east=3.0)
+    before = {tuple(np.round(p, 6)) for p in mapper.pool.vertices()[0]}
+    mapper.recentre(np.array([0.3, 0.0, 0.0]))
+    assert mapper.grid == GRID, "not worth it"
+    side = GRID.cols * GRID.posting
+    mapper.recentre(np.array([0.3 * side, -0.2 * side, 0.0]))
+    after = {tuple(np.round(p, 6)) for p in mapper.pool.vertices()[0]}
+    assert after <= before
+    west, _, _, north = mapper.grid.extent
+    gone = np.array(sorted(before - after)).reshape(-1, 3)
+    assert ((gone[:, 0] < west) | (gone[:, 1] > north)).all()
+    assert len(after) > 50
+
+
 @pytest.mark.parametrize("interval", [-1.0, np.nan, np.inf])
 def test_impossible_intervals_are_refused(interval):
     with pytest.raises(InputError, match="interval"):

@@ -28,11 +28,6 @@ GRID = Grid.centred((0.0, 0.0), 20.0, 0.2)
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def turned(axis, angle):
-    """Return the quaternion of a turn about an axis."""
-    return np.array([*(np.sin(0.5 * angle) * np.asarray(axis, float)), np.cos(0.5 * angle)])
-
-
 def estimate(position=(0.0, 0.0, 30.0), attitude=(0.0, 0.0, 0.0, 1.0), *, time=0.0, sigma=0.0,
              velocity=(0.0, 0.0, 0.0)) -> Estimate:  # fmt: skip
     return Estimate(
@@ -133,42 +128,35 @@ def test_the_board_tells_the_score_of_the_site_flown_to():
     assert m.scoreboard(np.array([400.0, 0.0, 0.0])).here == np.inf
 
 
-def test_scans_that_wait_are_moved_as_navigation_learns():
-    """The lander errs in place, velocity and attitude, and learns all three with the lock."""
-    gravity, force, ago = 1.6, np.array([0.3, -0.2, 1.7]), 2.0
-    bad = turned(np.array([0.6, -0.48, 0.64]), 0.1)
-    level = np.array([0.0, 0.0, 0.0, 1.0])
-
-    def flown(time, position, velocity, attitude, sigma):
-        """Return the pose after so long under the force that an attitude turns."""
-        pull = quat_rotate(attitude, force) - [0.0, 0.0, gravity]
-        return estimate(
-            position + velocity * time + 0.5 * pull * time**2, attitude, time=time, sigma=sigma,
-            velocity=velocity + pull * time,
-        )  # fmt: skip
-
-    place, speed = np.array([1.0, 0.5, 30.0]), np.array([4.0, -3.0, -2.0])
-    off, drift = np.array([3.0, -2.0, 1.0]), np.array([0.5, 0.2, -0.1])
-    true = [flown(t, place, speed, level, 0.0) for t in (0.0, ago)]
-    believed = [flown(t, place + off, speed + drift, bad, 3.0) for t in (0.0, ago)]
-    m = mapper(hold_sigma=0.5, gravity=gravity)
-    m.update(scan(), believed[0])
-    assert m.held == 1
-    assert m.blank
-    # What changes nothing leaves the scans where they are, and so does a map laid anew.
-    m.correct(believed[1], believed[1])
+def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
+    m = mapper(interest=interest())
+    m.update(scan(), estimate())
+    before, drawn = m.map.points, m.hazard_map()
+    # A target that moves by less than the map's business leaves it alone.
     m.recentre(np.array([0.4, 0.2, 0.0]))
-    assert m.held == 1
-    m.correct(believed[1], true[1])
-    later = scan(time=ago, bump=False)
-    m.update(later, true[1])
-    assert m.held == 0
-    # Both scans lie where they were truly taken.
-    poses = [(scan(), true[0]), (later, true[1])]
-    right = QuadtreeMap(m.map.centre, 20.0)
-    for s, e in poses:
-        right.insert(s.points(e.position, e.attitude))
-    assert np.abs(m.map.points - right.points).max() < 1e-4
+    assert np.array_equal(m.map.points, before)
+    m.recentre(np.array([5.0, -3.0, 0.5]))
+    after = m.map.points
+    assert m.grid.centre == pytest.approx((5.0, -3.0), abs=0.2)
+
+    def on_both(points):
+        """Return the points on the new and on the old map, in an order of their own."""
+        inside = np.ones(len(points), bool)
+        for grid in (GRID, m.grid):
+            west, east, south, north = grid.extent
+            inside &= (points[:, 0] > west + 0.01) & (points[:, 0] < east - 0.01)
+            inside &= (points[:, 1] > south + 0.01) & (points[:, 1] < north - 0.01)
+        points = points[inside]
+        return points[np.lexsort(np.rint(points[:, :2] / 1e-2).T)]
+
+    assert 0.3 < len(on_both(before)) / len(before) < 0.9
+    assert len(on_both(after)) == len(on_both(before))
+    assert on_both(after) == pytest.approx(on_both(before), abs=1e-3)
+    # The boulder is where it was, and so is the interest, five metres farther.
+    both = m.hazard_map()
+    spot = np.array([4.0, 0.0])
+    assert both.elevation_at(spot) == pytest.approx(drawn.elevation_at(spot), abs=0.1)
+    assert (both.value[:, both.grid.x < 4.5] == 0.0).all()
 
 
 def test_a_map_laid_anew_takes_interest_along_and_forgets_sites():
