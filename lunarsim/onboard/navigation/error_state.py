@@ -32,8 +32,10 @@ MAP = "map"
 # One thread for the small products of an update: more would wait for each other, and the bits must
 # not depend on how many there are.
 BLAS = ThreadpoolController()
-# A gain that takes the covariance of a direction to less than this share of itself is rounding.
+# Two errors that are the same but for this share of their variance are so by rounding.
 _SINGULAR = 1e-9
+# What takes less than this share off the variance of a direction tells nothing of it.
+_LEAST_TOLD = 1e-3
 
 
 @dataclass(frozen=True)
@@ -301,22 +303,15 @@ class ErrorState:
         system = np.eye(len(part)) + information @ own
         inner = np.linalg.solve(system, np.column_stack((information, vector)))
         gain, innovation = inner[:, :-1], inner[:, -1]
-        # In units of the deviations before: metres, radians and seconds do not compare.
-        unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
-        correction = own @ innovation / unit
-        spread = own @ gain @ own / np.outer(unit, unit)
-        value, axes = np.linalg.eigh(0.5 * (spread + spread.T))
-        told = value > _SINGULAR * max(float(value[-1]), 0.0)
-        white = (axes[:, told].T @ correction) / np.sqrt(value[told])
-        distance, degrees = float(white @ white), int(told.sum())
+        white, degrees = _whitened(own, information, vector)
+        distance = float(white @ white)
         if not (distance <= gate and chi2.sf(distance, max(degrees, 1)) >= chance):
             return Outcome(distance, degrees, False)
         error = p[:, part] @ innovation
         p -= p[:, part] @ gain @ p[part]
         p[:] = 0.5 * (p + p.T)
         self.correct(error)
-        # Turned back to the errors' own axes, which are the same in every measurement.
-        return Outcome(distance, degrees, True, axes[:, told] @ white)
+        return Outcome(distance, degrees, True, white)
 
     def correct(self, error: Array) -> None:
         """Add estimated errors (size,) to the lander and to all that listen."""
@@ -325,6 +320,23 @@ class ErrorState:
             self._values[name] += error[place]
         for listener in self.listeners:
             listener(error)
+
+
+def _whitened(own: Array, information: Array, vector: Array) -> tuple[Array, int]:
+    """Return the whitened innovation (k,) of information on errors, and its degrees of freedom.
+
+    With P = L L' before, M = L' I L and u = L' v, u has the covariance M + M^2 (I being that of v's
+    noise). Only directions in which it tells something count: in others a trace of what is not
+    modelled would look like many deviations. Axes are those of L, the same in every measurement.
+    """
+    unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
+    correlation = own / np.outer(unit, unit)
+    lower = np.linalg.cholesky(correlation + _SINGULAR * np.eye(len(own))) * unit[:, None]
+    told, axes = np.linalg.eigh(lower.T @ information @ lower)
+    along = axes.T @ (lower.T @ vector)
+    kept = told > _LEAST_TOLD
+    along = np.where(kept, along / np.sqrt(np.where(kept, told * (1.0 + told), 1.0)), 0.0)
+    return np.asarray(axes @ along), int(kept.sum())
 
 
 def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
