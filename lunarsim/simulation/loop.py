@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import Measurements
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.computer import OnboardComputer
@@ -173,11 +174,20 @@ class Simulation:
 
     @property
     def navigation_error(self) -> Array:
-        """Estimated position, local frame, less the true one (3,), m.
+        """Local less true coordinates of the ground at the site (3,), m.
 
-        What local frame and true frame differ by: a point of a map less this is where it truly is.
+        A point of a map less this is where it truly is. Where the local frame has an azimuth of
+        its own, this holds about the site; elsewhere it is the error of the lander's position.
         """
-        return self.estimate.position - self.state.position
+        error = self.estimate.position - self.state.position
+        if getattr(self.computer.navigation, "own_azimuth", False):
+            turn = quat_multiply(self.state.attitude, quat_conjugate(self.estimate.attitude))
+            angle = float(quat_to_rotation_vector(turn)[2])
+            away = self.site - self.estimate.position
+            c, s = np.cos(angle), np.sin(angle)
+            back = np.array([c * away[0] - s * away[1], s * away[0] + c * away[1], away[2]])
+            error = error + away - back
+        return np.asarray(error)
 
     @property
     def site_error(self) -> Array:

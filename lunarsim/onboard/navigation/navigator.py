@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,7 +65,11 @@ class Navigator:
         In the order in which they are offered measurements.
     matcher
         The part that knows the map; None without one.
+    own_azimuth
+        The local frame points where the lander says that it began to, not as the site frame does.
     """
+
+    own_azimuth: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -152,6 +156,13 @@ class Navigator:
         used = False
         for part in self.parts:
             used = part.take(sensor, measurement, time, used=used) or used
+
+    def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
+        """Return a measurement and where it was taken, less what its sensor is known to err by."""
+        if not isinstance(measurement, LidarScan):
+            return measurement, now
+        seen = self._shared.seen(sensor, measurement)
+        return seen.scan, replace(now, position=seen.position, attitude=seen.attitude)
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.error_state import MAP
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.sensors.imu import Imu
@@ -217,3 +220,60 @@ def test_the_same_seed_gives_the_same_bits(world):
     a, b = (Descent(world, 6).fly(2.0) for _ in range(2))
     assert np.array_equal(a.inertial.position, b.inertial.position)
     assert np.array_equal(a.filter.covariance, b.filter.covariance)
+
+
+STATED = replace(LIDAR, range_sigma=0.3, boresight_sigma=np.deg2rad(0.2), latency_sigma=0.02)
+
+
+def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
+    errors = StartSigmas(15.0, 0.1, np.deg2rad(0.3))
+    descent = Descent(world, 3, errors=errors)
+    descent.filter = Navigator(descent.inertial, errors, instruments={"flash": LIDAR.calibration()})
+    told = descent.estimate().covariance
+    state, taken = descent.filter.state, 0
+    block = state.covariance[state.block(MAP), state.block(MAP)].copy()
+    for _ in range(6):
+        descent.fly(0.5)
+        taken = descent.filter.watches["flash scans"].degrees
+        p = descent.estimate().covariance
+        # Azimuth and place of the site: no less uncertain than the mission's word.
+        assert p[8, 8] >= (1.0 - 1e-3) * told[8, 8]
+        assert (np.diag(p)[:2] >= (1.0 - 1e-3) * np.diag(told)[:2]).all()
+        assert p[6, 6] < told[6, 6]
+    assert taken > 100
+    now = state.covariance[state.block(MAP), state.block(MAP)]
+    # Speed was told in the site's azimuth and is measured in the lander's: that little is learnt.
+    assert now[3, 3] > 0.97 * block[3, 3]
+    assert np.linalg.norm(descent.filter.site_to_local.offset) < 1.5
+
+
+def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
+    nees, values = Consistency(), Consistency()
+    for seed in range(6):
+        descent = Descent(world, seed, lidar=STATED).fly(6.0)
+        if not descent.filter.locked:
+            continue
+        nees = nees.plus(descent.nees(), 6)
+        state, truth = descent.filter.state, descent.lidar
+        true = np.array([-truth.range_bias, *truth.boresight, truth.latency])
+        block = state.block("lidar flash")
+        off = true - state.value("lidar flash")
+        values = values.plus(normalised_square(off, state.covariance[block, block]), 5)
+        assert np.sqrt(state.covariance[block, block][1, 1]) < 0.6 * STATED.boresight_sigma
+        assert "doubted" not in names(descent)
+    assert nees.degrees >= 30
+    assert 0.2 < nees.ratio < nees.bounds(0.99)[1]
+    assert 0.2 < values.ratio < values.bounds(0.99)[1]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [{"range_bias": 0.3}, {"boresight_off": np.deg2rad(0.5)}, {"late": 0.02}],
+    ids=lambda fault: next(iter(fault)),
+)
+def test_what_nobody_told_of_a_scanner_is_no_silent_error(world, fault):
+    for seed in (0, 1):
+        descent = Descent(world, seed, lidar=replace(LIDAR, **fault)).fly(5.0)
+        sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
+        assert descent.estimate().lost or (np.abs(descent.error()) < 5.0 * sigma).all()
+        assert descent.filter.found

@@ -1,0 +1,161 @@
+"""The local frame: the same beliefs as in the site frame, told in other coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import (
+    attitude_from_thrust,
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_rotate,
+    quat_to_matrix,
+    quat_to_rotation_vector,
+)
+from lunarsim.onboard.navigation.error_state import MAP, ErrorState
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
+from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+
+ERRORS = StartSigmas(20.0, 0.3, np.deg2rad(0.6))
+START = np.array([-300.0, 40.0, 220.0])
+VELOCITY = np.array([12.0, -3.0, -5.0])
+ATTITUDE = attitude_from_thrust([0.3, -0.1, 1.0], 1.2)
+KEEP = np.r_[0:6, 9:12]
+BEAMS = np.array([[0.3, 0.1, -0.95], [-0.3, 0.2, -0.93], [0.0, -0.35, -0.94]])
+BEAMS /= np.linalg.norm(BEAMS, axis=1)[:, None]
+
+
+def strapdown():
+    return StrapdownState(START, VELOCITY, ATTITUDE, 1.62)
+
+
+def told():
+    """A filter in the site frame, without a frame of its own."""
+    return ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])})
+
+
+def own():
+    """The same in a local frame."""
+    state = ErrorState(
+        strapdown(), ERRORS, blocks={"ground": np.diag([4.0])} | blank_block()
+    )
+    return state, LocalFrame(state)
+
+
+def flown(state, seed, steps=40):
+    """Carry a filter over a second of thrust and turning."""
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        push = 0.01 * (np.array([0.2, -0.1, 2.5]) + 0.3 * rng.standard_normal(3))
+        state.propagate(0.01 * 0.05 * rng.standard_normal((1, 3)), push[None])
+
+
+def test_the_start_errs_in_the_site_frame_as_the_mission_says():
+    plain, (_, frame) = told(), own()
+    expected = plain.covariance[np.ix_(KEEP, KEEP)]
+    assert frame.covariance_in_site() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    # In its own frame the lander errs neither in position nor in azimuth.
+    state, _ = own()
+    up = quat_to_matrix(ATTITUDE)[2]
+    assert not state.covariance[:3, :3].any()
+    assert up @ state.covariance[9:12, 9:12] @ up == pytest.approx(0.0, abs=1e-18)
+    block = state.covariance[state.block(MAP), state.block(MAP)]
+    assert np.sqrt(np.diag(block)) == pytest.approx([20.0, 20.0, 20.0, ERRORS.attitude])
+
+
+def test_both_frames_believe_the_same_after_flight_and_measurements():
+    plain, (state, frame) = told(), own()
+    frame.hang(np.eye(3, 6), np.r_[0:3, 9:12], [])
+    rng = np.random.default_rng(1)
+    for one in (plain, state):
+        flown(one, 5)
+        turn = quat_multiply(strapdown().attitude, quat_from_rotation_vector([2e-3, 4e-3, -6e-3]))
+        take_attitude(one, turn, 1e-6 * np.eye(3))
+        take_range(one, 250.0, 0.5, [0.0, 0.0, -1.0], 0.0, block="ground")
+        take_speeds(one, np.array([6.0, 5.5, 4.0]), np.full(3, 0.05), BEAMS)
+        flown(one, 6)
+        take_attitude(one, one.inertial.attitude if one is plain else turn, 1e-5 * np.eye(3),
+                      gate=0.0)  # fmt: skip
+    del rng
+    p = frame.covariance_in_site()
+    expected = plain.covariance[np.ix_(KEEP, KEEP)]
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    # They linearise about places a little apart.
+    assert p / scale == pytest.approx(expected / scale, abs=0.02)
+    found = frame.to_site(state.inertial.position)
+    sigma = np.sqrt(np.diag(expected))
+    assert np.abs(found - plain.inertial.position).max() < 0.02 * sigma[:3].max()
+    attitude = quat_multiply(
+        quat_from_rotation_vector([0.0, 0.0, frame.azimuth]), state.inertial.attitude
+    )
+    between = quat_multiply(quat_conjugate(plain.inertial.attitude), attitude)
+    assert np.linalg.norm(quat_to_rotation_vector(between)) < 0.1 * sigma[6:].max()
+    # Stars have turned the site, not the lander.
+    assert abs(frame.azimuth) > 2e-3
+
+
+def test_the_pose_in_the_site_frame_moves_as_its_jacobian_says():
+    state, frame = own()
+    flown(state, 3)
+    state.correct(_error(state, 0.01))
+
+    def pose(small):
+        other, its = own()
+        flown(other, 3)
+        other.correct(_error(other, 0.01))
+        change = np.zeros(other.size)
+        change[its.pose_columns()] = small
+        other.correct(change)
+        turn = quat_from_rotation_vector([0.0, 0.0, its.azimuth])
+        return its.to_site(other.inertial.position), quat_multiply(turn, other.inertial.attitude)
+
+    at, attitude = pose(np.zeros(10))
+    columns = []
+    for i in range(10):
+        small = np.zeros(10)
+        small[i] = 1e-6
+        there, turned = pose(small)
+        body = quat_to_rotation_vector(quat_multiply(quat_conjugate(attitude), turned))
+        columns.append(np.concatenate((there - at, body)) / 1e-6)
+    assert frame.pose_jacobian() == pytest.approx(np.array(columns).T, abs=2e-3)
+
+
+def _error(state, size):
+    change = np.zeros(state.size)
+    change[state.block(MAP)] = [3.0, -2.0, 1.0, size]
+    change[:3] = [1.0, 2.0, -1.0]
+    return change
+
+
+def test_the_shift_is_the_transform_both_ways():
+    state, frame = own()
+    state.correct(_error(state, 0.02))
+    points = np.random.default_rng(0).normal(0.0, 100.0, (5, 3))
+    there = frame.shift.to_local(points)
+    assert frame.to_site(there) == pytest.approx(points)
+    assert frame.shift.to_site(there) == pytest.approx(points)
+    # By hand: a turn about where the lander was told to begin, and a shift.
+    turn = quat_from_rotation_vector([0.0, 0.0, 0.02])
+    by_hand = quat_rotate(turn, there[0] - START - [3.0, -2.0, 1.0]) + START
+    assert points[0] == pytest.approx(by_hand)
+
+
+def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
+    state, frame = own()
+    before = frame.covariance_in_site()
+    away = np.array([300.0, -40.0, -220.0])
+    cross = np.cross(np.eye(3), away)
+    rotation = quat_to_matrix(ATTITUDE)
+    # A small turn t (ENU) moves a point of a scan by t x away.
+    jacobian = np.hstack((np.eye(3), cross.T @ rotation))
+    jacobian[:, 3:] = np.column_stack([np.cross(rotation[:, i], away) for i in range(3)])
+    columns = np.r_[0:3, 9:12]
+    frame.hang(jacobian, columns, [])
+    p = state.covariance
+    # The point errs in nothing any more, the lander by the tilt; what is believed is the same.
+    assert np.abs(jacobian @ p[np.ix_(columns, columns)] @ jacobian.T).max() < 1e-9
+    assert 2.0 < np.sqrt(p[0, 0]) < 6.0
+    assert frame.covariance_in_site() == pytest.approx(before, rel=1e-9, abs=1e-9)
