@@ -92,9 +92,7 @@ class FlashLidar:
     boresight_off: float = quantity(
         0.0, "deg", ge=-5, le=5, help="about the sensor's x besides, which nobody is told of"
     )
-    late: float = quantity(
-        0.0, "s", ge=0, lt=1, help="of flashes besides, which nobody is told of"
-    )
+    late: float = quantity(0.0, "s", ge=0, lt=1, help="of flashes besides, which nobody is told of")
 
     gives: ClassVar[type] = LidarScan
     tasked: ClassVar[bool] = True

@@ -112,7 +112,7 @@ def fly(task: Task) -> Flown:
 
 
 def error_of(simulation: Simulation) -> np.ndarray:
-    """Return the errors of position, velocity and attitude (small rotation, ENU) (9,), site frame."""
+    """Return the errors of position, velocity and attitude (ENU) in the site frame (9,)."""
     state = simulation.state
     found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
     turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))

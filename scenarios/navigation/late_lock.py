@@ -133,9 +133,11 @@ def off_by(simulation: Simulation) -> float:
 def summary(flown: dict[str, list[Flown]]) -> Table:
     """Return a line each way of flying."""
     table = Table(title="Landings by when the map was handed over")
-    for heading in ("map from, start", "locked", "lock, median (s)", "site moved by\nthe lock (m)",
-                    "lander jumped at\nmost, local (m)", "decisions,\nmedian", "off its aim,\nmedian, most (m)",
-                    "over 5 sigma,\nnot called lost", "landed safe", "against the first:\nwon, lost (p)"):  # fmt: skip  # noqa: E501
+    for heading in ("map from, start", "locked", "lock,\nmedian (s)",
+                    "site moved by\nthe lock (m)", "lander jumped at\nmost, local (m)",
+                    "decisions,\nmedian", "off its aim,\nmedian, most (m)",
+                    "over 5 sigma,\nnot called lost", "landed safe",
+                    "against the first:\nwon, lost (p)"):  # fmt: skip
         table.add_column(heading, justify="right")
     first = [f.safe for f in next(iter(flown.values()))]
     for n, (name, mine) in enumerate(flown.items()):

@@ -102,7 +102,7 @@ class MapperPart(Protocol):
 
 
 def is_aside(grid: Grid, centre: Array) -> bool:
-    """Tell whether a point (2,) or (3,) lies so far off a map's middle that it is worth laying anew.
+    """Tell whether a point (2,) or (3,) lies too far off a map's middle to leave the map there.
 
     Farther than an eighth of its side.
     """

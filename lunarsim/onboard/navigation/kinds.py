@@ -46,9 +46,7 @@ class InertialNavigation:
         ground = LevelGround(
             float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
         )
-        return Navigator(
-            state, sigmas, None, instruments=briefing.instruments, ground=ground
-        )
+        return Navigator(state, sigmas, None, instruments=briefing.instruments, ground=ground)
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,9 @@ class MapMatcher:
         if (
             9.0 * variance < before
             and self._inform(
-                sensor, np.outer(row, row) / variance, row * match.up / variance,
+                sensor,
+                np.outer(row, row) / variance,
+                row * match.up / variance,
                 self.settings.chance,
             ).taken
         ):

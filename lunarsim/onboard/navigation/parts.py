@@ -85,9 +85,7 @@ def _most(columns: Index) -> Array:
 class Part(Protocol):
     """One of a navigator's ways of taking in measurements."""
 
-    def take(
-        self, sensor: str, measurement: Any, time: float, *, used: bool
-    ) -> bool:
+    def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
         """Take in a measurement; return whether what it says has been used.
 
         Parameters

@@ -103,9 +103,7 @@ class ScanOdometry:
         )
         if not self.settings.believes(result):
             return False
-        found = state.inform(
-            both, result.information, result.vector, chance=self.settings.chance
-        )
+        found = state.inform(both, result.information, result.vector, chance=self.settings.chance)
         self.shared.judge(sensor, "scans", found, POSE, time)
         return found.taken
 

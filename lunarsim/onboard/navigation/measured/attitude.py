@@ -34,7 +34,8 @@ def take_attitude(
     state
         Of the filter.
     attitude
-        Quaternion, body to ENU of the site frame (4,); what is not finite or no rotation tells nothing.
+        Quaternion, body to ENU of the site frame (4,); what is not finite or no rotation tells
+        nothing.
     covariance
         Of its noise, small rotation in body axes (3, 3), rad^2.
     block

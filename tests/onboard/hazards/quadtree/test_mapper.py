@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_rotate
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.hazards.quadtree import (
