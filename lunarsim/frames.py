@@ -5,8 +5,9 @@ ENU
     centre of the terrain at the terrain's mean elevation. Gravity is ``(0, 0, -g)``.
 Local and site
     Two such frames. `local` is where the onboard computer keeps maps, sites and its own estimate:
-    it never jumps. `site` is the frame of the target and of prior maps. Navigation estimates the
-    shift between them (`Shift`); an error that it has is shared by lander and map.
+    what is mapped in it stays. `site` is the frame of the target and of prior maps. Navigation
+    estimates where it lies in the local one (`Shift`); an error of that is shared by lander and
+    map.
 Body
     Fixed to the lander, origin at the centre of mass, z along the thrust (up through the
     vehicle when it stands), x forward, y left.

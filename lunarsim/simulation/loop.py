@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.frames import Shift, quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import Measurements
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.computer import OnboardComputer
@@ -173,21 +173,25 @@ class Simulation:
         return self._truth
 
     @property
+    def true_to_local(self) -> Shift:
+        """From the true frame to the local one, by where the lander believes to be.
+
+        A local frame with an azimuth of its own is turned besides, by what the lander's is off.
+        """
+        e, turn = self.estimate, 0.0
+        if getattr(self.computer.navigation, "own_azimuth", False):
+            off = quat_multiply(e.attitude, quat_conjugate(self.state.attitude))
+            turn = float(quat_to_rotation_vector(off)[2])
+        return Shift(e.position - Shift(turn=turn).to_local(self.state.position), turn)
+
+    @property
     def navigation_error(self) -> Array:
         """Local less true coordinates of the ground at the site (3,), m.
 
-        A point of a map less this is where it truly is. Where the local frame has an azimuth of
-        its own, this holds about the site; elsewhere it is the error of the lander's position.
+        A point of a map less this is where it truly is. Where the local frame is turned this holds
+        about the site; elsewhere it is the error of the lander's position.
         """
-        error = self.estimate.position - self.state.position
-        if getattr(self.computer.navigation, "own_azimuth", False):
-            turn = quat_multiply(self.state.attitude, quat_conjugate(self.estimate.attitude))
-            angle = float(quat_to_rotation_vector(turn)[2])
-            away = self.site - self.estimate.position
-            c, s = np.cos(angle), np.sin(angle)
-            back = np.array([c * away[0] - s * away[1], s * away[0] + c * away[1], away[2]])
-            error = error + away - back
-        return np.asarray(error)
+        return np.asarray(self.site - self.true_to_local.to_site(self.site))
 
     @property
     def site_error(self) -> Array:

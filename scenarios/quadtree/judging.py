@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from lunarsim.evaluation.map_quality import MapQuality, local_ground
+from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.truth_mesh import TruthMesh
+from lunarsim.frames import Shift
 from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.jerk_limited import site_cost
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, Selection, SiteSettings
@@ -35,26 +36,28 @@ class Ground:
         1 where the ground leaves the mesh, else 0; NaN without a mesh (rows, cols).
     mesh
         The mesh.
-    error
-        Local less true coordinates (3,), m.
+    frame
+        From the true frame to the local one.
     """
 
     grid: Grid
     elevation: np.ndarray
     hazard: np.ndarray
     mesh: TruthMesh
-    error: np.ndarray
+    frame: Shift
 
 
 def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> Ground:
     """Return the true ground where the map has its cells now."""
-    s, error = mapper.selector.settings, simulation.navigation_error
+    s, frame = mapper.selector.settings, simulation.true_to_local
     west, east, _, _ = mapper.grid.extent
     grid = Grid.centred(mapper.grid.centre, east - west, TRUTH)
-    elevation = local_ground(simulation.world.terrain, grid, error)
+    centres = grid.centres()
+    there = frame.to_site(np.dstack((centres, np.zeros(centres.shape[:2]))))
+    elevation = simulation.world.terrain.elevation(there[..., :2]) + frame.offset[2]
     mesh = TruthMesh(elevation, grid, 2.0 * s.zone)
     hazard = mesh.hazards(elevation, grid, s.roughness_limit)
-    return Ground(grid, elevation, hazard, mesh, error)
+    return Ground(grid, elevation, hazard, mesh, frame)
 
 
 def judged_sites(
@@ -78,7 +81,7 @@ def judged_sites(
             "increment": float(cost.increment[i]),
             "time_to_go": float(cost.time_to_go[i]),
             "hazard_m2": zone_hazard(site.position, ground, settings.zone),
-            "exactly_safe": bool(simulation.truth.safe_at((site.position - ground.error)[:2])),
+            "exactly_safe": bool(simulation.truth.safe_at(ground.frame.to_site(site.position)[:2])),
         }
         for i, site in enumerate(selection.ranked)
     ]
