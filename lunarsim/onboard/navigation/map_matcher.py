@@ -107,7 +107,7 @@ class MapMatcher:
             return False
         outcome = self._inform(sensor, result.information, result.vector, s.map_chance)
         if self.locked:
-            self.shared.judge(sensor, "map", outcome, columns[:10], time)
+            self.shared.judge(sensor, "map", outcome, time)
         if not outcome.taken:
             return False
         self._uses[posts] += 1

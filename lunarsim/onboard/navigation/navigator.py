@@ -19,9 +19,9 @@ from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
-from lunarsim.onboard.navigation.parts import Part, Shared
+from lunarsim.onboard.navigation.parts import KEY, Part, Shared, most_of
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.scan_odometry import KEY, ScanOdometry, key_block, width_of
+from lunarsim.onboard.navigation.scan_odometry import ScanOdometry, key_block, width_of
 from lunarsim.onboard.navigation.seen_scan import scanner_block, scanner_covariance
 from lunarsim.onboard.navigation.watch import Watch
 
@@ -91,7 +91,7 @@ class Navigator:
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
         self._aids = Aids(self.state, known, level, self.events)
-        shared = Shared(self.state, self.frame, self._aids, self.events)
+        shared = Shared(self.state, self.frame, self._aids, self.events, most_of(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, prior, limits)
         self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
         self.parts += [ScanOdometry(shared, limits), self._aids]

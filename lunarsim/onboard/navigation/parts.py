@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 from lunarsim.onboard.navigation.aids import Aids
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import NavigationEvent
+from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
 from lunarsim.onboard.navigation.local_frame import LocalFrame
 from lunarsim.onboard.navigation.seen_scan import LET_GO, SeenScan, scanner_block
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+# The pose at the scan that odometry keeps, in the error state.
+KEY = "key"
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,15 @@ class Shared:
         Takes in ranges, speeds and attitudes, and watches over every kind of measurement.
     events
         What is reported.
+    most
+        Deviations beyond which a doubt widens no error: see `most_of`.
     """
 
     state: ErrorState
     frame: LocalFrame
     aids: Aids
     events: list[NavigationEvent]
+    most: Array
 
     def scanner(self, sensor: str) -> Index:
         """Return where a scanner's errors lie in the state (5,), or (0,) if it has none."""
@@ -66,20 +73,29 @@ class Shared:
         out[6:, 10:] = np.eye(5, len(own))
         return np.concatenate((self.frame.pose_columns(), own)), out
 
-    def judge(self, sensor: str, kind: str, outcome: Any, columns: Index, time: float) -> None:
-        """Watch what came of a scan; where it drifts the scanner's errors are let go."""
-        own = self.scanner(sensor)
+    def judge(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
+        """Watch what came of a scan.
+
+        Where it is doubted the whole state grows alike: what is wrong is in the pose, the pose at
+        the scan kept, the map's place and all that errs with them, and what had not grown would
+        draw the rest back. Where it drifts the scanner's errors are let go.
+        """
+        own, every = self.scanner(sensor), np.arange(self.state.head)
         self.aids.judge(
-            sensor, kind, outcome, columns, _most(columns), time, drifting=(own, LET_GO[: len(own)])
+            sensor, kind, outcome, every, self.most, time, drifting=(own, LET_GO[: len(own)])
         )
 
 
-def _most(columns: Index) -> Array:
-    """Return the deviations (k,) beyond which a doubt widens no error: m, rad or s by column."""
-    out = np.full(len(columns), 0.5)
-    out[columns < POSE[3]] = 30.0
-    out[(columns >= POSE[3]) & (columns <= POSE[5])] = 0.2
-    return out
+def most_of(state: ErrorState) -> Array:
+    """Return deviations (head,) beyond which a doubt widens no error: thrice those at the start.
+
+    Position, velocity and attitude of the lander, and a pose kept, at least 30 m, 3 m/s, 0.2 rad.
+    """
+    out = 3.0 * np.sqrt(state.covariance.diagonal()[: state.head])
+    out[POSITION], out[VELOCITY], out[ATTITUDE] = 30.0, 3.0, 0.2
+    if state.has(KEY):
+        out[state.block(KEY)] = np.repeat([30.0, 0.2], 3)
+    return np.asarray(out)
 
 
 class Part(Protocol):

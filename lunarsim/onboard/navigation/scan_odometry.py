@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.error_state import POSE
-from lunarsim.onboard.navigation.parts import Shared
+from lunarsim.onboard.navigation.parts import KEY, Shared
 from lunarsim.onboard.navigation.registration import fit
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import Surface
 
 Array = NDArray[np.float64]
-
-# The pose at the scan kept, in the error state.
-KEY = "key"
 
 
 def key_block() -> dict[str, Array]:
@@ -104,7 +101,7 @@ class ScanOdometry:
         if not self.settings.believes(result):
             return False
         found = state.inform(both, result.information, result.vector, chance=self.settings.chance)
-        self.shared.judge(sensor, "scans", found, POSE, time)
+        self.shared.judge(sensor, "scans", found, time)
         return found.taken
 
     def _corrected(self, error: Array) -> None:

@@ -226,7 +226,8 @@ STATED = replace(LIDAR, range_sigma=0.3, boresight_sigma=np.deg2rad(0.2), latenc
 
 
 def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
-    errors = StartSigmas(15.0, 0.1, np.deg2rad(0.3))
+    # Speed told in the site's azimuth and measured in the lander's would tell of it, rightly.
+    errors = StartSigmas(15.0, 1.0, np.deg2rad(0.3))
     descent = Descent(world, 3, errors=errors)
     descent.filter = Navigator(descent.inertial, errors, instruments={"flash": LIDAR.calibration()})
     told = descent.estimate().covariance
@@ -237,13 +238,13 @@ def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
         taken = descent.filter.watches["flash scans"].degrees
         p = descent.estimate().covariance
         # Azimuth and place of the site: no less uncertain than the mission's word.
-        assert p[8, 8] >= (1.0 - 1e-3) * told[8, 8]
-        assert (np.diag(p)[:2] >= (1.0 - 1e-3) * np.diag(told)[:2]).all()
+        assert p[8, 8] >= (1.0 - 2e-3) * told[8, 8]
+        assert (np.diag(p)[:2] >= (1.0 - 2e-3) * np.diag(told)[:2]).all()
         assert p[6, 6] < told[6, 6]
     assert taken > 100
     now = state.covariance[state.block(MAP), state.block(MAP)]
-    # Speed was told in the site's azimuth and is measured in the lander's: that little is learnt.
-    assert now[3, 3] > 0.97 * block[3, 3]
+
+    assert now[3, 3] > 0.998 * block[3, 3]
     assert np.linalg.norm(descent.filter.site_to_local.offset) < 1.5
 
 
