@@ -75,7 +75,7 @@ def measure(state, off, at):
     return [
         take_attitude(state, attitude, 1e-6 * np.eye(3)),
         take_range(
-            state, -at.position[2] / down + 1e3 * off, 0.5, [0.0, 0.0, -1.0], 0.0, block="ground"
+            state, -at.position[2] / down + 1e4 * off, 0.5, [0.0, 0.0, -1.0], 0.0, block="ground"
         ),
         take_speeds(state, speeds, np.full(3, 0.05), BEAMS),
     ]
@@ -89,7 +89,8 @@ def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
     for one in (pilot, plain, state):
         flown(one, 5)
     for one in (plain, state):
-        outcomes.append(measure(one, off, at))
+        # Twice: what was learnt the first time is expected the second.
+        outcomes.append(measure(one, off, at) + measure(one, off, at))
     for one in (plain, state):
         flown(one, 6)
     p = frame.covariance_in_site()
@@ -99,7 +100,7 @@ def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
     assert p / scale == pytest.approx(expected / scale, abs=close)
     for one, other in zip(*outcomes, strict=True):
         assert one.taken
-        assert other.nis == pytest.approx(one.nis, rel=0.05, abs=1e-9)
+        assert other.nis == pytest.approx(one.nis, rel=0.1, abs=1e-3)
     sigma = np.sqrt(np.diag(expected))
     found = frame.to_site(state.inertial.position)
     assert np.abs(found - plain.inertial.position).max() < (0.02 if off else 1e-9) * sigma[:3].max()
