@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,16 +20,16 @@ from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.place_search import Features, Match, ScanPatch, features_of, search
+from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
 from lunarsim.onboard.navigation.registration import (
     Fit,
-    Surface,
     fit,
     point_jacobian,
     pose_jacobian,
     register,
-    surface_of,
 )
+from lunarsim.onboard.navigation.surface import Surface, surface_of
 from lunarsim.onboard.navigation.watch import Watch
 
 Array = NDArray[np.float64]
@@ -61,12 +60,8 @@ class RegistrationSettings:
         25,000.
     certainty
         Probability of the best place that a search must reach to be believed.
-    patch_s
-        Scans of so many seconds are searched for together, s.
     level_sigma
         Of a height taken from the level of the ground before the place is known, m.
-    feature_reach
-        What is wider than twice this many posts is no feature to search by.
     search_s
         Between two searches, s.
     lost_s
@@ -82,13 +77,11 @@ class RegistrationSettings:
 
     model_sigma: float = 0.03
     least_squares: int = 12
-    least_share: float = 0.6
-    greatest_misfit: float = 2.5
+    least_share: float = 0.7
+    greatest_misfit: float = 1.6
     gate: float = 30.0
     certainty: float = 0.99999
-    patch_s: float = 4.0
     level_sigma: float = 0.5
-    feature_reach: int = 4
     search_s: float = 0.5
     lost_s: float = 2.0
     odometry_postings: tuple[float, float] = (0.05, 0.4)
@@ -153,9 +146,10 @@ class LidarInertialFilter:
         if prior is not None:
             self._uses = np.zeros(prior.grid.shape, np.int32)
             self._variance = self._of_uses(prior, self._uses)
+            self._features = MapFeatures(prior)
+            self._places = PlaceSearch(self._features)
         self._agreed = -np.inf
         self._searched = -np.inf
-        self._patch: deque[tuple[float, Features]] = deque()
         self._key: _Key | None = None
         self._shared = 0.0
         self._moved = np.zeros(3)
@@ -246,7 +240,7 @@ class LidarInertialFilter:
             agreed = self._register(scan, time)
         if self.locked and time - self._agreed > self.settings.lost_s:
             self.locked = False
-            self._patch.clear()
+            self._places.restart()
             self.events.append(NavigationEvent(time, "lock-lost", {"moved": 0.0}))
         self._remember(scan, width)
         return agreed
@@ -267,7 +261,6 @@ class LidarInertialFilter:
         name = "relock" if self.found else "lock"
         self.locked = True
         self._agreed = time
-        self._patch.clear()
         self.events.append(
             NavigationEvent(time, name, {"moved": float(np.linalg.norm(self._moved))})
         )
@@ -282,7 +275,7 @@ class LidarInertialFilter:
             return False
         result, posts = register(
             scan,
-            self.prior,
+            self._features,
             self.inertial.position,
             self.inertial.attitude,
             self.covariance[np.ix_(POSE, POSE)],
@@ -313,38 +306,19 @@ class LidarInertialFilter:
         )
 
     def _search(self, scan: LidarScan, time: float) -> bool:
-        """Look for the scans of the last seconds on the map; return whether they were found."""
+        """Look for what was scanned on the map; return whether it was found."""
         assert self.prior is not None
-        s, g = self.settings, self.prior.grid
-        self._patch.append((time, features_of(self._surface(scan, g), s.feature_reach)))
-        while self._patch[0][0] < time - s.patch_s:
-            self._patch.popleft()
+        s, own = self.settings, self.inertial
+        points = scan.points(own.position, own.attitude)
+        self._places.add(points + self._offset)
         if time - self._searched < s.search_s - 1e-9:
             return False
         self._searched = time
-        patch = ScanPatch.merged([features for _, features in self._patch])
-        if patch is None:
-            return False
-        rows, cols = np.nonzero(patch.known)
-        middle = np.array(
-            [
-                g.x0 + g.posting * (patch.first[1] + cols.mean()),
-                g.y0 + g.posting * (patch.first[0] + rows.mean()),
-                patch.level[patch.known].mean(),
-            ]
-        )
-        jacobian = point_jacobian(middle, self.inertial.position, self.inertial.attitude)
+        middle = np.nanmean(points, axis=0)
+        jacobian = point_jacobian(middle, own.position, own.attitude)
         p = jacobian @ self.covariance[np.ix_(POSE, POSE)] @ jacobian.T
-        reach = int(np.ceil(3.5 * np.sqrt(max(p[0, 0], p[1, 1])) / g.posting))
-        window = _window(
-            self.prior.elevation, patch.first[0] - reach, patch.first[1] - reach,
-            patch.known.shape[0] + 2 * reach, patch.known.shape[1] + 2 * reach,
-        )  # fmt: skip
-        variance = 1.5 * self.prior.sigma**2 + s.model_sigma**2
-        match = search(
-            patch, window, g.posting, variance, p[:2, :2], np.full(2, -reach * g.posting),
-            reach=s.feature_reach,
-        )  # fmt: skip
+        speed = float(np.sqrt(np.diag(self.covariance)[3:5].max()))
+        match = self._places.search(time, -self._offset[:2], p[:2, :2], speed)
         if match is None:
             return False
         if match.certainty < s.certainty or match.share < s.least_share:
@@ -354,7 +328,7 @@ class LidarInertialFilter:
         return self._apply(
             POSE,
             jacobian.T @ information @ jacobian,
-            jacobian.T @ information @ match.shift,
+            jacobian.T @ information @ (match.shift + self._offset),
             s.gate,
             jump=True,
         )
@@ -365,12 +339,11 @@ class LidarInertialFilter:
         variance = match.up_variance + self.settings.level_sigma**2
         if 9.0 * variance < before:
             row = jacobian[2]
-            information = np.outer(row, row) / variance
-            if self._apply(
-                POSE, information, row * match.up / variance, self.settings.gate, jump=True
-            ):
-                # Earlier scans lie where the lander was thought to be.
-                self._patch.clear()
+            up = match.up + float(self._offset[2])
+            self._apply(
+                POSE, np.outer(row, row) / variance, row * up / variance, self.settings.gate,
+                jump=True,
+            )  # fmt: skip
 
     # --- odometry -------------------------------------------------------------------------
 
@@ -465,16 +438,6 @@ def _plausible(scan: LidarScan) -> LidarScan:
     with np.errstate(invalid="ignore"):
         good = (scan.range > 0.0) & (scan.range < _FARTHEST)
     return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))
-
-
-def _window(elevation: Array, row: int, col: int, rows: int, cols: int) -> Array:
-    """Return a part of a map, NaN where it lies off the map."""
-    out = np.full((rows, cols), np.nan)
-    r0, r1 = max(row, 0), min(row + rows, elevation.shape[0])
-    c0, c1 = max(col, 0), min(col + cols, elevation.shape[1])
-    if r0 < r1 and c0 < c1:
-        out[r0 - row : r1 - row, c0 - col : c1 - col] = elevation[r0:r1, c0:c1]
-    return out
 
 
 def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

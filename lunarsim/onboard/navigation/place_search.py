@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation import _place_kernels as k
 from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
 from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
@@ -18,46 +17,31 @@ IntArray = NDArray[np.int64]
 
 # Places whose logarithm of the probability lies so far below the best's are not compared further.
 _HOPELESS = 14.0
-# Places that stand for all places, to tell how well ground fits where it does not belong.
+# Places that the height is told by.
 _SAMPLE = 2048
 # Deviations of the prior within which places are looked at.
 _DEVIATIONS = 3.5
 # Up to so many places are told apart by half posts, more by whole ones; and at most so many a side.
 _BY_HALVES, _WIDEST = 250_000, 2000
 # What tells less of where it lies, even if it fits exactly, is not compared.
-_LEAST_TOLD = 1.0
+_LEAST_TOLD = 5.0
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How places are judged.
+    """How tiles are cut out of what was scanned, and what drifts.
 
     Attributes
     ----------
-    reach
-        What is wider than twice this many posts is no feature to search by.
     tile
         Side of the tiles that are compared as one, m; 4 to 16 posts.
-    changed
-        Probability that the map shows another ground than there is under a tile.
-    outlier
-        Share of posts that do not agree though the tile does: shadows of rocks, single changes.
-    model_sigma
-        What else sets a scan's mean over a post's square apart from the post, m.
-    together
-        Posts of a feature that agree or fail as one, at least.
     deaf_s
         A tile that grows no more for so long is compared as it is, s.
     held_s
         A speed that is wrong stays so for so long, s: what places drift by.
     """
 
-    reach: int = 4
     tile: float = 8.0
-    changed: float = 0.2
-    outlier: float = 0.05
-    model_sigma: float = 0.03
-    together: float = 2.0
     deaf_s: float = 1.0
     held_s: float = 4.0
 
@@ -91,58 +75,26 @@ class Match:
 
 @dataclass(frozen=True)
 class _Tile:
-    """Scanned posts that are compared as one.
+    """A tile at every half post.
 
     Attributes
     ----------
     first
         Row and column of the first post, in halves of a post from the map's first.
-    height, level
-        Above the plane around, and of the ground itself (r, c), m.
-    weight
-        Whether a post is compared (r, c).
-    variance
-        Of a residual (r, c), m^2.
+    whole
+        Heights, weights and variances at every half post (r, c).
+    level
+        Of the ground itself (r, c), m.
     """
 
     first: tuple[int, int]
-    height: Array
+    whole: Tile
     level: Array
-    weight: Array
-    variance: Array
 
-
-@dataclass(frozen=True)
-class _Density:
-    """How common heights above the planes around are on a map.
-
-    Attributes
-    ----------
-    height
-        Ascending (n,), m.
-    rare
-        Logarithm of one over their density (n,), in 1 / m.
-    """
-
-    height: Array
-    rare: Array
-
-    @classmethod
-    def of(cls, values: Array, sigma: float) -> _Density:
-        """Return the density of heights (m,) that err by `sigma`."""
-        width = 0.2 * sigma
-        top = float(np.abs(values).max()) if len(values) else sigma
-        top = min(top + 4.0 * sigma, 2000.0 * width)
-        edges = np.arange(-top, top + width, width)
-        count, _ = np.histogram(np.clip(values, -top, top), edges)
-        density = ndimage.gaussian_filter1d(count / (max(len(values), 1) * width), 1.5)
-        # What the map shows nowhere may still be somewhere.
-        density += 1e-3 / (2.0 * top)
-        return cls(0.5 * (edges[1:] + edges[:-1]), -np.log(density))
-
-    def rarity(self, height: Array) -> Array:
-        """Return the logarithm of one over the density of heights, in 1 / m."""
-        return np.asarray(np.interp(height, self.height, self.rare))
+    def lay(self, a: int, b: int) -> Tile:
+        """Return every other post, from the first or from half a post farther north and east."""
+        cut = (slice(a, None, 2), slice(b, None, 2))
+        return Tile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
 
 
 class PlaceSearch:
@@ -157,23 +109,17 @@ class PlaceSearch:
 
     Parameters
     ----------
-    prior
-        The map.
+    features
+        The map's.
     settings
-        How places are judged.
+        How tiles are cut, and what drifts.
     """
 
-    def __init__(self, prior: PriorMap, settings: SearchSettings | None = None) -> None:
-        self.prior = prior
+    def __init__(self, features: MapFeatures, settings: SearchSettings | None = None) -> None:
+        self.features = features
+        self.prior = features.prior
         self.settings = settings or SearchSettings()
-        g = prior.grid
-        known = np.isfinite(prior.elevation)
-        shown, kept = above_plane(prior.elevation, known, self.settings.reach)
-        self._shown = np.ascontiguousarray(shown, np.float32)
-        self._kept = np.ascontiguousarray(kept, np.float32)
-        self._density = _Density.of(shown[kept], prior.sigma)
-        self._rarity = np.ascontiguousarray(self._density.rarity(shown), np.float32)
-        self._wide = int(np.clip(round(self.settings.tile / g.posting), 4, 16))
+        self._wide = int(np.clip(round(self.settings.tile / self.prior.grid.posting), 4, 16))
         self.restart()
 
     def restart(self) -> None:
@@ -230,10 +176,15 @@ class PlaceSearch:
         self._blur(time, speed_sigma)
         away = self._away(mean, covariance)
         due = self._due(time)
-        told = [self._told(tile) for tile in due]
-        for n in np.argsort([-most for most, _ in told], kind="stable"):
-            if told[n][0] >= _LEAST_TOLD:
-                self._compare(due[n], away, told[n][1])
+        usual = [self.features.usual(tile.lay(0, 0)) for tile in due]
+        told = [
+            0.0 if mean is None else self.features.exact(tile.lay(0, 0)) - mean
+            for tile, mean in zip(due, usual, strict=True)
+        ]
+        # What tells most comes first: the rest need be compared at fewer places.
+        for n in np.argsort(np.negative(told), kind="stable"):
+            if told[n] >= _LEAST_TOLD:
+                self._compare(due[n], away, usual[n])
         self._tiles += due
         return self._match(away, covariance) if self._tiles else None
 
@@ -293,7 +244,7 @@ class PlaceSearch:
         skip = (first[0] % 2, first[1] % 2)
         whole = above_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
-            self.settings.reach,
+            self.features.settings.reach,
         )[1]  # fmt: skip
         row, col = np.nonzero(whole)
         row += (first[0] + skip[0]) // 2
@@ -319,7 +270,7 @@ class PlaceSearch:
     def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _Tile:
         """Return a tile at every half post, out of what was scanned."""
         # A half post more on either side, for the four ways to lay posts, and two for slopes.
-        side, room = 2 * self._wide, 2 * self.settings.reach + 2
+        side, room = 2 * self._wide, 2 * self.features.settings.reach + 2
         south, west = (side * key[i] - room - self._submap.first[i] for i in (0, 1))
         many = side + 2 * room
         z, seen = _cut(height, south, west, many), _cut(known, south, west, many)
@@ -327,7 +278,7 @@ class PlaceSearch:
         for a in (0, 1):
             for b in (0, 1):
                 above[a::2, b::2], kept[a::2, b::2] = above_plane(
-                    z[a::2, b::2], seen[a::2, b::2], self.settings.reach
+                    z[a::2, b::2], seen[a::2, b::2], self.features.settings.reach
                 )
         # A place lies up to half a spacing beside the truth.
         spread = np.zeros(z.shape)
@@ -335,82 +286,28 @@ class PlaceSearch:
             rise = np.gradient(above, axis=axis)
             near = ndimage.minimum_filter1d(kept, 3, axis=axis)
             spread += (2.0 / self._ways * np.where(near, rise, 0.0)) ** 2 / 12.0
-        s = self.settings
-        variance = self.prior.sigma**2 + s.model_sigma**2 + spread
-        inner = slice(room, room + side)
-        return _Tile(
-            (side * key[0], side * key[1]), above[inner, inner], z[inner, inner],
-            kept[inner, inner].astype(np.float64), variance[inner, inner],
-        )  # fmt: skip
+        inner = (slice(room, room + side),) * 2
+        weight, variance = kept.astype(np.float64), self.features.variance + spread
+        whole = Tile(above[inner], weight[inner], variance[inner])
+        return _Tile((side * key[0], side * key[1]), whole, z[inner])
 
     # --- evidence -------------------------------------------------------------------------
 
-    def _told(self, tile: _Tile) -> tuple[float, float]:
-        """Return what a tile would tell if it fitted exactly, and its usual likelihood."""
-        rows, cols = self._log.shape
-        every = max(1, int(np.sqrt(rows * cols / _SAMPLE)))
-        every += 1 - every % 2
-        row, col = (part.ravel() for part in np.mgrid[0:rows:every, 0:cols:every])
-        others, whole = self._likelihood(tile, row, col)
-        if not (whole > 0.5).any():
-            return 0.0, 0.0
-        scaled = others[whole > 0.5] / whole[whole > 0.5]
-        best = scaled.max()
-        typical = float(best + np.log(np.mean(np.exp(scaled - best))))
-        lay = slice(None, None, 2)
-        height, weight, variance = (
-            part[lay, lay] for part in (tile.height, tile.weight, tile.variance)
-        )
-        exact = self._density.rarity(height) - 0.5 * np.log(2.0 * np.pi * variance)
-        return float((weight * exact).sum()) / self._together - typical, typical
-
-    def _compare(self, tile: _Tile, away: Array, typical: float) -> None:
-        """Multiply the posterior by the likelihood of a tile.
-
-        How much better it fits than at all places on average: no tile can tell more than one place
-        from as many as there are. What the map does not know tells nothing.
-        """
+    def _compare(self, tile: _Tile, away: Array, usual: float) -> None:
+        """Multiply the posterior by the likelihood of a tile."""
         log = self._log - away
         row, col = np.nonzero(log >= log.max() - _HOPELESS)
-        ratio, share = self._likelihood(tile, row, col)
-        typical = max(typical, float(ratio.max()) - float(np.log(log.size)))
-        changed = self.settings.changed
-        self._log[row, col] += np.logaddexp(
-            ratio - share * typical + np.log1p(-changed), np.log(changed)
-        )
-
-    @property
-    def _together(self) -> float:
-        """Posts of one feature, and posts whose errors are alike, agree or fail together."""
-        return max(self.settings.together, self.prior.together)
-
-    def _likelihood(self, tile: _Tile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
-        """Return log-likelihood ratios of a tile at places (n,), and the share compared (n,)."""
-        ratio, covered = np.zeros(len(row)), np.zeros(len(row))
-        north, east = row + self._origin[0], col + self._origin[1]
-        s = self.settings
-        ways = self._ways
+        ratio, share = np.zeros(len(row)), np.zeros(len(row))
+        north, east, ways = row + self._origin[0], col + self._origin[1], self._ways
         for a in range(ways):
             for b in range(ways):
                 # A shift by an odd number of halves takes posts that begin a half later.
                 mine = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
-                height, weight, variance = (
-                    np.ascontiguousarray(part[a::2, b::2], np.float32)
-                    for part in (tile.height, tile.weight, tile.variance)
-                )
-                level = np.log((1.0 - s.outlier) / np.sqrt(2.0 * np.pi * variance))
-                total = weight.sum()
-                if total == 0.0 or len(mine) == 0:
-                    continue
-                ratio[mine], covered[mine] = k.evidence(
-                    self._shown, self._rarity, self._kept, height, weight,
-                    (0.5 / variance).astype(np.float32), level.astype(np.float32),
-                    np.float32(np.log(s.outlier)),
-                    (north[mine] + a) // ways + tile.first[0] // 2,
+                ratio[mine], share[mine] = self.features.likelihood(
+                    tile.lay(a, b), (north[mine] + a) // ways + tile.first[0] // 2,
                     (east[mine] + b) // ways + tile.first[1] // 2,
                 )  # fmt: skip
-                covered[mine] /= total
-        return ratio / self._together, covered
+        self._log[row, col] += self.features.factor(ratio, share, usual, log.size)
 
     # --- outcome --------------------------------------------------------------------------
 
@@ -464,11 +361,11 @@ class PlaceSearch:
         for n, tile in enumerate(reversed(self._tiles)):
             cut, r, c = self._under(tile, np.array([row]), np.array([col]))
             shown, elevation = (
-                _at(of, r[0], c[0]) for of in (self._shown, self.prior.elevation)
+                _at(of, r[0], c[0]) for of in (self.features.shown, self.prior.elevation)
             )
-            both = (tile.weight[cut] > 0.0) & (_at(self._kept, r[0], c[0]) > 0.0)
-            gap = shown - tile.height[cut]
-            agree = both & (gap**2 <= 9.0 * tile.variance[cut])
+            both = (tile.whole.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
+            gap = shown - tile.whole.height[cut]
+            agree = both & (gap**2 <= 9.0 * tile.whole.variance[cut])
             agreed, offered = agreed + int(agree.sum()), offered + int(both.sum())
             if n < 6:
                 rises.append((elevation - tile.level[cut])[agree])
@@ -491,7 +388,7 @@ class PlaceSearch:
         row, col, mass = row[keep], col[keep], mass[keep]
         tile = self._tiles[-1]
         cut, r, c = self._under(tile, row, col)
-        ours = tile.weight[cut] > 0.0
+        ours = tile.whole.weight[cut] > 0.0
         i, j = np.nonzero(ours)
         some = slice(None, None, max(1, len(i) // 32))
         i, j = i[some], j[some]

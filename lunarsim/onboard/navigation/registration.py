@@ -2,58 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
-from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation import _registration_kernels as k
+from lunarsim.onboard.navigation.fit_start import fit_start
+from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.surface import Surface, surface_of
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Surface:
-    """A scan averaged over the squares of a grid, at their middles.
-
-    Attributes
-    ----------
-    col, row
-        Of the squares (m,); may lie beyond the grid.
-    position
-        Middles of the squares at the scan's height there (m, 3), ENU, m.
-    normal
-        (-dz/dx, -dz/dy, 1) of the scan (m, 3). It comes from the scan, not from the map, whose
-        noise would look like slope and make flat ground seem to tell where it is.
-    """
-
-    col: IntArray
-    row: IntArray
-    position: Array
-    normal: Array
-
-    def __len__(self) -> int:
-        return len(self.col)
-
-
-def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
-    """Average points (n, 3), NaN for none, over the squares of a grid."""
-    col, row, mean, _ = k.average(
-        np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
-    )
-    height, slope, good = k.surface(
-        col, row, mean, grid.x0, grid.y0, grid.posting, 0.25 * grid.posting
-    )
-    col, row, height, slope = col[good], row[good], height[good], slope[good]
-    position = np.stack(
-        (grid.x0 + grid.posting * col, grid.y0 + grid.posting * row, height), axis=-1
-    )
-    return Surface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))
+# A scan's place is certain where so many deviations lie within half a post, or else with such a
+# probability.
+_DEVIATIONS, _CERTAIN = 3.5, 0.9995
+# Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
+_BLOCK, _FEWEST_BLOCKS = 4, 6
 
 
 @dataclass(frozen=True)
@@ -69,7 +38,7 @@ class Fit:
     used, offered
         Squares that agree with the map, and all that could be compared.
     misfit
-        Mean square of the residuals used, in units of their variance.
+        Mean square of the residuals used, in units of the variance that they are judged by.
     """
 
     information: Array
@@ -84,7 +53,15 @@ class Fit:
         return self.used / self.offered if self.offered else 0.0
 
 
-def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: float = 3.0) -> Fit:
+def fit(
+    jacobian: Array,
+    residual: Array,
+    variance: Array,
+    prior: Array,
+    gate: float = 3.0,
+    *,
+    single: Array | None = None,
+) -> Fit:
     """Fit an error to residuals, leaving out those that no likely error explains.
 
     Parameters
@@ -95,7 +72,11 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
         Covariance (d, d) of the error before.
     gate
         Residuals farther than so many deviations from the fit are left out.
+    single
+        Variance of the residuals (m,) by which they are judged, where they are weighed by more
+        because they were used before; left out: `variance`.
     """
+    single = variance if single is None else single
     d = jacobian.shape[1]
     if len(residual) == 0:
         return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
@@ -104,7 +85,7 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
     middle = np.median(residual)
     spread = 1.4826 * np.median(np.abs(residual - middle))
     if spread > 0.0:
-        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(variance.min())))
+        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(single.min())))
     for _ in range(4):
         j, w = jacobian[keep], 1.0 / variance[keep]
         information = (j * w[:, None]).T @ j
@@ -112,12 +93,12 @@ def fit(jacobian: Array, residual: Array, variance: Array, prior: Array, gate: f
         # The prior may be singular: two scans at nearly the same place err alike.
         error = prior @ np.linalg.solve(np.eye(d) + information @ prior, vector)
         after = residual - jacobian @ error
-        agree = after**2 <= gate**2 * variance
+        agree = after**2 <= gate**2 * single
         if np.array_equal(agree, keep):
             break
         keep = agree
     used = int(keep.sum())
-    misfit = float(np.mean(after[keep] ** 2 / variance[keep])) if used else np.nan
+    misfit = float(np.mean(after[keep] ** 2 / single[keep])) if used else np.nan
     j, w = jacobian[keep], 1.0 / variance[keep]
     return Fit(
         (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
@@ -164,7 +145,7 @@ def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
 
 def register(
     scan: LidarScan,
-    prior: PriorMap,
+    features: MapFeatures,
     position: Array,
     attitude: Array,
     covariance: Array,
@@ -179,14 +160,14 @@ def register(
 
     Parameters
     ----------
-    scan, prior
-        To be compared.
+    scan, features
+        To be compared; the map's.
     position, attitude
         Estimated pose (3,) and (4,).
     covariance
         Of its error (6, 6): position (ENU), small rotation (body axes).
     variance
-        Of a residual at each post (rows, cols), m^2.
+        Of a residual at each post (rows, cols), m^2: the more the more often it was used.
     passes
         At most.
 
@@ -197,18 +178,25 @@ def register(
     posts
         Rows and columns of the posts compared.
     """
+    prior = features.prior
     g = prior.grid
-    error = np.zeros(6)
+    error, level_only, spread = _begin(scan, features, position, attitude, covariance)
     for _ in range(passes):
         turned = quat_multiply(attitude, quat_from_rotation_vector(error[3:]))
         surface = surface_of(scan.points(position + error[:3], turned), g)
         inside = _on_known_ground(surface, prior)
         posts = surface.row[inside], surface.col[inside]
-        jacobian = pose_jacobian(
-            surface.position[inside], surface.normal[inside], position + error[:3], turned
-        )
+        normal, added = surface.normal[inside], np.zeros(int(inside.sum()))
+        if level_only and inside.any():
+            # The slope of the whole is the same for all: it ties the level to the place.
+            slope = normal[:, :2] - normal[:, :2].mean(axis=0)
+            added = np.einsum("ni,ij,nj->n", slope, spread, slope)
+            normal = np.broadcast_to(normal.mean(axis=0), normal.shape)
+        jacobian = pose_jacobian(surface.position[inside], normal, position + error[:3], turned)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
-        result = fit(jacobian, residual, variance[posts], covariance)
+        result = fit(
+            jacobian, residual, variance[posts] + added, covariance, single=features.variance + added
+        )
         if result.used == 0:
             break
         step = (
@@ -220,4 +208,56 @@ def register(
         moved = point_jacobian(middle, position, attitude) @ step
         if np.abs(moved).max() < 0.05 * g.posting:
             break
+    if result.used:
+        left = residual - jacobian @ error
+        share = _together(posts, left, features.variance + added)
+        share = max(share, prior.together)
+        result = replace(
+            result, information=result.information / share, vector=result.vector / share
+        )
     return result, posts
+
+
+def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
+    """Return how many times less residuals tell than if each erred on its own, at least 1.
+
+    By their sums over blocks of a few posts: errors of a map that are alike over some metres, and
+    ground that has changed by little, add up there.
+    """
+    row, col = (part // _BLOCK for part in posts)
+    keep = residual**2 <= 9.0 * variance
+    block = (row - row.min()) * (int(np.ptp(col)) + 1) + col - col.min()
+    total = np.bincount(block[keep], residual[keep])
+    expected = np.bincount(block[keep], variance[keep])
+    full = expected > 0.0
+    if full.sum() < _FEWEST_BLOCKS:
+        return 1.0
+    return max(1.0, float(np.mean(total[full] ** 2 / expected[full])))
+
+
+def _begin(
+    scan: LidarScan,
+    features: MapFeatures,
+    position: Array,
+    attitude: Array,
+    covariance: Array,
+) -> tuple[Array, bool, Array]:
+    """Return where to begin a fit (6,), whether it may tell the level alone, and the spread.
+
+    Slopes tell where a scan lies only as far as they reach, which is half a post on rough ground:
+    where the scan's place is less certain, all places that its stated error allows are compared
+    first. Where several will do, which one it is must not be told.
+    """
+    surface = surface_of(scan.points(position, attitude), features.prior.grid)
+    error, none = np.zeros(6), np.zeros((2, 2))
+    if len(surface) == 0:
+        return error, False, none
+    middle = surface.position.mean(axis=0)
+    across = point_jacobian(middle, position, attitude)[:2]
+    place = across @ covariance @ across.T
+    if _DEVIATIONS * np.sqrt(np.diag(place).max()) <= 0.5 * features.prior.grid.posting:
+        return error, False, none
+    start = fit_start(surface, features, place)
+    if start.certainty < _CERTAIN:
+        return error, True, start.spread
+    return covariance @ across.T @ np.linalg.solve(place, start.shift), False, none
