@@ -24,11 +24,13 @@ from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
 from lunarsim.onboard.navigation.registration import (
     Fit,
+    Scanned,
     fit,
     point_jacobian,
     pose_jacobian,
     register,
 )
+from lunarsim.onboard.navigation.submap import Submap
 from lunarsim.onboard.navigation.surface import Surface, surface_of
 from lunarsim.onboard.navigation.watch import Watch
 
@@ -36,6 +38,8 @@ Array = NDArray[np.float64]
 
 # The pose at the scan kept for odometry, in the error state.
 _KEY = "key"
+# Squares along a post's side that gather scans; and so many posts as must agree must be covered.
+_SQUARES, _ENOUGH = 4, 3
 # No return comes from farther, m.
 _FARTHEST = 20_000.0
 
@@ -65,7 +69,9 @@ class RegistrationSettings:
     search_s
         Between two searches, s.
     lost_s
-        Without agreement for so long the lock is lost, s.
+        If nothing that covers posts enough agrees for so long the lock is lost, s.
+    gather_s
+        Scans that cover too few posts are gathered for so long at most, s.
     odometry_postings
         Least and greatest squares in which scans are compared with each other, m: a
         twenty-fourth of a scan's width between them.
@@ -84,6 +90,7 @@ class RegistrationSettings:
     level_sigma: float = 0.5
     search_s: float = 0.5
     lost_s: float = 2.0
+    gather_s: float = 5.0
     odometry_postings: tuple[float, float] = (0.05, 0.4)
     odometry_sigma: float = 0.03
     key_share: float = 0.8
@@ -152,6 +159,8 @@ class LidarInertialFilter:
         self._searched = -np.inf
         self._key: _Key | None = None
         self._shared = 0.0
+        self._gathered: Submap | None = None
+        self._gathering = -np.inf
         self._moved = np.zeros(3)
         self._offset = np.zeros(3)
 
@@ -273,8 +282,14 @@ class LidarInertialFilter:
         s, g = self.settings, self.prior.grid
         if not self.locked and not (self.found and self.position_sigma < g.posting):
             return False
+        seen = self._seen(scan, time)
+        if seen is None:
+            # A scan that covers too few posts speaks neither for nor against the lock.
+            if self.locked and self.position_sigma < g.posting:
+                self._agreed = time
+            return False
         result, posts = register(
-            scan,
+            seen,
             self._features,
             self.inertial.position,
             self.inertial.attitude,
@@ -291,6 +306,23 @@ class LidarInertialFilter:
             self._lock(time)
         self._agreed = time
         return True
+
+    def _seen(self, scan: LidarScan, time: float) -> Scanned | None:
+        """Return a scan that covers posts enough, else those gathered once they do."""
+        assert self.prior is not None
+        g, own = self.prior.grid, self.inertial
+        points = scan.points(own.position, own.attitude)
+        enough = _ENOUGH * self.settings.least_squares
+        # Those at the edge have no slope.
+        if _posts_under(points, g.posting) >= enough:
+            return scan
+        if self._gathered is None or time - self._gathering > self.settings.gather_s:
+            self._gathered, self._gathering = Submap(0.0, 0.0, g.posting / _SQUARES), time
+        self._gathered.add(points + self._offset)
+        if self._gathered.count < enough * _SQUARES**2:
+            return None
+        gathered, self._gathered = self._gathered, None
+        return gathered.as_scan(own.position + self._offset, own.attitude)
 
     def _of_uses(self, prior: PriorMap, uses: NDArray[np.int32]) -> Array:
         """Return the variance of a residual at posts that were compared `uses` times before."""
@@ -438,6 +470,16 @@ def _plausible(scan: LidarScan) -> LidarScan:
     with np.errstate(invalid="ignore"):
         good = (scan.range > 0.0) & (scan.range < _FARTHEST)
     return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))
+
+
+def _posts_under(points: Array, posting: float) -> int:
+    """Return how many posts points (n, 3) lie on, NaN for none."""
+    xy = points[np.isfinite(points[:, 0]), :2]
+    if len(xy) == 0:
+        return 0
+    # A map of the whole scan would be too large only where it grazes the ground.
+    place = np.floor((xy - xy.min(axis=0)) / posting)
+    return len(np.unique(place @ (1.0, 1e7)))
 
 
 def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -125,7 +125,8 @@ class PlaceSearch:
     def restart(self) -> None:
         """Forget all that was scanned."""
         g = self.prior.grid
-        self._submap = Submap(g.x0, g.y0, g.posting)
+        corner = (g.x0 - 0.5 * g.posting, g.y0 - 0.5 * g.posting)
+        self._submap = Submap(*corner, 0.5 * g.posting)
         self._tiles: list[_Tile] = []
         self._used: set[tuple[int, int]] = set()
         self._fresh: dict[tuple[int, int], tuple[int, float]] = {}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
-from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.fit_start import fit_start
 from lunarsim.onboard.navigation.map_features import MapFeatures
@@ -23,6 +23,14 @@ IntArray = NDArray[np.int64]
 _DEVIATIONS, _CERTAIN = 3.5, 0.9995
 # Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
 _BLOCK, _FEWEST_BLOCKS = 4, 6
+
+
+class Scanned(Protocol):
+    """A scan, or several gathered into one."""
+
+    def points(self, position: Array, attitude: Array) -> Array:
+        """Return points (n, 3) in ENU for a pose, NaN for none."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -144,7 +152,7 @@ def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
 
 
 def register(
-    scan: LidarScan,
+    scan: Scanned,
     features: MapFeatures,
     position: Array,
     attitude: Array,
@@ -236,7 +244,7 @@ def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array
 
 
 def _begin(
-    scan: LidarScan,
+    scan: Scanned,
     features: MapFeatures,
     position: Array,
     attitude: Array,

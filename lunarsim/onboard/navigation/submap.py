@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+
+from lunarsim.frames import quat_to_matrix
 
 Array = NDArray[np.float64]
 
@@ -11,29 +15,43 @@ Array = NDArray[np.float64]
 _WIDEST = 3000
 
 
-class Submap:
-    """Running means of heights over squares of half a post.
+@dataclass(frozen=True)
+class GatheredScan:
+    """What several scans saw, as seen from one pose.
 
-    A flash covers few posts, or less than one; all flashes together cover what was swept. A post is
-    known once all four quarters of it are, so that its mean is one over an even cover. Posts are
-    given at every half post: shifted by half a post either way they are other means.
+    Attributes
+    ----------
+    body
+        Points in body axes (n, 3), m.
+    """
+
+    body: Array
+
+    def points(self, position: Array, attitude: Array) -> Array:
+        """Return the points (n, 3) for a pose (3,), (4,), as `LidarScan` does."""
+        return np.asarray(position + self.body @ quat_to_matrix(attitude).T)
+
+
+class Submap:
+    """Running means of heights over squares.
+
+    A flash covers few posts of a map, or less than one; all flashes together cover what was swept.
 
     Parameters
     ----------
-    x0, y0
-        Middle of post (0, 0), m.
-    posting
-        Of the map that posts are to be compared with, m.
+    west, south
+        Corner of square (0, 0), m.
+    side
+        Of the squares, m.
 
     Attributes
     ----------
     first
-        Row and column of the first square held, in halves of a post.
+        Row and column of the first square held.
     """
 
-    def __init__(self, x0: float, y0: float, posting: float) -> None:
-        self._west, self._south = x0 - 0.5 * posting, y0 - 0.5 * posting
-        self._side = 0.5 * posting
+    def __init__(self, west: float, south: float, side: float) -> None:
+        self._west, self._south, self._side = west, south, side
         self.first = (0, 0)
         self._sum = np.zeros((0, 0))
         self._count = np.zeros((0, 0))
@@ -77,10 +95,25 @@ class Submap:
             self.first = first
         return True
 
-    def posts(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Return heights of posts at every half post from `first` on, m, and which are known.
+    @property
+    def count(self) -> int:
+        """Number of squares that hold anything."""
+        return int(np.count_nonzero(self._count))
 
-        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`.
+    def as_scan(self, position: Array, attitude: Array) -> GatheredScan:
+        """Return all that is held as if it were scanned at once, from a pose in the local frame."""
+        row, col = np.nonzero(self._count)
+        place = np.column_stack((col + self.first[1], row + self.first[0])) + 0.5
+        xy = place * self._side + (self._west, self._south)
+        z = self._sum[row, col] / self._count[row, col]
+        return GatheredScan((np.column_stack((xy, z)) - position) @ quat_to_matrix(attitude))
+
+    def posts(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Return heights of posts of two squares by two, m, and which are known.
+
+        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`: posts at
+        every half post. One is known once all four quarters are, so that it is a mean over an even
+        cover.
         """
         if min(self._sum.shape) < 2:
             return np.zeros((0, 0)), np.zeros((0, 0), np.bool_)
