@@ -83,7 +83,7 @@ def _tiles(surface: Surface, features: MapFeatures) -> list[tuple[int, int, Tile
     height, known, spread = np.zeros(shape), np.zeros(shape, np.bool_), np.zeros(shape)
     height[place] = surface.position[:, 2]
     known[place] = True
-    above, kept = above_plane(height, known, features.settings.reach)
+    above, kept = above_plane(height, known, features.reach)
     # The truth lies up to half a post beside a shift.
     slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
     spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0

@@ -15,6 +15,8 @@ from lunarsim.onboard.navigation.features import above_plane
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# Up to such posts rocks and small craters stand out, m; a scan covers many of them.
+_FINE = 1.0
 # Places that stand for all of a map, to tell how well ground fits where it does not belong.
 _SAMPLE = 2048
 
@@ -25,23 +27,24 @@ class FeatureSettings:
 
     Attributes
     ----------
-    reach
-        What is wider than twice this many posts is no feature.
+    width
+        What is wider is no feature, m; at least 4 posts either way, and at most 8: where posts are
+        wide they tell by swells, which what was swept covers.
     changed
         Probability that the map shows another ground than there is under a tile.
     outlier
         Share of posts that do not agree though the tile does: shadows of rocks, single changes.
     model_sigma
         What else sets a scan's mean over a post's square apart from the post, m.
-    together
-        Posts of a feature that agree or fail as one, at least.
+    alike
+        Over such a length posts agree or fail as one, m: a rock hides the ground behind it.
     """
 
-    reach: int = 4
+    width: float = 50.0
     changed: float = 0.2
     outlier: float = 0.05
     model_sigma: float = 0.03
-    together: float = 2.0
+    alike: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -115,14 +118,20 @@ class MapFeatures:
     ----------
     shown, kept
         Heights above the planes around, m, and 1 where there are any, else 0 (rows, cols).
+    reach
+        Planes are fitted to so many posts either way.
+    together
+        So many posts agree or fail as one.
     """
 
     def __init__(self, prior: PriorMap, settings: FeatureSettings | None = None) -> None:
         self.prior = prior
         self.settings = settings or FeatureSettings()
-        shown, kept = above_plane(
-            prior.elevation, np.isfinite(prior.elevation), self.settings.reach
-        )
+        posting = prior.grid.posting
+        half = 0.5 * self.settings.width / posting
+        self.reach = 4 if posting <= _FINE else int(np.clip(round(half), 4, 8))
+        self.together = max(1.0, (self.settings.alike / posting) ** 2, prior.together)
+        shown, kept = above_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
         self.shown = np.ascontiguousarray(shown, np.float32)
         self.kept = np.ascontiguousarray(kept, np.float32)
         self._density = _Density.of(shown[kept], prior.sigma)
@@ -135,11 +144,6 @@ class MapFeatures:
     def variance(self) -> float:
         """Of the residual of a post that a scan covers evenly, m^2."""
         return self.prior.sigma**2 + self.settings.model_sigma**2
-
-    @property
-    def _together(self) -> float:
-        """Posts of one feature, and posts whose errors are alike, agree or fail together."""
-        return max(self.settings.together, self.prior.together)
 
     def likelihood(self, tile: Tile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
         """Return log-likelihood ratios of a tile at places (n,), and the share compared (n,).
@@ -159,7 +163,7 @@ class MapFeatures:
             ),
             np.float32(np.log(s.outlier)), np.ascontiguousarray(row), np.ascontiguousarray(col),
         )  # fmt: skip
-        return ratio / self._together, covered / total
+        return ratio / self.together, covered / total
 
     def usual(self, tile: Tile) -> float | None:
         """Return the logarithm of a tile's mean likelihood ratio over the map; None off it."""
@@ -176,7 +180,7 @@ class MapFeatures:
     def exact(self, tile: Tile) -> float:
         """Return the log-likelihood ratio of a tile where it fits exactly."""
         fits = self._density.rarity(tile.height) - 0.5 * np.log(2.0 * np.pi * tile.variance)
-        return float((tile.weight * fits).sum()) / self._together
+        return float((tile.weight * fits).sum()) / self.together
 
     def factor(self, ratio: Array, share: Array, usual: float, places: float) -> Array:
         """Return the logarithm of what a tile multiplies the probability of places by (n,).

@@ -23,7 +23,7 @@ _SAMPLE = 2048
 _DEVIATIONS = 3.5
 # Up to so many places are told apart by half posts, more by whole ones; and at most so many a side.
 _BY_HALVES, _WIDEST = 250_000, 2000
-# What tells less of where it lies, even if it fits exactly, is not compared.
+# Where there are so many places, what tells less even if it fits exactly is not compared.
 _LEAST_TOLD = 5.0
 
 
@@ -182,9 +182,10 @@ class PlaceSearch:
             0.0 if mean is None else self.features.exact(tile.lay(0, 0)) - mean
             for tile, mean in zip(due, usual, strict=True)
         ]
+        least = _LEAST_TOLD * min(1.0, self._log.size / _BY_HALVES)
         # What tells most comes first: the rest need be compared at fewer places.
         for n in np.argsort(np.negative(told), kind="stable"):
-            if told[n] >= _LEAST_TOLD:
+            if usual[n] is not None and told[n] >= least:
                 self._compare(due[n], away, usual[n])
         self._tiles += due
         return self._match(away, covariance) if self._tiles else None
@@ -245,7 +246,7 @@ class PlaceSearch:
         skip = (first[0] % 2, first[1] % 2)
         whole = above_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
-            self.features.settings.reach,
+            self.features.reach,
         )[1]  # fmt: skip
         row, col = np.nonzero(whole)
         row += (first[0] + skip[0]) // 2
@@ -271,7 +272,7 @@ class PlaceSearch:
     def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _Tile:
         """Return a tile at every half post, out of what was scanned."""
         # A half post more on either side, for the four ways to lay posts, and two for slopes.
-        side, room = 2 * self._wide, 2 * self.features.settings.reach + 2
+        side, room = 2 * self._wide, 2 * self.features.reach + 2
         south, west = (side * key[i] - room - self._submap.first[i] for i in (0, 1))
         many = side + 2 * room
         z, seen = _cut(height, south, west, many), _cut(known, south, west, many)
@@ -279,7 +280,7 @@ class PlaceSearch:
         for a in (0, 1):
             for b in (0, 1):
                 above[a::2, b::2], kept[a::2, b::2] = above_plane(
-                    z[a::2, b::2], seen[a::2, b::2], self.features.settings.reach
+                    z[a::2, b::2], seen[a::2, b::2], self.features.reach
                 )
         # A place lies up to half a spacing beside the truth.
         spread = np.zeros(z.shape)
