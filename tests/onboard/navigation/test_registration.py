@@ -12,14 +12,14 @@ from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
-from lunarsim.onboard.navigation.place_search import ScanPatch, features_of, high_pass, search
+from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import (
     fit,
     point_jacobian,
     pose_jacobian,
     register,
-    surface_of,
 )
+from lunarsim.onboard.navigation.surface import surface_of
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -123,7 +123,9 @@ def registered(world, seed, stale=0.0):
     # The estimate is off by the error: truth = estimate + error.
     attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
     variance = np.full(prior.grid.shape, prior.sigma**2 + 0.03**2)
-    result, _ = register(scan, prior, POSITION - error[:3], attitude, before, variance)
+    result, _ = register(
+        scan, MapFeatures(prior), POSITION - error[:3], attitude, before, variance
+    )
     covariance = np.linalg.inv(result.information + np.linalg.inv(before))
     return covariance @ result.vector, covariance, error, result
 
@@ -157,79 +159,6 @@ def test_a_fit_of_nothing_says_nothing():
     assert result.used == result.offered == 0
     assert result.share == 0.0
     assert not result.information.any()
-
-
-def patch_of(world, seed, shift, grid):
-    rng = np.random.default_rng(seed)
-    scans = [
-        scanned(world, rng, (x, y, 0.0)) for x in (-20.0, 0.0, 20.0) for y in (-15.0, 0.0, 15.0)
-    ]
-    return ScanPatch.merged(
-        [features_of(surface_of(s.points(POSITION, ATTITUDE) - shift, grid), 4) for s in scans]
-    )
-
-
-def found_at(world, seed, shift, sigma=30.0, noise=0.1, stale=0.0):
-    prior = survey(
-        world.terrain, Grid.centred((0.0, 0.0), 200.0, 0.5), np.random.default_rng(seed),
-        sigma=noise, stale_share=stale,
-    )  # fmt: skip
-    patch = patch_of(world, seed, np.asarray(shift), prior.grid)
-    first = -0.5 * np.array([patch.first[1], patch.first[0]])
-    return search(
-        patch, prior.elevation, 0.5, 1.5 * noise**2 + 0.05**2, np.eye(2) * sigma**2, first, reach=4
-    )
-
-
-@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (23.0, -31.0, 7.0), (-48.0, 12.0, -30.0)])
-def test_the_search_finds_what_was_moved(world, shift):
-    match = found_at(world, 3, shift)
-    assert match.certainty > 0.99999
-    assert match.shift == pytest.approx(np.array(shift), abs=0.5)
-    assert match.share > 0.95
-    assert match.up == pytest.approx(shift[2], abs=0.3)
-
-
-def test_the_search_is_not_misled_by_patches_out_of_date(world):
-    shift = (10.0, -20.0, 3.0)
-    matches = [found_at(world, seed, shift, stale=0.15) for seed in range(8)]
-    sure = [match for match in matches if match.certainty > 0.99999]
-    assert len(sure) >= 4
-    for match in sure:
-        assert match.shift == pytest.approx(np.array(shift), abs=0.6)
-
-
-def test_featureless_ground_is_not_found_but_its_height_is():
-    level = World(
-        hazard_field(np.random.default_rng(8), boulders=0, craters=0, swell=0.1, grass_sigma=0.0),
-        9.81,
-    )
-    for seed in range(5):
-        match = found_at(level, seed, (5.0, 5.0, 12.0))
-        assert match.certainty < 0.99
-        assert match.up == pytest.approx(12.0, abs=0.4)
-        assert match.up_variance < 0.3
-
-
-def test_a_patch_off_the_map_is_not_found(world):
-    prior = survey(world.terrain, Grid.centred((0.0, 0.0), 40.0, 0.5), np.random.default_rng(0))
-    patch = patch_of(world, 0, np.zeros(3), prior.grid)
-    small = prior.elevation[:10, :10]
-    padded = np.full((patch.known.shape[0] + 20, patch.known.shape[1] + 20), np.nan)
-    padded[:10, :10] = small
-    assert search(patch, padded, 0.5, 0.02, np.eye(2) * 100.0, np.zeros(2), reach=4) is None
-    assert ScanPatch.merged([features_of(surface_of(np.zeros((0, 3)), prior.grid), 4)]) is None
-
-
-def test_features_are_what_stands_out():
-    xx, yy = np.meshgrid(np.arange(40.0), np.arange(30.0))
-    known = np.ones(xx.shape, bool)
-    known[:, 20] = False
-    above, kept = high_pass(0.3 * xx - 0.2 * yy + 5.0, known, 3)
-    assert above[kept] == pytest.approx(0.0, abs=1e-9)
-    assert not kept[:, 17:24].any()
-    assert not kept[:3].any()
-    assert kept[5, 5]
 
 
 def test_a_survey_is_the_mean_of_the_ground_with_its_noise():
