@@ -25,8 +25,8 @@ def above_plane(height, known, reach):
     return out
 
 
-def density(values, sigma):
-    """A function for the density of heights: bins of a fifth of `sigma`, smoothed."""
+def rarity(values, sigma):
+    """A function for the logarithm of one over the density of heights: bins of a fifth of `sigma`, smoothed."""
     width = 0.2 * sigma
     top = min(np.abs(values).max() + 4.0 * sigma, 2000.0 * width)
     edges = np.arange(-top, top + width, width)
@@ -42,27 +42,53 @@ def density(values, sigma):
     padded = np.pad(share, reach, mode="symmetric")
     smooth = np.array([weight @ padded[i : i + 2 * reach + 1] for i in range(len(share))])
     rare = -np.log(smooth + 1e-3 / (2.0 * top))
-    return lambda x: np.exp(-np.interp(x, 0.5 * (edges[1:] + edges[:-1]), rare))
+    return lambda x: np.interp(x, 0.5 * (edges[1:] + edges[:-1]), rare)
 
 
-def tile_ratio(shown, tile, variance, row, col, common, outlier, together):
-    """Log-likelihood ratio of a tile at a place, and the share of it that the map knows."""
-    total, count, offered = 0.0, 0, 0
-    for r in range(tile.shape[0]):
-        for c in range(tile.shape[1]):
-            if np.isnan(tile[r, c]):
-                continue
-            offered += 1
-            y, x = row + r, col + c
-            if not (0 <= y < shown.shape[0] and 0 <= x < shown.shape[1]):
-                continue
-            if np.isnan(shown[y, x]):
-                continue
-            v = variance[r, c]
-            here = np.exp(-0.5 * (shown[y, x] - tile[r, c]) ** 2 / v) / np.sqrt(2.0 * np.pi * v)
-            total += np.log(max((1.0 - outlier) * here / common(shown[y, x]), outlier))
-            count += 1
+def tile_ratio(shown, rare, tile, variance, row, col, outlier, together):
+    """Log-likelihood ratio of a tile at a place, and the share of it that the map knows.
+
+    `rare`: logarithms of one over the densities of what the map shows.
+    """
+    total, count = 0.0, 0
+    for r, c in zip(*np.nonzero(np.isfinite(tile)), strict=True):
+        y, x = row + r, col + c
+        if not (0 <= y < shown.shape[0] and 0 <= x < shown.shape[1]) or np.isnan(shown[y, x]):
+            continue
+        v = variance[r, c]
+        here = -0.5 * (shown[y, x] - tile[r, c]) ** 2 / v - 0.5 * np.log(2.0 * np.pi * v)
+        total += max(np.log(1.0 - outlier) + here + rare[y, x], np.log(outlier))
+        count += 1
+    offered = np.isfinite(tile).sum()
     return total / together, count / offered if offered else 0.0
+
+
+def beside(height, reach):
+    """Variance of posts for lying up to a quarter of a post beside the truth, over that of slopes.
+
+    Heights between posts are means of the posts around; all of them are taken above their own
+    planes, a half post apart.
+    """
+    rows, cols = height.shape
+    fine = np.full((2 * rows - 1, 2 * cols - 1), np.nan)
+    for a in (0, 1):
+        for b in (0, 1):
+            part = [
+                height[i : rows - a + i, j : cols - b + j] for i in {0, a} for j in {0, b}
+            ]
+            mean = np.mean(part, axis=0)
+            fine[a::2, b::2] = above_plane(mean, np.ones(mean.shape, bool), reach)
+    out = np.zeros(height.shape)
+    for r in range(rows):
+        for c in range(cols):
+            for dr, dc in ((1, 0), (0, 1)):
+                y, x = 2 * r, 2 * c
+                if y - dr < 0 or x - dc < 0 or y + dr >= len(fine) or x + dc >= len(fine[0]):
+                    continue
+                ends = fine[y + dr, x + dc], fine[y - dr, x - dc]
+                if np.isfinite([*ends, fine[y, x]]).all():
+                    out[r, c] += (0.5 * (ends[0] - ends[1])) ** 2 / 12.0
+    return out
 
 
 def log_factors(ratios, shares, others, other_shares, changed):

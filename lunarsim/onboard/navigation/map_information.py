@@ -96,14 +96,15 @@ def can_lock(
     features = MapFeatures(prior, settings)
     posting = prior.grid.posting
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
-    ground, shown = (
+    ground, added, shown = (
         _window(of, prior, middle, swept, reach)
-        for of in (_denoised(features), features.shown * features.kept)
+        for of in (*_denoised(features), features.shown * features.kept)
     )
     inner = (slice(reach, ground.shape[0] - reach),) * 2
     template = ground[inner]
     alike = fftconvolve(shown, template[::-1, ::-1], mode="valid")
-    gap = alike[reach, reach] - alike
+    # The noise that is kept along with features fits itself.
+    gap = alike[reach, reach] - float(added[inner].sum()) - alike
     told = 0.5 * np.maximum(gap, 0.0) / (features.variance * features.together)
     expected = (1.0 - features.settings.changed) * told
     n = np.arange(-reach, reach + 1)
@@ -134,8 +135,10 @@ def _window(
     return out
 
 
-def _denoised(features: MapFeatures) -> Array:
+def _denoised(features: MapFeatures) -> tuple[Array, Array]:
     """Return what of a map's features noise would hardly ever show (rows, cols), m.
+
+    And the mean product of what noise is kept with the map's own (rows, cols), m^2.
 
     Undecimated wavelets (differences of binomial smoothings), of which is kept what exceeds some
     deviations of the noise at its scale: hard thresholds, as of Donoho and Johnstone (1994).
@@ -148,15 +151,16 @@ def _denoised(features: MapFeatures) -> Array:
         impulse = ndimage.gaussian_filter(impulse, min(alike, 16.0))
         impulse /= np.sqrt((impulse**2).sum())
     limit = _SURE * np.sqrt(features.variance)
-    out = np.zeros(left.shape)
+    out, added, whole = np.zeros(left.shape), np.zeros(left.shape), impulse
     for scale in range(_SCALES + 1):
         last = scale == _SCALES
         smooth, spread = (0.0 * of if last else _smoothed(of, 2**scale) for of in (left, impulse))
-        noise = np.sqrt(((impulse - spread) ** 2).sum())
-        detail = left - smooth
-        out += np.where(np.abs(detail) > limit * noise, detail, 0.0)
+        response, detail = impulse - spread, left - smooth
+        clear = np.abs(detail) > limit * np.sqrt((response**2).sum())
+        out += np.where(clear, detail, 0.0)
+        added += np.where(clear, features.variance * float((whole * response).sum()), 0.0)
         left, impulse = smooth, spread
-    return out
+    return out, added
 
 
 def _smoothed(of: Array, step: int) -> Array:
