@@ -26,7 +26,10 @@ def above_plane(height, known, reach):
 
 
 def rarity(values, sigma):
-    """A function for the logarithm of one over the density of heights: bins of a fifth of `sigma`, smoothed."""
+    """A function for the logarithm of one over the density of heights.
+
+    Bins of a fifth of `sigma`, smoothed.
+    """
     width = 0.2 * sigma
     top = min(np.abs(values).max() + 4.0 * sigma, 2000.0 * width)
     edges = np.arange(-top, top + width, width)
@@ -73,9 +76,7 @@ def beside(height, reach):
     fine = np.full((2 * rows - 1, 2 * cols - 1), np.nan)
     for a in (0, 1):
         for b in (0, 1):
-            part = [
-                height[i : rows - a + i, j : cols - b + j] for i in {0, a} for j in {0, b}
-            ]
+            part = [height[i : rows - a + i, j : cols - b + j] for i in {0, a} for j in {0, b}]
             mean = np.mean(part, axis=0)
             fine[a::2, b::2] = above_plane(mean, np.ones(mean.shape, bool), reach)
     out = np.zeros(height.shape)

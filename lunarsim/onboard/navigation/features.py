@@ -43,9 +43,7 @@ def above_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
 
     def moment(of: Array, east: int, north: int) -> Array:
         along = ndimage.correlate1d(of, ones * offset**east, axis=1, mode="constant")
-        return np.asarray(
-            ndimage.correlate1d(along, ones * offset**north, axis=0, mode="constant")
-        )
+        return np.asarray(ndimage.correlate1d(along, ones * offset**north, axis=0, mode="constant"))
 
     n = moment(weight, 0, 0)
     x, y = moment(weight, 1, 0), moment(weight, 0, 1)

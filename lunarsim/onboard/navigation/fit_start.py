@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +92,8 @@ def _tiles(surface: Surface, features: MapFeatures) -> list[tuple[int, int, Tile
     many = [max(1, round(n / _SIDE)) for n in shape]
     rows, cols = (np.linspace(0, n, m + 1).astype(int) for n, m in zip(shape, many, strict=True))
     out = []
-    for r0, r1 in zip(rows[:-1], rows[1:], strict=True):
-        for c0, c1 in zip(cols[:-1], cols[1:], strict=True):
+    for r0, r1 in pairwise(rows):
+        for c0, c1 in pairwise(cols):
             cut = (slice(r0, r1), slice(c0, c1))
             tile = Tile(above[cut], kept[cut].astype(np.float64), variance[cut])
             out.append((first[0] + int(r0), first[1] + int(c0), tile))

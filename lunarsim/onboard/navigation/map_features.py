@@ -155,12 +155,12 @@ class MapFeatures:
             return np.zeros(len(row)), np.zeros(len(row))
         s = self.settings
         level = np.log((1.0 - s.outlier) / np.sqrt(2.0 * np.pi * tile.variance))
+        height, weight, sharp, density = (
+            np.ascontiguousarray(part, np.float32)
+            for part in (tile.height, tile.weight, 0.5 / tile.variance, level)
+        )
         ratio, covered = k.evidence(
-            self.shown, self._rarity, self.kept,
-            *(
-                np.ascontiguousarray(part, np.float32)
-                for part in (tile.height, tile.weight, 0.5 / tile.variance, level)
-            ),
+            self.shown, self._rarity, self.kept, height, weight, sharp, density,
             np.float32(np.log(s.outlier)), np.ascontiguousarray(row), np.ascontiguousarray(col),
         )  # fmt: skip
         return ratio / self.together, covered / total

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +122,7 @@ def can_lock(
 
 
 def _window(
-    of: NDArray, prior: PriorMap, middle: tuple[float, float], swept: float, reach: int
+    of: NDArray[Any], prior: PriorMap, middle: tuple[float, float], swept: float, reach: int
 ) -> Array:
     """Return the swept square and so many posts around it, 0 beyond the map."""
     row, col = (int(part) for part in prior.grid.cell(middle))
@@ -143,12 +144,12 @@ def _denoised(features: MapFeatures) -> tuple[Array, Array]:
     Undecimated wavelets (differences of binomial smoothings), of which is kept what exceeds some
     deviations of the noise at its scale: hard thresholds, as of Donoho and Johnstone (1994).
     """
-    left = features.shown * features.kept.astype(np.float64)
-    impulse = np.zeros((129, 129))
+    left: Array = np.asarray(features.shown * features.kept, np.float64)
+    impulse: Array = np.zeros((129, 129))
     impulse[64, 64] = 1.0
     alike = features.prior.correlation / features.prior.grid.posting / np.sqrt(2.0)
     if alike > 0.0:
-        impulse = ndimage.gaussian_filter(impulse, min(alike, 16.0))
+        impulse = np.asarray(ndimage.gaussian_filter(impulse, min(alike, 16.0)), np.float64)
         impulse /= np.sqrt((impulse**2).sum())
     limit = _SURE * np.sqrt(features.variance)
     out, added, whole = np.zeros(left.shape), np.zeros(left.shape), impulse

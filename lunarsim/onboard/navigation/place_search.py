@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,9 +209,9 @@ class PlaceSearch:
             grown = np.zeros(shape)
             if self._log.size:
                 at = np.subtract(self._origin, low)
-                grown[
-                    at[0] : at[0] + self._log.shape[0], at[1] : at[1] + self._log.shape[1]
-                ] = self._log
+                grown[at[0] : at[0] + self._log.shape[0], at[1] : at[1] + self._log.shape[1]] = (
+                    self._log
+                )
             self._log, self._origin = grown, (int(low[0]), int(low[1]))
 
     def _blur(self, time: float, speed_sigma: float) -> None:
@@ -406,7 +407,7 @@ class PlaceSearch:
         return up, float(weight @ (mean - up) ** 2)
 
 
-def _cut(of: NDArray, row: int, col: int, side: int) -> NDArray:
+def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
     """Return a square of a raster, 0 where it lies beyond."""
     out = np.zeros((side, side), of.dtype)
     r0, r1 = max(row, 0), min(row + side, of.shape[0])
@@ -416,7 +417,7 @@ def _cut(of: NDArray, row: int, col: int, side: int) -> NDArray:
     return out
 
 
-def _at(of: NDArray, row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
+def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
     """Return a raster at rows (r,) by columns (c,), or at pairs of them; NaN beyond it."""
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])

@@ -203,7 +203,11 @@ def register(
         jacobian = pose_jacobian(surface.position[inside], normal, position + error[:3], turned)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
         result = fit(
-            jacobian, residual, variance[posts] + added, covariance, single=features.variance + added
+            jacobian,
+            residual,
+            variance[posts] + added,
+            covariance,
+            single=features.variance + added,
         )
         if result.used == 0:
             break

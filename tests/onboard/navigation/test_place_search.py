@@ -210,9 +210,9 @@ def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
     assert factors[1] == pytest.approx(0.0, abs=1e-12)
     assert factors[2] == pytest.approx(np.log(0.8 * 1e6 + 0.2), abs=1e-6)
     # On average over all places a tile tells nothing.
-    assert np.exp(features.factor(np.log([1.0, 2.0, 3.0]), np.ones(3), np.log(2.0), 1e6)).mean() == (
-        pytest.approx(1.0)
-    )
+    assert np.exp(
+        features.factor(np.log([1.0, 2.0, 3.0]), np.ones(3), np.log(2.0), 1e6)
+    ).mean() == (pytest.approx(1.0))
 
 
 def test_drift_blurs_what_is_known():

@@ -123,9 +123,7 @@ def registered(world, seed, stale=0.0):
     # The estimate is off by the error: truth = estimate + error.
     attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
     variance = np.full(prior.grid.shape, prior.sigma**2 + 0.03**2)
-    result, _ = register(
-        scan, MapFeatures(prior), POSITION - error[:3], attitude, before, variance
-    )
+    result, _ = register(scan, MapFeatures(prior), POSITION - error[:3], attitude, before, variance)
     covariance = np.linalg.inv(result.information + np.linalg.inv(before))
     return covariance @ result.vector, covariance, error, result
 
