@@ -145,16 +145,14 @@ class LidarInertialFilter:
         blocks = {_KEY: np.zeros((6, 6))} | blocks_of(known, level)
         self.state = ErrorState(inertial, errors, blocks=blocks)
         self.state.listeners.append(self._corrected)
-        self.prior = prior
         self.settings = settings or RegistrationSettings()
+        self.prior = prior
         self.locked = False
         self.events: list[NavigationEvent] = []
         self._aids = Aids(self.state, known, level, self.events)
         if prior is not None:
             self._uses = np.zeros(prior.grid.shape, np.int32)
             self._variance = self._of_uses(prior, self._uses)
-            self._features = MapFeatures(prior)
-            self._places = PlaceSearch(self._features)
         self._agreed = -np.inf
         self._searched = -np.inf
         self._key: _Key | None = None
@@ -180,6 +178,18 @@ class LidarInertialFilter:
     def watches(self) -> dict[str, Watch]:
         """What watches over the kinds of measurements, by "sensor kind"."""
         return self._aids.watches
+
+    @property
+    def prior(self) -> PriorMap | None:
+        """The map; another one may be given in flight."""
+        return self._prior
+
+    @prior.setter
+    def prior(self, prior: PriorMap | None) -> None:
+        self._prior = prior
+        if prior is not None:
+            self._features = MapFeatures(prior)
+            self._places = PlaceSearch(self._features)
 
     @property
     def found(self) -> bool:

@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 # probability.
 _DEVIATIONS, _CERTAIN = 3.5, 0.9995
 # Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
-_BLOCK, _FEWEST_BLOCKS = 4, 6
+_BLOCK, _FEWEST_BLOCKS = 6, 4
 
 
 class Scanned(Protocol):

@@ -152,6 +152,56 @@ def test_patches_out_of_date_are_left_out(world):
     assert np.median(gaps[True]) < 2.0 * np.median(gaps[False]) + 0.05
 
 
+@pytest.mark.parametrize("stale", [0.0, 0.2])
+def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
+    accepted = sharp = 0
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 7])
+        grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
+        prior = survey(world.terrain, grid, rng, sigma=0.1, stale_share=stale)
+        before = np.diag(np.square([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]))
+        error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
+        scan = scanned(world, rng, [*rng.uniform(-40.0, 40.0, 2), 0.0])
+        attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
+        variance = np.full(grid.shape, 2.0 * prior.sigma**2 + 0.03**2)
+        result, _ = register(
+            scan, MapFeatures(prior), POSITION - error[:3], attitude, before, variance
+        )
+        if result.share < 0.7 or result.misfit > 1.6:
+            continue
+        accepted += 1
+        covariance = np.linalg.inv(result.information + np.linalg.inv(before))
+        gap = covariance @ result.vector - error
+        # Chi-squared of 6 exceeds 40 once in two million.
+        assert normalised_square(gap, covariance) < 40.0, seed
+        sharp += covariance[0, 0] < 0.25
+    assert accepted >= 30
+    # Where the ground tells, the fit does.
+    assert sharp >= 5
+
+
+def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
+    nees = Consistency()
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 8])
+        grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
+        prior = survey(world.terrain, grid, rng, sigma=0.1, correlation=1.5)
+        # The map does not say that its errors are alike.
+        prior = PriorMap(grid, prior.elevation, 0.1)
+        before = np.diag(np.square([0.1, 0.1, 0.3, 1e-3, 1e-3, 1e-3]))
+        error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
+        scan = scanned(world, rng, [*rng.uniform(-30.0, 30.0, 2), 0.0])
+        attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
+        variance = np.full(grid.shape, prior.sigma**2 + 0.03**2)
+        result, _ = register(
+            scan, MapFeatures(prior), POSITION - error[:3], attitude, before, variance
+        )
+        covariance = np.linalg.inv(result.information + np.linalg.inv(before))
+        nees = nees.plus(normalised_square(covariance @ result.vector - error, covariance), 6)
+    # Each post on its own would make it 3.
+    assert nees.ratio < 1.6
+
+
 def test_a_fit_of_nothing_says_nothing():
     result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
     assert result.used == result.offered == 0
