@@ -77,6 +77,7 @@ def fly(scenario: Path, policy: str | None, seed: int, flight: int, out: Path | 
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
+    from lunarsim.simulation.lock_forecast import lock_forecast
 
     loaded = Scenario.load(scenario)
     chosen = policy or loaded.policy.kind
@@ -84,8 +85,11 @@ def fly(scenario: Path, policy: str | None, seed: int, flight: int, out: Path | 
     if out is not None:
         check_folder(out)
     simulation = Simulation(loaded, flight_seed(seed, flight), chosen)
-    record = simulation.run()
     console = Console()
+    forecast = lock_forecast(simulation.briefing)
+    if forecast is not None and not forecast.can_lock:
+        console.print(f"warning: {forecast}", soft_wrap=True)
+    record = simulation.run()
     verdict = record.verdict
     console.print("landed safe" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
     table = Table(show_header=False, box=None)

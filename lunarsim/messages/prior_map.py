@@ -24,12 +24,16 @@ class PriorMap:
     elevation
         m (rows, cols); NaN where the map has none.
     sigma
-        Standard deviation of a post's error, independent from post to post, m.
+        Standard deviation of a post's error, m.
+    correlation
+        Distance at which the errors of two posts are still alike by exp(-1/2), m; 0: each post errs
+        on its own.
     """
 
     grid: Grid
     elevation: Array
     sigma: float
+    correlation: float = 0.0
 
     def __post_init__(self) -> None:
         if self.elevation.shape != self.grid.shape:
@@ -42,3 +46,17 @@ class PriorMap:
             )
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
             raise InputError("prior.sigma_m", self.sigma, "a positive deviation in metres")
+        if not (np.isfinite(self.correlation) and self.correlation >= 0.0):
+            raise InputError("prior.correlation_m", self.correlation, "a length in metres, or 0")
+
+    @property
+    def together(self) -> float:
+        """Number of posts that err as one: the sum of the correlations of a post with all others.
+
+        They fall as a Gaussian of the distance over `correlation`.
+        """
+        reach = self.correlation / self.grid.posting
+        if reach == 0.0:
+            return 1.0
+        n = np.arange(1.0, np.ceil(5.0 * reach) + 1.0)
+        return float((1.0 + 2.0 * np.exp(-0.5 * (n / reach) ** 2).sum()) ** 2)

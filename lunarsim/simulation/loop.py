@@ -74,6 +74,8 @@ class Simulation:
     ----------
     plant, computer
         What is true, and what is known.
+    briefing
+        What the computer was told before the start.
 
     Raises
     ------
@@ -97,6 +99,7 @@ class Simulation:
         world = world if world is not None else build_world(scenario, self.streams)
         self._truth = truth
         state, briefing = plan(scenario, world, self.streams)
+        self.briefing = briefing
         clock = scenario.simulation.make()
         self.plant = Plant(
             world,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class PriorSurvey:
         Noise of each post, m.
     offset
         By which the whole map is wrong (3,), m.
-    stale_share, stale_side, stale_sigma
+    stale_share, stale_side, stale_sigma, correlation, void_share
         See `survey`.
     """
 
@@ -49,6 +49,8 @@ class PriorSurvey:
     stale_share: float = quantity(0.0, ge=0, lt=1, help="of the map out of date")
     stale_side: float = quantity(12.0, "m", gt=0, help="of the patches out of date")
     stale_sigma: float = quantity(0.4, "m", ge=0, help="of what they show besides the ground")
+    correlation: float = quantity(0.0, "m", ge=0, le=50, help="at which errors are still alike")
+    void_share: float = quantity(0.0, ge=0, lt=1, help="of the posts without an elevation")
 
     def __post_init__(self) -> None:
         if self.size / self.posting > _MOST_POSTS:
@@ -67,8 +69,12 @@ class PriorSurvey:
             stale_share=self.stale_share,
             stale_side=self.stale_side,
             stale_sigma=self.stale_sigma,
+            correlation=self.correlation,
+            void_share=self.void_share,
         )
-        return PriorMap(grid.moved(self.offset), made.elevation + self.offset[2], made.sigma)
+        return replace(
+            made, grid=grid.moved(self.offset), elevation=made.elevation + self.offset[2]
+        )
 
 
 def survey(
@@ -80,6 +86,8 @@ def survey(
     stale_share: float = 0.0,
     stale_side: float = 12.0,
     stale_sigma: float = 0.4,
+    correlation: float = 0.0,
+    void_share: float = 0.0,
 ) -> PriorMap:
     """Return a map of the terrain as an earlier survey might have made it.
 
@@ -96,9 +104,15 @@ def survey(
     stale_share, stale_side, stale_sigma
         Share of the map out of date, side of the square patches that are (m), and deviation of what
         the map shows there from what there is now (m). The map does not know of them.
+    correlation
+        See `PriorMap`, m.
+    void_share
+        Share of the posts that have no elevation, drawn one by one.
     """
     if not 0.0 <= stale_share < 1.0:
         raise InputError("prior.stale_share", stale_share, "from 0 to below 1")
+    if not 0.0 <= void_share < 1.0:
+        raise InputError("prior.void_share", void_share, "from 0 to below 1")
     fine = Grid(
         grid.x0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
         grid.y0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
@@ -112,7 +126,26 @@ def survey(
     patches = round(stale_share * area / stale_side**2)
     if patches:
         mean = mean + _changes(grid, patches, stale_side, stale_sigma, rng)
-    return PriorMap(grid, mean + sigma * rng.standard_normal(grid.shape), sigma)
+    elevation = mean + sigma * _noise(grid, correlation, rng)
+    if void_share > 0.0:
+        elevation[rng.random(grid.shape) < void_share] = np.nan
+    return PriorMap(grid, elevation, sigma, correlation)
+
+
+def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
+    """Return errors of deviation 1 whose correlation falls as a Gaussian (rows, cols)."""
+    if correlation == 0.0:
+        return rng.standard_normal(grid.shape)
+    # White noise filtered by a Gaussian is correlated over root two times its width.
+    width = correlation / np.sqrt(2.0) / grid.posting
+    room = int(np.ceil(4.0 * width))
+    white = rng.standard_normal((grid.rows + 2 * room, grid.cols + 2 * room))
+    smooth = ndimage.gaussian_filter(white, width, truncate=4.0)
+    impulse = np.zeros(2 * room + 1)
+    impulse[room] = 1.0
+    gain = float(np.sum(ndimage.gaussian_filter1d(impulse, width, truncate=4.0) ** 2))
+    inner = (slice(room, room + grid.rows), slice(room, room + grid.cols))
+    return np.asarray(smooth[inner] / gain)
 
 
 def _changes(

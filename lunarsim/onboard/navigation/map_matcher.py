@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,35 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
+from lunarsim.onboard.navigation.gathering import Gathering
+from lunarsim.onboard.navigation.inertial import VELOCITY
+from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.parts import Shared
-from lunarsim.onboard.navigation.place_search import Features, Match, ScanPatch, features_of, search
+from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
 from lunarsim.onboard.navigation.registration import register
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.seen_scan import SeenScan
 
 Array = NDArray[np.float64]
+
+# The local frame may turn by so much before a search begins anew, rad.
+_TURNED = 0.01
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """How the local frame was laid on the map when a search began.
+
+    Attributes
+    ----------
+    rotation, position
+        Map coordinates of a local point are ``rotation @ point + position``.
+    azimuth
+        Of the rotation, rad.
+    """
+
+    rotation: Array
+    position: Array
+    azimuth: float
 
 
 class MapMatcher:
@@ -49,9 +71,12 @@ class MapMatcher:
         self.locked = False
         self._uses = np.zeros(prior.grid.shape, np.int32)
         self._variance = self._of_uses(prior, self._uses)
+        self._features = MapFeatures(prior)
+        self._places = PlaceSearch(self._features)
+        self._laid: _Laid | None = None
+        self._gathering = Gathering(prior.grid.posting, settings.least_squares, settings.gather_s)
         self._agreed = -np.inf
         self._searched = -np.inf
-        self._patch: deque[tuple[float, Features]] = deque()
         self._before = np.zeros(3)
 
     @property
@@ -74,18 +99,14 @@ class MapMatcher:
         agreed = self._register(sensor, measurement, time)
         if self.locked and time - self._agreed > self.settings.lost_s:
             self.locked = False
-            self._patch.clear()
+            self._restart()
             self.shared.events.append(NavigationEvent(time, "lock-lost", {"moved": 0.0}))
         return agreed
-
-    def _in_site(self, sensor: str, scan: LidarScan) -> SeenScan:
-        return self.shared.frame.in_site(self.shared.seen(sensor, scan))
 
     def _lock(self, time: float) -> None:
         name = "relock" if self.found else "lock"
         self.locked = True
         self._agreed = time
-        self._patch.clear()
         moved = float(np.linalg.norm(self.shared.frame.shift.offset - self._before))
         self.shared.events.append(NavigationEvent(time, name, {"moved": moved}))
 
@@ -97,11 +118,17 @@ class MapMatcher:
         near = self.found and self.position_sigma < self.prior.grid.posting
         if not self.locked and not near:
             return False
+        seen = self._gathering.take(self.shared.seen(sensor, scan), time)
+        if seen is None:
+            # A scan that covers too few posts speaks neither for nor against the lock.
+            if self.locked and near:
+                self._agreed = time
+            return False
         columns, jacobian = self.shared.site_errors(sensor)
         own = self.shared.state.covariance[np.ix_(columns, columns)]
         result, posts = register(
-            self._in_site(sensor, scan), self.prior, jacobian @ own @ jacobian.T, self._variance,
-            1.5 * self.prior.sigma**2 + s.model_sigma**2,
+            self.shared.frame.in_site(seen), self._features, jacobian @ own @ jacobian.T,
+            self._variance,
         )  # fmt: skip
         if not s.believes(result):
             return False
@@ -131,79 +158,57 @@ class MapMatcher:
 
     # --- search ---------------------------------------------------------------------------
 
+    def _restart(self) -> None:
+        self._places.restart()
+        self._laid = None
+
+    def _lay(self) -> _Laid:
+        """Return how the local frame is laid on the map for the search, afresh if it has turned."""
+        frame = self.shared.frame
+        if self._laid is not None and abs(frame.azimuth - self._laid.azimuth) > _TURNED:
+            self._restart()
+        if self._laid is None:
+            self._laid = _Laid(frame.rotation, frame.to_site(np.zeros(3)), frame.azimuth)
+        return self._laid
+
     def _search(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Look for the scans of the last seconds on the map; return whether they were found."""
-        s, g = self.settings, self.prior.grid
-        seen = self._in_site(sensor, scan)
-        self._patch.append((time, features_of(seen.surface(g), s.feature_reach)))
-        while self._patch[0][0] < time - s.patch_s:
-            self._patch.popleft()
+        """Look for what was scanned on the map; return whether it was found."""
+        s, frame = self.settings, self.shared.frame
+        seen, laid = self.shared.seen(sensor, scan), self._lay()
+        local = seen.points()
+        self._places.add(local @ laid.rotation.T + laid.position)
         if time - self._searched < s.search_s - 1e-9:
             return False
         self._searched = time
-        patch = ScanPatch.merged([features for _, features in self._patch])
-        if patch is None:
-            return False
-        rows, cols = np.nonzero(patch.known)
-        middle = np.array(
-            [
-                g.x0 + g.posting * (patch.first[1] + cols.mean()),
-                g.y0 + g.posting * (patch.first[0] + rows.mean()),
-                patch.level[patch.known].mean(),
-            ]
-        )
-        jacobian = seen.point_jacobian(middle)
+        middle = np.nanmean(local, axis=0)
+        at = frame.to_site(middle)
+        # What the rest of navigation has learnt of the place since the frame was laid on the map.
+        known = at - (laid.rotation @ middle + laid.position)
+        jacobian = frame.in_site(seen).point_jacobian(at)
         columns, of_state = self.shared.site_errors(sensor)
         over = jacobian @ of_state
         p = over @ self.shared.state.covariance[np.ix_(columns, columns)] @ over.T
-        match = self._place_of(patch, p[:2, :2])
+        speed = float(np.sqrt(self.shared.state.covariance.diagonal()[VELOCITY][:2].max()))
+        match = self._places.search(time, known[:2], p[:2, :2], speed)
         if match is None:
             return False
         if match.certainty < s.certainty or match.share < s.least_share:
-            self._take_height(sensor, jacobian[2], match, float(p[2, 2]))
+            self._take_height(sensor, jacobian[2], match, float(known[2]), float(p[2, 2]))
             return False
         information = np.linalg.inv(match.covariance)
         return self._inform(
-            sensor, jacobian.T @ information @ jacobian, jacobian.T @ information @ match.shift,
-            s.chance,
+            sensor, jacobian.T @ information @ jacobian,
+            jacobian.T @ information @ (match.shift - known), s.chance,
         ).taken  # fmt: skip
 
-    def _place_of(self, patch: ScanPatch, spread: Array) -> Match | None:
-        """Look for a patch on the map, as far off as its place is uncertain (2, 2), m^2."""
-        s, g = self.settings, self.prior.grid
-        reach = int(np.ceil(3.5 * np.sqrt(spread.diagonal().max()) / g.posting))
-        window = _window(
-            self.prior.elevation, patch.first[0] - reach, patch.first[1] - reach,
-            patch.known.shape[0] + 2 * reach, patch.known.shape[1] + 2 * reach,
-        )  # fmt: skip
-        variance = 1.5 * self.prior.sigma**2 + s.model_sigma**2
-        return search(
-            patch, window, g.posting, variance, spread, np.full(2, -reach * g.posting),
-            reach=s.feature_reach,
-        )  # fmt: skip
-
-    def _take_height(self, sensor: str, row: Array, match: Match, before: float) -> None:
+    def _take_height(
+        self, sensor: str, row: Array, match: Match, known: float, before: float
+    ) -> None:
         """Take in the height alone, where it is known much better than before: level ground."""
         # The map's own level over the patch is the same in every search: counted once, not again.
         variance = match.up_variance + self.settings.level_sigma**2
-        if (
-            9.0 * variance < before
-            and self._inform(
-                sensor,
-                np.outer(row, row) / variance,
-                row * match.up / variance,
+        if 9.0 * variance < before:
+            self._inform(
+                sensor, np.outer(row, row) / variance, row * (match.up - known) / variance,
                 self.settings.chance,
-            ).taken
-        ):
-            # Earlier scans lie where the lander was thought to be.
-            self._patch.clear()
-
-
-def _window(elevation: Array, row: int, col: int, rows: int, cols: int) -> Array:
-    """Return a part of a map, NaN where it lies off the map."""
-    out = np.full((rows, cols), np.nan)
-    r0, r1 = max(row, 0), min(row + rows, elevation.shape[0])
-    c0, c1 = max(col, 0), min(col + cols, elevation.shape[1])
-    if r0 < r1 and c0 < c1:
-        out[r0 - row : r1 - row, c0 - col : c1 - col] = elevation[r0:r1, c0:c1]
-    return out
+            )  # fmt: skip

@@ -1,32 +1,64 @@
-"""Where on a map a patch of scanned ground lies, from tens of metres off."""
+"""Where on a map the scanned ground lies, from tens of metres off: a posterior over all places."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.signal import correlate
 
-from lunarsim.onboard.navigation.surface import Surface
+from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
+from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# Places whose logarithm of the probability lies so far below the best's are not compared further.
+_HOPELESS = 14.0
+# Places that the height is told by.
+_SAMPLE = 2048
+# Deviations of the prior within which places are looked at.
+_DEVIATIONS = 3.5
+# Up to so many places are told apart by half posts, more by whole ones; and at most so many a side.
+_BY_HALVES, _WIDEST = 250_000, 2000
+# Where there are so many places, what tells less even if it fits exactly is not compared.
+_LEAST_TOLD = 5.0
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How tiles are cut out of what was scanned, and what drifts.
+
+    Attributes
+    ----------
+    tile
+        Side of the tiles that are compared as one, m; 4 to 16 posts.
+    deaf_s
+        A tile that grows no more for so long is compared as it is, s.
+    held_s
+        A speed that is wrong stays so for so long, s: what places drift by.
+    """
+
+    tile: float = 8.0
+    deaf_s: float = 1.0
+    held_s: float = 4.0
+
 
 @dataclass(frozen=True)
 class Match:
-    """Where the correlation search finds a patch.
+    """Where the scanned ground lies on the map.
 
     Attributes
     ----------
     shift
-        To be added to the patch (3,), ENU, m.
+        To be added to local coordinates (3,), ENU, m.
     covariance
         Of the shift (3, 3), m^2.
     certainty
-        Probability that the patch lies within one and a half posts of there.
+        Probability that it lies within one and a half posts of there.
     share
         Of the posts that agree there.
     up, up_variance
@@ -42,323 +74,354 @@ class Match:
     up_variance: float
 
 
-def high_pass(
-    height: Array, known: NDArray[np.bool_], reach: int
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return heights less their mean over a square of 2 `reach` + 1, and where all of it is known.
-
-    What is left are features; swells and the tilt of a wrong attitude are gone.
-    """
-    side = 2 * reach + 1
-    full = ndimage.uniform_filter(known.astype(np.float64), side, mode="constant") > 1.0 - 1e-9
-    filled = np.where(known, height, 0.0)
-    return np.where(full, filled - ndimage.uniform_filter(filled, side, mode="constant"), 0.0), full
-
-
 @dataclass(frozen=True)
-class Features:
-    """What of a scan stands out from its surroundings.
-
-    Attributes
-    ----------
-    col, row
-        Of the squares (m,).
-    height
-        Above the mean of the square around (m,), m.
-    level
-        Height of the scan itself there (m,), m.
-    """
-
-    col: IntArray
-    row: IntArray
-    height: Array
-    level: Array
-
-
-def features_of(surface: Surface, reach: int) -> Features:
-    """Return a scan's features: each scan by itself, so that drift between scans leaves no step."""
-    if len(surface) == 0:
-        return Features(surface.col, surface.row, np.zeros(0), np.zeros(0))
-    first = (int(surface.row.min()), int(surface.col.min()))
-    shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
-    height, known = np.zeros(shape), np.zeros(shape, np.bool_)
-    place = (surface.row - first[0], surface.col - first[1])
-    height[place] = surface.position[:, 2]
-    known[place] = True
-    above, kept = high_pass(height, known, reach)
-    row, col = np.nonzero(kept)
-    return Features(col + first[1], row + first[0], above[kept], height[kept])
-
-
-@dataclass(frozen=True)
-class ScanPatch:
-    """Features of several scans on one raster.
+class _Tile:
+    """A tile at every half post.
 
     Attributes
     ----------
     first
-        Row and column of its corner.
-    height, level
-        As in `Features`, averaged (rows, cols), m; 0 where unknown.
-    known
-        (rows, cols).
+        Row and column of the first post, in halves of a post from the map's first.
+    whole
+        Heights, weights and variances at every half post (r, c).
+    level
+        Of the ground itself (r, c), m.
     """
 
     first: tuple[int, int]
-    height: Array
+    whole: Tile
     level: Array
-    known: NDArray[np.bool_]
 
-    @classmethod
-    def merged(cls, scans: list[Features]) -> ScanPatch | None:
-        """Return the features of scans together; None if there are none."""
-        row = np.concatenate([f.row for f in scans])
-        col = np.concatenate([f.col for f in scans])
-        if len(row) == 0:
-            return None
-        first = (int(row.min()), int(col.min()))
-        shape = (int(row.max()) - first[0] + 1, int(col.max()) - first[1] + 1)
-        place = (row - first[0]) * shape[1] + col - first[1]
-        size = shape[0] * shape[1]
-        count = np.bincount(place, minlength=size)
-        height, level = (
-            np.bincount(place, np.concatenate([getattr(f, name) for f in scans]), size)
-            / np.maximum(count, 1)
-            for name in ("height", "level")
-        )
-        known = (count > 0).reshape(shape)
-        return cls(first, height.reshape(shape), level.reshape(shape), known)
+    def lay(self, a: int, b: int) -> Tile:
+        """Return every other post, from the first or from half a post farther north and east."""
+        cut = (slice(a, None, 2), slice(b, None, 2))
+        return Tile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
 
 
-# Places by correlation that are looked at post by post.
-_CANDIDATES = 150
-# Share of a map that may show another ground than there is, by squares of so many posts.
-_CHANGED, _TILE = 0.1, 24
-# Size of features, m.
-_FEATURE = 0.3
+class PlaceSearch:
+    """Posterior over shifts from the local frame to a map, kept over a flight.
 
-
-def search(
-    patch: ScanPatch,
-    elevation: Array,
-    posting: float,
-    variance: float,
-    prior: Array,
-    first: Array,
-    *,
-    reach: int,
-    least: int = 60,
-) -> Match | None:
-    """Find a patch on a map: the posterior over whole-post shifts.
-
-    A matched filter, all shifts at once by correlation, proposes places. Each is then judged post
-    by post: how much likelier is what the map shows there if the patch lies there than if not? A
-    map's noise agrees with flat ground everywhere, so only features tell; and where a part of the
-    map shows another ground altogether, because it is out of date, that part tells nothing.
+    The ground scanned is gathered in the local frame (`Submap`) and compared tile by tile. A tile's
+    likelihood at a place, relative to what it is at all places on average, multiplies the
+    posterior: level ground fits nearly anywhere and tells nothing. A post is compared once: seen
+    again it would only tell its own error again. Where the map may have changed a tile that fails
+    speaks against a place no more than `changed` allows. Between searches the posterior is blurred
+    by the drift of the local frame.
 
     Parameters
     ----------
-    patch
-        What was scanned.
-    elevation
-        Map (rows, cols), m; NaN for none.
-    posting
-        Of both, m.
-    variance
-        Of a residual, m^2.
-    prior
-        Covariance (2, 2) of the shift beforehand, m^2.
-    first
-        Shift that puts the patch's corner on the map's (2,), east and north, m.
-    reach
-        By which the features were found, posts.
-    least
-        Fewest posts to compare.
-
-    Returns
-    -------
-    match
-        None if the patch is too small, or no shift puts all of it on the map.
-    """
-    total = float(patch.known.sum())
-    if total < least:
-        return None
-    ground = _Ground.of(elevation, variance, reach)
-    shifts = _Shifts.of(patch, ground, posting, prior, first)
-    if not shifts.covered.any():
-        return None
-    row, col = _candidates(patch, ground, shifts)
-    log = _evidence(patch, ground, row, col) - 0.5 * shifts.away[row, col]
-    place = _Place.of(log, shifts.east[row, col], shifts.north[row, col], shifts, posting)
-    rise, agree = _compared(patch, ground, int(row[place.best]), int(col[place.best]))
-    up, up_variance = _level(patch, ground, shifts)
-    return Match(
-        np.array([*place.mean, float(np.median(rise[agree])) if agree.any() else up]),
-        np.diag([*place.variance, variance / total + (0.4 * posting) ** 2]),
-        place.certainty, float(agree.mean()), up, up_variance,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Ground:
-    """The map as the search compares it.
-
-    Attributes
-    ----------
-    elevation
-        (rows, cols), m; NaN for none.
-    height
-        Above the mean of the square around (rows, cols), m.
-    known
-        Where all of that square is known (rows, cols).
-    variance
-        Of a residual, m^2.
+    features
+        The map's.
+    settings
+        How tiles are cut, and what drifts.
     """
 
-    elevation: Array
-    height: Array
-    known: NDArray[np.bool_]
-    variance: float
+    def __init__(self, features: MapFeatures, settings: SearchSettings | None = None) -> None:
+        self.features = features
+        self.prior = features.prior
+        self.settings = settings or SearchSettings()
+        self._wide = int(np.clip(round(self.settings.tile / self.prior.grid.posting), 4, 16))
+        self.restart()
 
-    @classmethod
-    def of(cls, elevation: Array, variance: float, reach: int) -> _Ground:
-        return cls(elevation, *high_pass(elevation, np.isfinite(elevation), reach), variance)
+    def restart(self) -> None:
+        """Forget all that was scanned."""
+        g = self.prior.grid
+        corner = (g.x0 - 0.5 * g.posting, g.y0 - 0.5 * g.posting)
+        self._submap = Submap(*corner, 0.5 * g.posting)
+        self._tiles: list[_Tile] = []
+        self._used: set[tuple[int, int]] = set()
+        self._fresh: dict[tuple[int, int], tuple[int, float]] = {}
+        self._ways, self._unit = 2, 0.5 * g.posting
+        self._origin = (0, 0)
+        self._log = np.zeros((0, 0))
+        self._time: float | None = None
 
+    @property
+    def evidence(self) -> tuple[Array, tuple[int, int]]:
+        """Logarithm of the evidence at every place (rows, cols), and the shift of its first.
 
-@dataclass(frozen=True)
-class _Shifts:
-    """All whole-post shifts at which a patch may lie on the map, (rows, cols) each.
+        Shifts north and east, in whole or half posts: see `spacing`.
+        """
+        return self._log, self._origin
 
-    Attributes
-    ----------
-    east, north
-        m.
-    away
-        Squared distance from no shift in units of the prior.
-    covered
-        Whether the map knows all of the ground under the patch.
-    """
+    @property
+    def spacing(self) -> float:
+        """Distance of the places, m: half a post, or a whole one where there are many."""
+        return self._unit
 
-    east: Array
-    north: Array
-    away: Array
-    covered: NDArray[np.bool_]
+    def add(self, points: Array) -> None:
+        """Take in a scan's points in the local frame (n, 3), m; NaN for none."""
+        self._submap.add(points)
 
-    @classmethod
-    def of(
-        cls, patch: ScanPatch, ground: _Ground, posting: float, prior: Array, first: Array
-    ) -> _Shifts:
-        known = _slide(patch.known.astype(np.float64), ground.known.astype(np.float64))
-        sy, sx = np.meshgrid(
-            np.arange(known.shape[0]) * posting + first[1],
-            np.arange(known.shape[1]) * posting + first[0],
-            indexing="ij",
+    # --- search ---------------------------------------------------------------------------
+
+    def search(
+        self, time: float, mean: Array, covariance: Array, speed_sigma: float = 0.0
+    ) -> Match | None:
+        """Compare what is new, and return the place by all that was compared so far.
+
+        Parameters
+        ----------
+        time
+            s.
+        mean, covariance
+            Of the shift as the rest of navigation knows it (2,), (2, 2), east and north, m and m^2.
+        speed_sigma
+            Deviation of the speed at which the local frame drifts, an axis, m/s.
+
+        Returns
+        -------
+        match
+            None before anything was compared.
+        """
+        self._cover(mean, covariance)
+        self._blur(time, speed_sigma)
+        away = self._away(mean, covariance)
+        due = self._due(time)
+        usual = [self.features.usual(tile.lay(0, 0)) for tile in due]
+        told = [
+            0.0 if mean is None else self.features.exact(tile.lay(0, 0)) - mean
+            for tile, mean in zip(due, usual, strict=True)
+        ]
+        least = _LEAST_TOLD * min(1.0, self._log.size / _BY_HALVES)
+        # What tells most comes first: the rest need be compared at fewer places.
+        for n in np.argsort(np.negative(told), kind="stable"):
+            if usual[n] is not None and told[n] >= least:
+                self._compare(due[n], away, usual[n])
+        self._tiles += due
+        return self._match(away, covariance) if self._tiles else None
+
+    def _cover(self, mean: Array, covariance: Array) -> None:
+        """Make the posterior reach as far as the prior does; what is new has told nothing yet."""
+        posting = self.prior.grid.posting
+        far = _DEVIATIONS * np.sqrt(np.diag(covariance)) + 2.0 * posting
+        if not self._log.size:
+            self._ways = 2 if np.prod(4.0 * far / posting) <= _BY_HALVES else 1
+            self._unit = posting / self._ways
+        far = np.minimum(far, 0.5 * _WIDEST * self._unit)
+        low = np.floor((np.asarray(mean) - far) / self._unit).astype(int)[::-1]
+        high = np.ceil((np.asarray(mean) + far) / self._unit).astype(int)[::-1]
+        if self._log.size:
+            low = np.minimum(low, self._origin)
+            high = np.maximum(high, np.add(self._origin, self._log.shape) - 1)
+        shape = tuple(high - low + 1)
+        if shape != self._log.shape:
+            grown = np.zeros(shape)
+            if self._log.size:
+                at = np.subtract(self._origin, low)
+                grown[at[0] : at[0] + self._log.shape[0], at[1] : at[1] + self._log.shape[1]] = (
+                    self._log
+                )
+            self._log, self._origin = grown, (int(low[0]), int(low[1]))
+
+    def _blur(self, time: float, speed_sigma: float) -> None:
+        """Let places drift since the last search."""
+        before, self._time = self._time, time
+        if before is None or time <= before or not self._tiles:
+            return
+        sigma = speed_sigma * np.sqrt((time - before) * self.settings.held_s) / self._unit
+        if sigma > 0.0:
+            best = self._log.max()
+            p = ndimage.gaussian_filter(np.exp(self._log - best), sigma, mode="nearest")
+            self._log = best + np.log(np.maximum(p, 1e-300))
+
+    def _away(self, mean: Array, covariance: Array) -> Array:
+        """Return half the squared distance of every place from the mean, in units of the prior."""
+        rows, cols = self._log.shape
+        y = self._unit * (self._origin[0] + np.arange(rows))[:, None] - mean[1]
+        x = self._unit * (self._origin[1] + np.arange(cols))[None, :] - mean[0]
+        inverse = np.linalg.inv(covariance)
+        return np.asarray(
+            0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
         )
-        inverse = np.linalg.inv(prior)
-        away = inverse[0, 0] * sx**2 + 2.0 * inverse[0, 1] * sx * sy + inverse[1, 1] * sy**2
-        return cls(sx, sy, away, known > float(patch.known.sum()) - 0.5)
 
+    # --- what was scanned -----------------------------------------------------------------
 
-def _slide(template: Array, image: Array) -> Array:
-    """Return the correlation of a template with an image wherever it lies on it as a whole."""
-    return np.asarray(correlate(image, template, mode="valid", method="fft"))
-
-
-def _candidates(patch: ScanPatch, ground: _Ground, shifts: _Shifts) -> tuple[IntArray, IntArray]:
-    """Return rows and columns (c,) of the places where a matched filter peaks, the best first."""
-    # What is higher than features get is not worth more than they.
-    limited = np.clip(ground.height, -_FEATURE, _FEATURE)
-    proposal = _slide(patch.height, limited) / ground.variance - 0.5 * shifts.away
-    proposal[~shifts.covered] = -np.inf
-    peaks = np.flatnonzero(shifts.covered & (proposal == ndimage.maximum_filter(proposal, 3)))
-    best_first = np.argsort(-proposal.ravel()[peaks], kind="stable")
-    row, col = np.unravel_index(peaks[best_first[:_CANDIDATES]], shifts.covered.shape)
-    return row, col
-
-
-def _compared(
-    patch: ScanPatch, ground: _Ground, row: int, col: int
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return how far the map lies above the patch at a place, and which posts agree (m,)."""
-    rows, cols = np.nonzero(patch.known)
-    misfit = ground.height[row + rows, col + cols] - patch.height[patch.known]
-    rise = ground.elevation[row + rows, col + cols] - patch.level[patch.known]
-    return rise, misfit**2 <= 9.0 * ground.variance
-
-
-@dataclass(frozen=True)
-class _Place:
-    """The posterior over places, about its best one.
-
-    Attributes
-    ----------
-    best
-        Index of the best candidate.
-    mean, variance
-        East and north, m, of the candidates next to it, and m^2.
-    certainty
-        Their probability.
-    """
-
-    best: int
-    mean: tuple[float, float]
-    variance: tuple[float, float]
-    certainty: float
-
-    @classmethod
-    def of(cls, log: Array, x: Array, y: Array, shifts: _Shifts, posting: float) -> _Place:
-        """Weigh candidates (c,) by their log-likelihoods, and all other places by the prior."""
-        # Places not looked at are as likely as they were before.
-        elsewhere = float(np.exp(-0.5 * shifts.away[shifts.covered] - log.max()).sum())
-        p = np.exp(log - log.max())
-        best = int(np.argmax(p))
-        near = np.hypot(x - x[best], y - y[best]) <= 1.5 * posting + 1e-9
-        certainty = float(p[near].sum() / (p.sum() + elsewhere))
-        q = np.where(near, p, 0.0) / p[near].sum()
-        east, north = float(q @ x), float(q @ y)
-        # A post's width is left open besides the spread of the posterior.
-        spread = (
-            float(q @ (x - east) ** 2) + posting**2,
-            float(q @ (y - north) ** 2) + posting**2,
+    def _due(self, time: float) -> list[_Tile]:
+        """Return the tiles that are whole by now, or grow no more."""
+        height, known = self._submap.posts()
+        if not known.any():
+            return []
+        first = self._submap.first
+        # Whole posts only are counted: the first of the four ways to lay posts over the squares.
+        skip = (first[0] % 2, first[1] % 2)
+        whole = above_plane(
+            height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
+            self.features.reach,
+        )[1]  # fmt: skip
+        row, col = np.nonzero(whole)
+        row += (first[0] + skip[0]) // 2
+        col += (first[1] + skip[1]) // 2
+        place, count = np.unique(
+            np.column_stack((row // self._wide, col // self._wide)), axis=0, return_counts=True
         )
-        return cls(best, (east, north), spread, certainty)
+        due = []
+        full = self._wide**2
+        for key, n in zip(map(tuple, place.tolist()), count.tolist(), strict=True):
+            if key in self._used:
+                continue
+            seen, since = self._fresh.get(key, (0, time))
+            if n > seen:
+                self._fresh[key] = (n, time)
+                since = time
+            old = time - since >= self.settings.deaf_s - 1e-9
+            if n >= 0.95 * full or (old and n >= 0.25 * full):
+                self._used.add(key)
+                due.append(key)
+        return [self._cut(key, height, known) for key in due]
+
+    def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _Tile:
+        """Return a tile at every half post, out of what was scanned."""
+        # A half post more on either side, for the four ways to lay posts, and two for slopes.
+        side, room = 2 * self._wide, 2 * self.features.reach + 2
+        south, west = (side * key[i] - room - self._submap.first[i] for i in (0, 1))
+        many = side + 2 * room
+        z, seen = _cut(height, south, west, many), _cut(known, south, west, many)
+        above, kept = np.zeros(z.shape), np.zeros(z.shape, np.bool_)
+        for a in (0, 1):
+            for b in (0, 1):
+                above[a::2, b::2], kept[a::2, b::2] = above_plane(
+                    z[a::2, b::2], seen[a::2, b::2], self.features.reach
+                )
+        # A place lies up to half a spacing beside the truth.
+        spread = np.zeros(z.shape)
+        for axis in (0, 1):
+            rise = np.gradient(above, axis=axis)
+            near = ndimage.minimum_filter1d(kept, 3, axis=axis)
+            spread += (2.0 / self._ways * np.where(near, rise, 0.0)) ** 2 / 12.0
+        inner = (slice(room, room + side),) * 2
+        weight, variance = kept.astype(np.float64), self.features.variance + spread
+        whole = Tile(above[inner], weight[inner], variance[inner])
+        return _Tile((side * key[0], side * key[1]), whole, z[inner])
+
+    # --- evidence -------------------------------------------------------------------------
+
+    def _compare(self, tile: _Tile, away: Array, usual: float) -> None:
+        """Multiply the posterior by the likelihood of a tile."""
+        log = self._log - away
+        row, col = np.nonzero(log >= log.max() - _HOPELESS)
+        ratio, share = np.zeros(len(row)), np.zeros(len(row))
+        north, east, ways = row + self._origin[0], col + self._origin[1], self._ways
+        for a in range(ways):
+            for b in range(ways):
+                # A shift by an odd number of halves takes posts that begin a half later.
+                mine = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
+                ratio[mine], share[mine] = self.features.likelihood(
+                    tile.lay(a, b), (north[mine] + a) // ways + tile.first[0] // 2,
+                    (east[mine] + b) // ways + tile.first[1] // 2,
+                )  # fmt: skip
+        self._log[row, col] += self.features.factor(ratio, share, usual, log.size)
+
+    # --- outcome --------------------------------------------------------------------------
+
+    def _match(self, away: Array, covariance: Array) -> Match:
+        """Weigh all places, and all that lie farther off by what was known before."""
+        log = self._log - away
+        best = log.max()
+        p = np.exp(log - best)
+        every = 2.0 * np.pi * np.sqrt(np.linalg.det(covariance)) / self._unit**2
+        elsewhere = max(every - float(np.exp(-away).sum()), 0.0) * float(np.exp(-best))
+        p /= p.sum() + elsewhere
+        row, col = np.unravel_index(int(np.argmax(p)), p.shape)
+        rows, cols = np.indices(p.shape)
+        near = np.hypot(rows - row, cols - col) <= 1.5 * self._ways + 1e-9
+        certainty = float(p[near].sum())
+        q = p[near] / certainty
+        north = self._unit * (rows[near] + self._origin[0])
+        east = self._unit * (cols[near] + self._origin[1])
+        middle = np.array([q @ east, q @ north])
+        # Half a post's width is left open besides the spread of the posterior.
+        spread = np.array([q @ (east - middle[0]) ** 2, q @ (north - middle[1]) ** 2])
+        spread += (0.5 * self.prior.grid.posting) ** 2
+        share, rise, error = self._agreement(int(row), int(col))
+        up, up_variance = self._level(p)
+        return Match(
+            np.array([*middle, up if rise is None else rise]),
+            np.diag([*spread, error]), certainty, share, up, up_variance,
+        )  # fmt: skip
+
+    def _under(
+        self, tile: _Tile, row: IntArray, col: IntArray
+    ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
+        """Return which posts of a tile lie on posts of the map at places, and on which (n, r, c).
+
+        All places given must ask for the same of the four ways to lay posts.
+        """
+        north, east = row + self._origin[0], col + self._origin[1]
+        ways = self._ways
+        a, b = int(-north[0] % ways), int(-east[0] % ways)
+        n = np.arange(self._wide)
+        r = ((north + a) // ways + tile.first[0] // 2)[:, None] + n
+        c = ((east + b) // ways + tile.first[1] // 2)[:, None] + n
+        return (slice(a, None, 2), slice(b, None, 2)), r, c
+
+    def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
+        """Return the share of posts that agree at a place, and how far the map lies above, m.
+
+        The height is that of the last tiles, with its variance.
+        """
+        agreed, offered, rises = 0, 0, []
+        for n, tile in enumerate(reversed(self._tiles)):
+            cut, r, c = self._under(tile, np.array([row]), np.array([col]))
+            shown, elevation = (
+                _at(of, r[0], c[0]) for of in (self.features.shown, self.prior.elevation)
+            )
+            both = (tile.whole.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
+            gap = shown - tile.whole.height[cut]
+            agree = both & (gap**2 <= 9.0 * tile.whole.variance[cut])
+            agreed, offered = agreed + int(agree.sum()), offered + int(both.sum())
+            if n < 6:
+                rises.append((elevation - tile.level[cut])[agree])
+        rise = np.concatenate(rises)
+        posting, sigma = self.prior.grid.posting, self.prior.sigma
+        error = sigma**2 * self.prior.together / max(len(rise), 1) + (0.4 * posting) ** 2
+        found = float(np.median(rise)) if len(rise) else None
+        return agreed / offered if offered else 0.0, found, float(error)
+
+    def _level(self, p: Array) -> tuple[float, float]:
+        """Return mean and variance of the vertical shift over all places, by their probability."""
+        # Places of one lay of posts stand for all, thinned to what is quick.
+        every = self._ways * max(1, int(np.sqrt(p.size / self._ways**2 / _SAMPLE)))
+        best = np.unravel_index(int(np.argmax(p)), p.shape)
+        row, col = (np.arange(int(b) % every, n, every) for b, n in zip(best, p.shape, strict=True))
+        block = (every, every)
+        mass = ndimage.uniform_filter(p, block, mode="constant")[np.ix_(row, col)].ravel()
+        row, col = (part.ravel() for part in np.meshgrid(row, col, indexing="ij"))
+        keep = mass > 1e-6 * mass.max()
+        row, col, mass = row[keep], col[keep], mass[keep]
+        tile = self._tiles[-1]
+        cut, r, c = self._under(tile, row, col)
+        ours = tile.whole.weight[cut] > 0.0
+        i, j = np.nonzero(ours)
+        some = slice(None, None, max(1, len(i) // 32))
+        i, j = i[some], j[some]
+        rise = _at(self.prior.elevation, r[:, i], c[:, j], paired=True) - tile.level[cut][i, j]
+        known = np.isfinite(rise)
+        count = known.sum(axis=1)
+        mean = np.where(known, rise, 0.0).sum(axis=1) / np.maximum(count, 1)
+        weight = np.where(count > 0, mass, 0.0)
+        if weight.sum() == 0.0:
+            return 0.0, np.inf
+        weight /= weight.sum()
+        up = float(weight @ mean)
+        return up, float(weight @ (mean - up) ** 2)
 
 
-def _evidence(patch: ScanPatch, ground: _Ground, row: IntArray, col: IntArray) -> Array:
-    """Return the log-likelihood ratio of places (c,): the patch lies there, or it does not.
-
-    Ground changes by parts, and a part that has tells nothing, however many posts it has.
-    """
-    rows, cols = np.nonzero(patch.known)
-    scanned = patch.height[patch.known]
-    shown = ground.height[row[:, None] + rows, col[:, None] + cols]
-    # Share of the map's posts that are features.
-    busy = float(np.mean(np.abs(ground.height[ground.known]) > _FEATURE))
-    busy = float(np.clip(busy, 0.01, 0.5))
-    wide = ground.variance + _FEATURE**2
-
-    def normal(x: Array, v: float) -> Array:
-        return np.asarray(np.exp(-0.5 * x * x / v) / np.sqrt(v))
-
-    def likelihood(x: Array) -> Array:
-        return np.asarray((1.0 - busy) * normal(x, ground.variance) + busy * normal(x, wide))
-
-    tile = (rows // _TILE) * (1 + patch.known.shape[1] // _TILE) + cols // _TILE
-    order = np.argsort(tile, kind="stable")
-    starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
-    ratio = likelihood(shown - scanned) / likelihood(shown)
-    # Neighbouring posts on one feature agree or fail together: they count half.
-    parts = 0.5 * np.add.reduceat(np.log(ratio)[:, order], starts, axis=1)
-    return np.asarray(np.logaddexp(parts + np.log1p(-_CHANGED), np.log(_CHANGED)).sum(axis=1))
+def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
+    """Return a square of a raster, 0 where it lies beyond."""
+    out = np.zeros((side, side), of.dtype)
+    r0, r1 = max(row, 0), min(row + side, of.shape[0])
+    c0, c1 = max(col, 0), min(col + side, of.shape[1])
+    if r0 < r1 and c0 < c1:
+        out[r0 - row : r1 - row, c0 - col : c1 - col] = of[r0:r1, c0:c1]
+    return out
 
 
-def _level(patch: ScanPatch, ground: _Ground, shifts: _Shifts) -> tuple[float, float]:
-    """Return mean and variance of the vertical shift over all places, by their probability."""
-    known = patch.known.astype(np.float64)
-    above = _slide(known, np.where(ground.known, ground.elevation, 0.0)) / float(patch.known.sum())
-    rise = above - patch.level[patch.known].mean()
-    least = shifts.away[shifts.covered].min()
-    weight = np.where(shifts.covered, np.exp(-0.5 * (shifts.away - least)), 0.0)
-    weight = weight / weight.sum()
-    mean = float((weight * rise).sum())
-    return mean, float((weight * (rise - mean) ** 2).sum())
+def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
+    """Return a raster at rows (r,) by columns (c,), or at pairs of them; NaN beyond it."""
+    if not paired:
+        row, col = np.broadcast_arrays(row[:, None], col[None, :])
+    inside = (row >= 0) & (row < of.shape[0]) & (col >= 0) & (col < of.shape[1])
+    out = np.full(row.shape, np.nan)
+    out[inside] = of[row[inside], col[inside]]
+    return out

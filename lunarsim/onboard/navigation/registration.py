@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
+from lunarsim.onboard.navigation.fit_start import fit_start
+from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import Surface, surface_of
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+# A scan's place is certain where so many deviations lie within half a post, or else with such a
+# probability.
+_DEVIATIONS, _CERTAIN = 3.5, 0.9995
+# Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
+_BLOCK, _FEWEST_BLOCKS = 6, 6
 
 
 @dataclass(frozen=True)
@@ -106,10 +114,9 @@ def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
 
 def register(
     seen: SeenScan,
-    prior: PriorMap,
+    features: MapFeatures,
     covariance: Array,
     variance: Array,
-    expected: float,
     *,
     passes: int = 4,
 ) -> tuple[Fit, tuple[IntArray, IntArray]]:
@@ -120,14 +127,12 @@ def register(
 
     Parameters
     ----------
-    seen, prior
-        To be compared; the scan in the frame of the map.
+    seen, features
+        To be compared: the scan in the frame of the map, and the map's features.
     covariance
         Of the scan's errors (11, 11): see `SeenScan`.
     variance
         Of a residual at each post (rows, cols), m^2, greater the more often it has been used.
-    expected
-        Of a residual by itself, m^2.
     passes
         At most.
 
@@ -138,19 +143,23 @@ def register(
     posts
         Rows and columns of the posts compared.
     """
-    g = prior.grid
-    error = np.zeros(len(covariance))
+    prior = features.prior
+    error, level_only, spread = _begin(seen, features, covariance)
     for _ in range(passes):
         moved = seen.moved(error)
-        surface = surface_of(moved.points(), g)
+        surface = surface_of(moved.points(), prior.grid)
         inside = _on_known_ground(surface, prior)
         posts = surface.row[inside], surface.col[inside]
-        jacobian = moved.jacobian(surface.position[inside], surface.normal[inside])
+        normal, added = surface.normal[inside], np.zeros(int(inside.sum()))
+        if level_only and inside.any():
+            # The slope of the whole is the same for all: it ties the level to the place.
+            slope = normal[:, :2] - normal[:, :2].mean(axis=0)
+            added = np.einsum("ni,ij,nj->n", slope, spread, slope)
+            normal = np.broadcast_to(normal.mean(axis=0), normal.shape)
+        jacobian = moved.jacobian(surface.position[inside], normal)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
-        result = fit(
-            jacobian, residual, variance[posts], covariance,
-            expected=np.full(len(residual), expected),
-        )  # fmt: skip
+        expected = features.variance + added
+        result = fit(jacobian, residual, variance[posts] + added, covariance, expected=expected)
         if result.used == 0:
             break
         step = (
@@ -160,6 +169,49 @@ def register(
         )
         error = error + step
         middle = surface.position[inside].mean(axis=0)
-        if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * g.posting:
+        if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
             break
+    if result.used:
+        share = max(_together(posts, residual - jacobian @ error, expected), prior.together)
+        result = replace(
+            result, information=result.information / share, vector=result.vector / share
+        )
     return result, posts
+
+
+def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
+    """Return how many times less residuals tell than if each erred on its own, at least 1.
+
+    By their sums over blocks of a few posts: errors of a map that are alike over some metres, and
+    ground that has changed by little, add up there.
+    """
+    row, col = (part // _BLOCK for part in posts)
+    keep = residual**2 <= 9.0 * variance
+    block = (row - row.min()) * (int(np.ptp(col)) + 1) + col - col.min()
+    total = np.bincount(block[keep], residual[keep])
+    expected = np.bincount(block[keep], variance[keep])
+    full = expected > 0.0
+    if full.sum() < _FEWEST_BLOCKS:
+        return 1.0
+    return max(1.0, float(np.mean(total[full] ** 2 / expected[full])))
+
+
+def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Array, bool, Array]:
+    """Return where to begin a fit (11,), whether it may tell the level alone, and the spread.
+
+    Slopes tell where a scan lies only as far as they reach, which is half a post on rough ground:
+    where the scan's place is less certain, all places that its stated error allows are compared
+    first. Where several will do, which one it is must not be told.
+    """
+    surface = seen.surface(features.prior.grid)
+    error, none = np.zeros(len(covariance)), np.zeros((2, 2))
+    if len(surface) == 0:
+        return error, False, none
+    across = seen.point_jacobian(surface.position.mean(axis=0))[:2]
+    place = across @ covariance @ across.T
+    if _DEVIATIONS * np.sqrt(np.diag(place).max()) <= 0.5 * features.prior.grid.posting:
+        return error, False, none
+    start = fit_start(surface, features, place)
+    if start.certainty < _CERTAIN:
+        return error, True, start.spread
+    return covariance @ across.T @ np.linalg.solve(place, start.shift), False, none

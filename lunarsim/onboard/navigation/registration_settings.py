@@ -27,16 +27,14 @@ class RegistrationSettings:
         where ground that has changed in part draws a fit aside by a few deviations.
     certainty
         Probability of the best place that a search must reach to be believed.
-    patch_s
-        Scans of so many seconds are searched for together, s.
     level_sigma
         Of a height taken from the level of the ground before the place is known, m.
-    feature_reach
-        What is wider than twice this many posts is no feature to search by.
     search_s
         Between two searches, s.
     lost_s
-        Without agreement for so long the lock is lost, s.
+        If nothing that covers posts enough agrees for so long the lock is lost, s.
+    gather_s
+        Scans that cover too few posts are gathered for so long at most, s.
     odometry_postings
         Least and greatest squares in which scans are compared with each other, m: a
         twenty-fourth of a scan's width between them.
@@ -48,16 +46,15 @@ class RegistrationSettings:
 
     model_sigma: float = 0.03
     least_squares: int = 12
-    least_share: float = 0.6
-    greatest_misfit: float = 2.5
+    least_share: float = 0.7
+    greatest_misfit: float = 1.6
     chance: float = 4e-5
     map_chance: float = 1e-3
     certainty: float = 0.99999
-    patch_s: float = 4.0
     level_sigma: float = 0.5
-    feature_reach: int = 4
     search_s: float = 0.5
     lost_s: float = 2.0
+    gather_s: float = 5.0
     odometry_postings: tuple[float, float] = (0.05, 0.4)
     odometry_sigma: float = 0.03
     key_share: float = 0.8

@@ -165,6 +165,18 @@ def test_lost_and_found_again_are_events(world):
     assert np.linalg.norm(descent.error()[:3]) < 1.0
 
 
+def test_scans_of_too_few_posts_take_no_lock_away(world, monkeypatch):
+    descent = Descent(world, 1).fly(3.0)
+    assert descent.filter.locked
+    # A metre across: nothing to compare, nothing against it.
+    monkeypatch.setattr("tests.onboard.navigation.test_lidar_inertial.LIDAR",
+                        FlashLidar(24, 24, 0.003, 5e-5))  # fmt: skip
+    descent.fly(5.0, aim=np.zeros(3))
+    assert names(descent) == ["lock"]
+    assert descent.filter.locked
+    assert descent.nees() < 40.0
+
+
 @pytest.mark.parametrize(("share", "least"), [(0.05, 7), (0.2, 3)])
 def test_patches_out_of_date_do_not_mislead(world, share, least):
     errors = []

@@ -21,7 +21,7 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
-from lunarsim.onboard.navigation.place_search import ScanPatch, features_of, high_pass, search
+from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import fit, register
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import surface_of
@@ -124,6 +124,19 @@ def test_jacobians_match_finite_differences():
     )
 
 
+def fitted(scan, prior, before, error, variance):
+    """Fit a scan from a pose that is off by an error (6,): estimate, covariance, outcome."""
+    # Truth = estimate + error; nothing is wrong with the scanner.
+    attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
+    seen = SeenScan(scan, POSITION - error[:3], attitude, np.zeros(3), np.zeros(3))
+    whole = np.zeros((11, 11))
+    whole[:6, :6] = before
+    result, _ = register(seen, MapFeatures(prior), whole, np.full(prior.grid.shape, variance))
+    result = replace(result, information=result.information[:6, :6], vector=result.vector[:6])
+    covariance = np.linalg.inv(result.information + np.linalg.inv(before))
+    return covariance @ result.vector, covariance, result
+
+
 def registered(world, seed, stale=0.0):
     """Return the error's estimate, its covariance and the error of one registration."""
     rng = np.random.default_rng(seed)
@@ -133,17 +146,8 @@ def registered(world, seed, stale=0.0):
     before = np.diag(np.square([0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-3]))
     error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
     scan = scanned(world, rng, rng.uniform(-30.0, 30.0, 2).tolist() + [0.0])
-    # The estimate is off by the error: truth = estimate + error.
-    attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
-    variance = np.full(prior.grid.shape, prior.sigma**2 + 0.03**2)
-    seen = SeenScan(scan, POSITION - error[:3], attitude, np.zeros(3), np.zeros(3))
-    # Nothing is wrong with the scanner.
-    whole = np.zeros((11, 11))
-    whole[:6, :6] = before
-    result, _ = register(seen, prior, whole, variance, prior.sigma**2 + 0.03**2)
-    result = replace(result, information=result.information[:6, :6], vector=result.vector[:6])
-    covariance = np.linalg.inv(result.information + np.linalg.inv(before))
-    return covariance @ result.vector, covariance, error, result
+    found, covariance, result = fitted(scan, prior, before, error, prior.sigma**2 + 0.03**2)
+    return found, covariance, error, result
 
 
 def test_registration_errs_as_its_covariance_says(world):
@@ -170,84 +174,53 @@ def test_patches_out_of_date_are_left_out(world):
     assert np.median(gaps[True]) < 2.0 * np.median(gaps[False]) + 0.05
 
 
+@pytest.mark.parametrize("stale", [0.0, 0.2])
+def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
+    accepted = sharp = 0
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 7])
+        grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
+        prior = survey(world.terrain, grid, rng, sigma=0.1, stale_share=stale)
+        before = np.diag(np.square([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]))
+        error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
+        scan = scanned(world, rng, [*rng.uniform(-40.0, 40.0, 2), 0.0])
+        found, covariance, result = fitted(
+            scan, prior, before, error, 2.0 * prior.sigma**2 + 0.03**2
+        )
+        if result.share < 0.7 or result.misfit > 1.6:
+            continue
+        accepted += 1
+        gap = found - error
+        # Chi-squared of 6 exceeds 40 once in two million.
+        assert normalised_square(gap, covariance) < 40.0, seed
+        sharp += covariance[0, 0] < 0.25
+    assert accepted >= 30
+    # Where the ground tells, the fit does.
+    assert sharp >= 5
+
+
+def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
+    nees = Consistency()
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 8])
+        grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
+        prior = survey(world.terrain, grid, rng, sigma=0.1, correlation=1.5)
+        # The map does not say that its errors are alike.
+        prior = PriorMap(grid, prior.elevation, 0.1)
+        before = np.diag(np.square([0.1, 0.1, 0.3, 1e-3, 1e-3, 1e-3]))
+        error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
+        scan = scanned(world, rng, [*rng.uniform(-30.0, 30.0, 2), 0.0])
+        found, covariance, result = fitted(scan, prior, before, error, prior.sigma**2 + 0.03**2)
+        nees = nees.plus(normalised_square(found - error, covariance), 6)
+    # Each post on its own would make it 3.
+    assert nees.ratio < 1.6
+
+
 def test_a_fit_of_nothing_says_nothing():
     result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
     assert result.used == result.offered == 0
     assert result.share == 0.0
     assert not result.information.any()
-
-
-def patch_of(world, seed, shift, grid):
-    rng = np.random.default_rng(seed)
-    scans = [
-        scanned(world, rng, (x, y, 0.0)) for x in (-20.0, 0.0, 20.0) for y in (-15.0, 0.0, 15.0)
-    ]
-    return ScanPatch.merged(
-        [features_of(surface_of(s.points(POSITION, ATTITUDE) - shift, grid), 4) for s in scans]
-    )
-
-
-def found_at(world, seed, shift, sigma=30.0, noise=0.1, stale=0.0):
-    prior = survey(
-        world.terrain, Grid.centred((0.0, 0.0), 200.0, 0.5), np.random.default_rng(seed),
-        sigma=noise, stale_share=stale,
-    )  # fmt: skip
-    patch = patch_of(world, seed, np.asarray(shift), prior.grid)
-    first = -0.5 * np.array([patch.first[1], patch.first[0]])
-    return search(
-        patch, prior.elevation, 0.5, 1.5 * noise**2 + 0.05**2, np.eye(2) * sigma**2, first, reach=4
-    )
-
-
-@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (23.0, -31.0, 7.0), (-48.0, 12.0, -30.0)])
-def test_the_search_finds_what_was_moved(world, shift):
-    match = found_at(world, 3, shift)
-    assert match.certainty > 0.99999
-    assert match.shift == pytest.approx(np.array(shift), abs=0.5)
-    assert match.share > 0.95
-    assert match.up == pytest.approx(shift[2], abs=0.3)
-
-
-def test_the_search_is_not_misled_by_patches_out_of_date(world):
-    shift = (10.0, -20.0, 3.0)
-    matches = [found_at(world, seed, shift, stale=0.15) for seed in range(8)]
-    sure = [match for match in matches if match.certainty > 0.99999]
-    assert len(sure) >= 4
-    for match in sure:
-        assert match.shift == pytest.approx(np.array(shift), abs=0.6)
-
-
-def test_featureless_ground_is_not_found_but_its_height_is():
-    level = World(
-        hazard_field(np.random.default_rng(8), boulders=0, craters=0, swell=0.1, grass_sigma=0.0),
-        9.81,
-    )
-    for seed in range(5):
-        match = found_at(level, seed, (5.0, 5.0, 12.0))
-        assert match.certainty < 0.99
-        assert match.up == pytest.approx(12.0, abs=0.4)
-        assert match.up_variance < 0.3
-
-
-def test_a_patch_off_the_map_is_not_found(world):
-    prior = survey(world.terrain, Grid.centred((0.0, 0.0), 40.0, 0.5), np.random.default_rng(0))
-    patch = patch_of(world, 0, np.zeros(3), prior.grid)
-    small = prior.elevation[:10, :10]
-    padded = np.full((patch.known.shape[0] + 20, patch.known.shape[1] + 20), np.nan)
-    padded[:10, :10] = small
-    assert search(patch, padded, 0.5, 0.02, np.eye(2) * 100.0, np.zeros(2), reach=4) is None
-    assert ScanPatch.merged([features_of(surface_of(np.zeros((0, 3)), prior.grid), 4)]) is None
-
-
-def test_features_are_what_stands_out():
-    xx, yy = np.meshgrid(np.arange(40.0), np.arange(30.0))
-    known = np.ones(xx.shape, bool)
-    known[:, 20] = False
-    above, kept = high_pass(0.3 * xx - 0.2 * yy + 5.0, known, 3)
-    assert above[kept] == pytest.approx(0.0, abs=1e-9)
-    assert not kept[:, 17:24].any()
-    assert not kept[:3].any()
-    assert kept[5, 5]
 
 
 def test_a_survey_is_the_mean_of_the_ground_with_its_noise():

@@ -1,0 +1,100 @@
+"""Where a fit of a scan to a map may begin: a fit finds the nearest minimum, right or wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
+from lunarsim.onboard.navigation.surface import Surface
+
+Array = NDArray[np.float64]
+
+# Deviations of the scan's place that are looked at, and posts either way at most.
+_DEVIATIONS, _FARTHEST = 4.0, 60
+# Posts along a side of the tiles that may have changed on their own, and of a scan at most.
+_SIDE, _WIDEST = 12, 600
+
+
+@dataclass(frozen=True)
+class FitStart:
+    """The likeliest of the whole-post shifts of a scan on a map.
+
+    Attributes
+    ----------
+    shift
+        East and north (2,), m.
+    certainty
+        Probability of it and the shifts next to it.
+    spread
+        Second moment of all shifts about it, by their probability (2, 2), m^2.
+    """
+
+    shift: Array
+    certainty: float
+    spread: Array
+
+
+def fit_start(surface: Surface, features: MapFeatures, covariance: Array) -> FitStart:
+    """Weigh the whole-post shifts that a scan's stated error allows.
+
+    As `PlaceSearch` does it, with the scan alone.
+
+    Parameters
+    ----------
+    surface
+        The scan, averaged over the map's squares.
+    features
+        The map's.
+    covariance
+        Of the scan's place, east and north (2, 2), m^2.
+    """
+    posting = features.prior.grid.posting
+    reach = np.ceil(_DEVIATIONS * np.sqrt(np.diag(covariance)) / posting).astype(int)
+    east, north = (np.arange(-n, n + 1) for n in np.clip(reach, 1, _FARTHEST))
+    across, along = np.meshgrid(east, north)
+    x, y = posting * across, posting * along
+    inverse = np.linalg.inv(covariance)
+    log = -0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
+    for row, col, tile in _tiles(surface, features):
+        usual = features.usual(tile)
+        if usual is not None:
+            found = features.likelihood(tile, row + along.ravel(), col + across.ravel())
+            log += features.factor(*found, usual, log.size).reshape(log.shape)
+    p = np.exp(log - log.max())
+    p /= p.sum()
+    best = int(np.argmax(p))
+    shift = np.array([x.flat[best], y.flat[best]])
+    near = np.maximum(np.abs(x - shift[0]), np.abs(y - shift[1])) <= 1.01 * posting
+    away = np.column_stack((x.ravel(), y.ravel())) - shift
+    return FitStart(shift, float(p[near].sum()), np.asarray((away * p.reshape(-1, 1)).T @ away))
+
+
+def _tiles(surface: Surface, features: MapFeatures) -> list[tuple[int, int, Tile]]:
+    """Return tiles of a scan with the row and column of their first posts."""
+    first = (int(surface.row.min()), int(surface.col.min()))
+    shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
+    if max(shape) > _WIDEST:
+        return []
+    place = (surface.row - first[0], surface.col - first[1])
+    height, known, spread = np.zeros(shape), np.zeros(shape, np.bool_), np.zeros(shape)
+    height[place] = surface.position[:, 2]
+    known[place] = True
+    above, kept = above_plane(height, known, features.reach)
+    # The truth lies up to half a post beside a shift.
+    slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
+    spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0
+    variance = features.variance + spread
+    many = [max(1, round(n / _SIDE)) for n in shape]
+    rows, cols = (np.linspace(0, n, m + 1).astype(int) for n, m in zip(shape, many, strict=True))
+    out = []
+    for r0, r1 in pairwise(rows):
+        for c0, c1 in pairwise(cols):
+            cut = (slice(r0, r1), slice(c0, c1))
+            tile = Tile(above[cut], kept[cut].astype(np.float64), variance[cut])
+            out.append((first[0] + int(r0), first[1] + int(c0), tile))
+    return out

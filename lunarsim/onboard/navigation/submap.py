@@ -1,0 +1,103 @@
+"""What the lander has scanned so far, averaged over squares in the local frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Squares along a side of a submap: a scan that grazes the horizon spreads without bound.
+_WIDEST = 3000
+
+
+class Submap:
+    """Running means of heights over squares.
+
+    A flash covers few posts of a map, or less than one; all flashes together cover what was swept.
+
+    Parameters
+    ----------
+    west, south
+        Corner of square (0, 0), m.
+    side
+        Of the squares, m.
+
+    Attributes
+    ----------
+    first
+        Row and column of the first square held.
+    """
+
+    def __init__(self, west: float, south: float, side: float) -> None:
+        self._west, self._south, self._side = west, south, side
+        self.first = (0, 0)
+        self._sum = np.zeros((0, 0))
+        self._count = np.zeros((0, 0))
+
+    def add(self, points: Array) -> bool:
+        """Take in points (n, 3), NaN for none; return whether they were of use."""
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) == 0:
+            return False
+        place = np.floor((points[:, :2] - (self._west, self._south)) / self._side)
+        if np.ptp(place, axis=0).max() >= _WIDEST:
+            return False
+        col, row = place.astype(np.int64).T
+        if not self._cover(int(row.min()), int(row.max()), int(col.min()), int(col.max())):
+            return False
+        rows, cols = self._sum.shape
+        index = (row - self.first[0]) * cols + col - self.first[1]
+        self._sum += np.bincount(index, points[:, 2], rows * cols).reshape(rows, cols)
+        self._count += np.bincount(index, minlength=rows * cols).reshape(rows, cols)
+        return True
+
+    def _cover(self, south: int, north: int, west: int, east: int) -> bool:
+        """Make room; return whether there is any."""
+        rows, cols = self._sum.shape
+        if self._sum.size:
+            south, west = min(south, self.first[0]), min(west, self.first[1])
+            north = max(north, self.first[0] + rows - 1)
+            east = max(east, self.first[1] + cols - 1)
+        if north - south >= _WIDEST or east - west >= _WIDEST:
+            return False
+        shape = (north - south + 1, east - west + 1)
+        if shape != (rows, cols):
+            # Room for what comes next too, so that not every scan copies all.
+            room = 32
+            grown = np.zeros((2, shape[0] + 2 * room, shape[1] + 2 * room))
+            first = (south - room, west - room)
+            if self._sum.size:
+                r, c = self.first[0] - first[0], self.first[1] - first[1]
+                grown[:, r : r + rows, c : c + cols] = self._sum, self._count
+            self._sum, self._count = grown
+            self.first = first
+        return True
+
+    @property
+    def count(self) -> int:
+        """Number of squares that hold anything."""
+        return int(np.count_nonzero(self._count))
+
+    def points(self) -> Array:
+        """Return the middles of the squares at their mean heights (n, 3), m."""
+        row, col = np.nonzero(self._count)
+        place = np.column_stack((col + self.first[1], row + self.first[0])) + 0.5
+        xy = place * self._side + (self._west, self._south)
+        return np.column_stack((xy, self._sum[row, col] / self._count[row, col]))
+
+    def posts(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Return heights of posts of two squares by two, m, and which are known.
+
+        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`: posts at
+        every half post. One is known once all four quarters are, so that it is a mean over an even
+        cover.
+        """
+        if min(self._sum.shape) < 2:
+            return np.zeros((0, 0)), np.zeros((0, 0), np.bool_)
+        seen = self._count > 0.0
+        mean = self._sum / np.maximum(self._count, 1.0)
+        parts = [(slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
+        known = np.logical_and.reduce([seen[p] for p in parts])
+        height = 0.25 * sum(mean[p] for p in parts)
+        return np.where(known, height, 0.0), known

@@ -1,0 +1,263 @@
+"""How soon, how often and how surely the place of a sweep is found on maps of many kinds.
+
+No flight: a lander on a straight path sweeps the ground about its target as `tasking.sweep` does,
+with errors of position (30 m an axis), attitude (0.5 deg) and speed (0.05 m/s), and its scans are
+searched for on the map until the place is certain. Every search has ground, map and errors of its
+own; the measured ground is one crop, on which targets are drawn.
+
+python scenarios/navigation/places.py --searches 20 --jobs 2
+python scenarios/navigation/places.py --only "stale 0.2" --searches 300
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
+from lunarsim.grid import Grid
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.map_information import can_lock
+from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.simulation.worlds import build_world
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.survey import survey
+from lunarsim.world.terrain import Terrain, add_craters, fractal_relief, hazard_field
+
+SCENARIOS = Path(__file__).resolve().parents[1]
+UPRIGHT = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
+LIDAR = FlashLidar(128, 128, 0.0131, 5e-5)
+START, VELOCITY = np.array([-390.0, 0.0, 240.0]), np.array([10.0, 0.0, -5.0])
+SWEPT, RATE, SEARCH = 90.0, 20.0, 0.5
+SIGMA, TURN, DRIFT = 30.0, np.deg2rad(0.5), 0.05
+SIZE = 300.0
+
+
+def objects(rng: np.random.Generator) -> World:
+    """Return a hazard field: boulders and craters on level grass."""
+    return World(hazard_field(rng), 9.81)
+
+
+def craters(rng: np.random.Generator) -> World:
+    """Return procedural relief of 2 deg with craters from 1 m."""
+    grid = Grid.centred((0.0, 0.0), 400.0, 0.5)
+    relief = fractal_relief(grid, rng, hurst=0.9, rms_slope=np.deg2rad(2.0))
+    return World(Terrain(add_craters(relief, rng, minimum=1.0)), 1.62)
+
+
+@cache
+def apollo15() -> World:
+    """Return the measured relief of the Apollo 15 region with its detail."""
+    scenario = Scenario.load(SCENARIOS / "apollo15.toml")
+    return build_world(scenario, Streams(flight_seed(1, 0)))
+
+
+def measured(rng: np.random.Generator) -> World:
+    """Return measured relief."""
+    return apollo15()
+
+
+@dataclass(frozen=True)
+class Case:
+    """A row of the table: ground, posts and their noise (m), and what is wrong with the map."""
+
+    ground: Callable[[np.random.Generator], World]
+    posting: float
+    sigma: float
+    wrong: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        ground = {objects: "objects", craters: "craters", measured: "Apollo 15"}[self.ground]
+        wrong = ", ".join(f"{k.split('_')[0]} {v:g}" for k, v in self.wrong.items())
+        return f"{ground} {self.posting:g} m, {self.sigma:g} m" + (f", {wrong}" if wrong else "")
+
+
+CASES = (
+    Case(objects, 0.5, 0.1),
+    Case(objects, 0.5, 0.1, {"stale_share": 0.2}),
+    Case(objects, 0.5, 0.1, {"stale_share": 0.3}),
+    Case(objects, 0.5, 0.1, {"void_share": 0.05}),
+    Case(objects, 0.5, 0.1, {"correlation": 2.0}),
+    Case(objects, 0.5, 0.3),
+    Case(objects, 1.0, 0.3),
+    Case(objects, 3.0, 0.1),
+    Case(craters, 0.5, 0.3),
+    Case(craters, 1.0, 0.3),
+    Case(craters, 1.0, 0.3, {"stale_share": 0.2}),
+    Case(craters, 1.0, 0.3, {"void_share": 0.05}),
+    Case(craters, 1.0, 0.3, {"correlation": 3.0}),
+    Case(craters, 3.0, 0.3),
+    Case(measured, 1.0, 0.3),
+    Case(measured, 5.0, 0.3),
+    Case(measured, 5.0, 0.3, {"stale_share": 0.2}),
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search."""
+
+    case: int
+    number: int
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """What came of a search.
+
+    Attributes
+    ----------
+    time, scans
+        Until the lock, s; None without one.
+    error, sigma
+        Of the place then, east, north and up (3,), m.
+    forecast
+        Whether the map promised it.
+    """
+
+    time: float | None
+    scans: int
+    error: np.ndarray
+    sigma: np.ndarray
+    forecast: bool
+
+
+@dataclass
+class Lander:
+    """A lander on a straight path, and what it wrongly believes."""
+
+    world: World
+    target: np.ndarray
+    rng: np.random.Generator
+
+    def __post_init__(self) -> None:
+        self.shift = SIGMA * self.rng.standard_normal(3)
+        self.drift = DRIFT * self.rng.standard_normal(3)
+        turn = quat_from_rotation_vector(TURN * self.rng.standard_normal(3))
+        self.attitude = quat_multiply(UPRIGHT, turn)
+        # Once it is known the sweep is aimed by it.
+        self.up = 0.0
+
+    def scan(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return a scan's points as believed and as they are (n, 3)."""
+        time = count / RATE
+        true = self.target + START + VELOCITY * time
+        believed = true - self.shift + self.drift * time
+        aim = self.target + aimed(count) - believed - np.array([0.0, 0.0, self.up])
+        mount = gimbal_mount(self.attitude, aim)
+        state = State(true, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
+        scan = LIDAR.measure(self.world, state, time, self.rng, mount)
+        return scan.points(believed, self.attitude), scan.points(true, UPRIGHT)
+
+
+def aimed(count: int) -> np.ndarray:
+    """Return where a scan of the sweep is aimed at, from its middle (3,), m."""
+    rows = 20
+    row, col = divmod(count, rows)
+    row %= rows
+    col = col if row % 2 == 0 else rows - 1 - col
+    return SWEPT * (np.array([row, col, 0.0]) / (rows - 1) - np.array([0.5, 0.5, 0.0]))
+
+
+def search(task: Task) -> Found:
+    """Search once."""
+    case = CASES[task.case]
+    rng = np.random.default_rng([task.seed, task.case, task.number])
+    world = case.ground(rng)
+    xy = rng.uniform(-60.0, 60.0, 2) if case.ground is measured else np.zeros(2)
+    target = np.append(xy, float(world.terrain.elevation(xy)))
+    grid = Grid.centred(target, SIZE, case.posting)
+    prior = survey(world.terrain, grid, rng, sigma=case.sigma, **case.wrong)
+    places = PlaceSearch(MapFeatures(prior))
+    forecast = can_lock(prior, (float(xy[0]), float(xy[1])), SWEPT, SIGMA).can_lock
+    lander = Lander(world, target, rng)
+    for count in range(round(task.seconds * RATE)):
+        believed, true = lander.scan(count)
+        places.add(believed)
+        if (count + 1) % round(SEARCH * RATE):
+            continue
+        match = places.search(count / RATE, np.zeros(2), np.eye(2) * (SIGMA**2 + 16.0), DRIFT)
+        if match is None:
+            continue
+        if match.up_variance < 4.0:
+            lander.up = match.up
+        if certain(match):
+            error = match.shift - np.nanmean(true - believed, axis=0)
+            sigma = np.sqrt(np.diag(match.covariance))
+            return Found(count / RATE, count + 1, error, sigma, forecast)
+    return Found(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast)
+
+
+def certain(match: Match) -> bool:
+    """Tell whether navigation would take a place for found."""
+    return match.certainty >= 0.99999 and match.share >= 0.6
+
+
+def row_of(case: Case, found: list[Found]) -> list[str]:
+    """Return the cells of a row."""
+    locked = [f for f in found if f.time is not None]
+    if not locked:
+        return [str(case), f"0 of {len(found)}", "", "", "0", "", f"{forecasts(found)}"]
+    time = [f.time for f in locked if f.time is not None]
+    aside = np.array([np.abs(f.error[:2]).max() for f in locked])
+    over = np.array([np.abs(f.error[:2] / f.sigma[:2]).max() for f in locked])
+    wrong = int(np.sum(aside > np.maximum(2.0 * case.posting, 2.0)))
+    return [
+        str(case), f"{len(locked)} of {len(found)}",
+        f"{np.median(time):.1f} / {max(time):.1f}",
+        f"{np.median([f.scans for f in locked]):.0f}", f"{wrong}",
+        f"{np.median(aside):.2f} m, {over.max():.1f}", forecasts(found),
+    ]  # fmt: skip
+
+
+def forecasts(found: list[Found]) -> str:
+    """Return how often a lock was promised, and how often that was wrong."""
+    return f"{sum(f.forecast for f in found)} of {len(found)}"
+
+
+@click.command()
+@click.option("--searches", type=click.IntRange(min=1), default=10, show_default=True,
+              help="Of each row.")  # fmt: skip
+@click.option("--only", default="", help="Rows whose name holds this text.")
+@click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
+              help="Of the sweep, after which a search has failed.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
+    """Search for the place of sweeps on maps, and print how it went."""
+    console = Console(width=150)
+    rows = [n for n, case in enumerate(CASES) if only in str(case)]
+    if not rows:
+        raise click.UsageError(f"--only: none of {', '.join(map(str, CASES))}")
+    tasks = [Task(n, k, seed, seconds) for n in rows for k in range(searches)]
+    found = gathered(search, tasks, jobs, console, "searches")
+    table = Table(title=f"Searches of {seconds:g} s")
+    for heading in ("map", "locked", "after, median / max (s)", "scans", "wrong",
+                    "error, median; greatest over sigma", "promised"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading == "map" else "right")
+    for n in rows:
+        mine = [f for t, f in zip(tasks, found, strict=False) if t.case == n]
+        if mine:
+            table.add_row(*row_of(CASES[n], mine))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
