@@ -194,40 +194,42 @@ def register(
         surface = surface_of(scan.points(position + error[:3], turned), g)
         inside = _on_known_ground(surface, prior)
         posts = surface.row[inside], surface.col[inside]
-        normal, added = surface.normal[inside], np.zeros(int(inside.sum()))
-        if level_only and inside.any():
-            # The slope of the whole is the same for all: it ties the level to the place.
-            slope = normal[:, :2] - normal[:, :2].mean(axis=0)
-            added = np.einsum("ni,ij,nj->n", slope, spread, slope)
-            normal = np.broadcast_to(normal.mean(axis=0), normal.shape)
+        normal, added = _normals(surface.normal[inside], spread if level_only else None)
         jacobian = pose_jacobian(surface.position[inside], normal, position + error[:3], turned)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
-        result = fit(
-            jacobian,
-            residual,
-            variance[posts] + added,
-            covariance,
-            single=features.variance + added,
-        )
+        single = features.variance + added
+        result = fit(jacobian, residual, variance[posts] + added, covariance, single=single)
         if result.used == 0:
             break
-        step = (
-            covariance @ np.linalg.solve(np.eye(6) + result.information @ covariance, result.vector)
-            - error
-        )
+        step = _solved(result, covariance) - error
         error = error + step
         middle = surface.position[inside].mean(axis=0)
         moved = point_jacobian(middle, position, attitude) @ step
         if np.abs(moved).max() < 0.05 * g.posting:
             break
     if result.used:
-        left = residual - jacobian @ error
-        share = _together(posts, left, features.variance + added)
-        share = max(share, prior.together)
-        result = replace(
-            result, information=result.information / share, vector=result.vector / share
-        )
+        many = max(_together(posts, residual - jacobian @ error, single), prior.together)
+        result = replace(result, information=result.information / many, vector=result.vector / many)
     return result, posts
+
+
+def _solved(found: Fit, covariance: Array) -> Array:
+    """Return the error that a fit and the covariance before make likeliest (d,)."""
+    both = np.eye(len(covariance)) + found.information @ covariance
+    return np.asarray(covariance @ np.linalg.solve(both, found.vector))
+
+
+def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
+    """Return the normals (m, 3) that a fit uses, and what is added to the variances (m,), m^2.
+
+    With a `spread` (2, 2) the place is not to be told: the slope of the whole, the same for all,
+    ties the level to the place, and slopes that differ from it are errors.
+    """
+    if spread is None or len(normal) == 0:
+        return normal, np.zeros(len(normal))
+    slope = normal[:, :2] - normal[:, :2].mean(axis=0)
+    added = np.asarray(np.einsum("ni,ij,nj->n", slope, spread, slope))
+    return np.broadcast_to(normal.mean(axis=0), normal.shape), added
 
 
 def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
