@@ -88,12 +88,7 @@ def can_lock(
     settings
         How places are judged.
     """
-    if not (np.isfinite(swept) and swept > 0.0):
-        raise InputError("swept_m", swept, "a positive length in metres")
-    if not (np.isfinite(place_sigma) and place_sigma > 0.0):
-        raise InputError("place_sigma_m", place_sigma, "a positive deviation in metres")
-    if not 0.0 < certainty < 1.0:
-        raise InputError("certainty", certainty, "a probability between 0 and 1")
+    _check(swept, place_sigma, certainty)
     features = MapFeatures(prior, settings)
     posting = prior.grid.posting
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
@@ -119,6 +114,16 @@ def can_lock(
     return LockForecast(
         float(expected[row, col]), needed, (float(n[col] * posting), float(n[row] * posting))
     )
+
+
+def _check(swept: float, place_sigma: float, certainty: float) -> None:
+    """Refuse what no sweep can be."""
+    if not (np.isfinite(swept) and swept > 0.0):
+        raise InputError("swept_m", swept, "a positive length in metres")
+    if not (np.isfinite(place_sigma) and place_sigma > 0.0):
+        raise InputError("place_sigma_m", place_sigma, "a positive deviation in metres")
+    if not 0.0 < certainty < 1.0:
+        raise InputError("certainty", certainty, "a probability between 0 and 1")
 
 
 def _window(

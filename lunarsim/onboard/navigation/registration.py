@@ -20,7 +20,7 @@ IntArray = NDArray[np.int64]
 # probability.
 _DEVIATIONS, _CERTAIN = 3.5, 0.9995
 # Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
-_BLOCK, _FEWEST_BLOCKS = 6, 6
+_BLOCK, _FEWEST_BLOCKS = 6, 4
 
 
 @dataclass(frozen=True)
@@ -150,23 +150,14 @@ def register(
         surface = surface_of(moved.points(), prior.grid)
         inside = _on_known_ground(surface, prior)
         posts = surface.row[inside], surface.col[inside]
-        normal, added = surface.normal[inside], np.zeros(int(inside.sum()))
-        if level_only and inside.any():
-            # The slope of the whole is the same for all: it ties the level to the place.
-            slope = normal[:, :2] - normal[:, :2].mean(axis=0)
-            added = np.einsum("ni,ij,nj->n", slope, spread, slope)
-            normal = np.broadcast_to(normal.mean(axis=0), normal.shape)
+        normal, added = _normals(surface.normal[inside], spread if level_only else None)
         jacobian = moved.jacobian(surface.position[inside], normal)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
         expected = features.variance + added
         result = fit(jacobian, residual, variance[posts] + added, covariance, expected=expected)
         if result.used == 0:
             break
-        step = (
-            covariance
-            @ np.linalg.solve(np.eye(len(error)) + result.information @ covariance, result.vector)
-            - error
-        )
+        step = _solved(result, covariance) - error
         error = error + step
         middle = surface.position[inside].mean(axis=0)
         if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
@@ -177,6 +168,25 @@ def register(
             result, information=result.information / share, vector=result.vector / share
         )
     return result, posts
+
+
+def _solved(found: Fit, covariance: Array) -> Array:
+    """Return the error that a fit and the covariance before make likeliest (d,)."""
+    both = np.eye(len(covariance)) + found.information @ covariance
+    return np.asarray(covariance @ np.linalg.solve(both, found.vector))
+
+
+def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
+    """Return the normals (m, 3) that a fit uses, and what is added to the variances (m,), m^2.
+
+    With a `spread` (2, 2) the place is not to be told: the slope of the whole, the same for all,
+    ties the level to the place, and slopes that differ from it are errors.
+    """
+    if spread is None or len(normal) == 0:
+        return normal, np.zeros(len(normal))
+    slope = normal[:, :2] - normal[:, :2].mean(axis=0)
+    added = np.asarray(np.einsum("ni,ij,nj->n", slope, spread, slope))
+    return np.broadcast_to(normal.mean(axis=0), normal.shape), added
 
 
 def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
