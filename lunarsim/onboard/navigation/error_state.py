@@ -45,7 +45,8 @@ class Outcome:
     taken
         Whether it corrected the state.
     white
-        Whitened innovation (degrees,) of what was taken; else empty.
+        Whitened innovation (n,) of what was taken, always of one length for one kind of measurement
+        of one sensor, NaN for parts that it did not give this time; else empty.
     """
 
     nis: float
