@@ -27,6 +27,7 @@ from lunarsim.onboard.guidance.divert import DivertCost, divert_cost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.contract import (
@@ -115,6 +116,7 @@ class OnboardComputer:
         self._decided = False
         self._aim: tuple[FloatMap, FloatMap] | None = None
         self._events = 0
+        self._arrivals = Arrivals(briefing.step, lambda *told: self.telemetry.append(told))
 
     # --- what is known --------------------------------------------------------------------
 
@@ -216,7 +218,15 @@ class OnboardComputer:
             self.apply(self.policy.decide(self.observe()))
 
     def update(self, measurements: Measurements) -> None:
-        """Navigate and map by what has been measured since the last cycle."""
+        """Navigate and map by what has been measured since the last cycle.
+
+        Raises
+        ------
+        InputError
+            If time runs backwards. A measurement that was made before the last one of its sensor,
+            or in the future, is left out and reported as "out-of-order".
+        """
+        self._arrivals.advance(measurements.time)
         elapsed = measurements.time - self.time
         # The tanks are not gauged: what the engine was asked for has been burnt.
         burnt = self._thrust * elapsed / self.lander.exhaust_velocity
@@ -233,7 +243,10 @@ class OnboardComputer:
             # The plan was made for the planned start: begin from where the lander is.
             self._retime()
 
-    def _take(self, sensor: str, measurement: Any) -> None:
+    def _take(self, sensor: str, given: Any) -> None:
+        measurement = self._arrivals.admit(sensor, given, self.time)
+        if measurement is None:
+            return
         if isinstance(measurement, InertialSamples):
             self.navigation.take(sensor, measurement, self.time)
             self._follow_navigation()

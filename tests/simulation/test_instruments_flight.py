@@ -7,9 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.messages.measurements import AltimeterReading, DopplerReading, InertialSamples
+from lunarsim.messages.measurements import (
+    AltimeterReading,
+    DopplerReading,
+    InertialSamples,
+    Measurements,
+)
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.conftest import SCENARIOS
@@ -134,3 +140,26 @@ def test_an_accelerometer_that_jumps_is_found_by_its_drift(scenario):
     assert "drift" in events(simulation)
     bias, _ = simulation.computer.navigation.inertial.biases
     assert 0.02 < bias[0] < 0.08, "the unit itself is good for 0.003"
+
+
+def test_a_computer_takes_nothing_from_before(scenario):
+    simulation = Simulation(scenario, 6, "no-divert")
+    while simulation.time < 2.0:
+        simulation.step()
+    computer = simulation.computer
+    before = computer.navigation.covariance.copy()
+    told = len(computer.telemetry)
+    late = (("altimeter", AltimeterReading(1.0, 3.0, 0.1)), ("camera", Late(np.nan)),
+            ("camera", Late(9.0)))  # fmt: skip
+    computer.update(Measurements(computer.time, late))
+    assert [name for _, name, _ in computer.telemetry[told:]] == ["out-of-order"] * 3
+    assert np.array_equal(computer.navigation.covariance, before)
+    with pytest.raises(InputError, match="time"):
+        computer.update(Measurements(computer.time - 0.1))
+
+
+class Late:
+    """A picture or scan of which only its time counts."""
+
+    def __init__(self, time: float) -> None:
+        self.time = time

@@ -18,6 +18,7 @@ from lunarsim.messages.measurements import (
 )
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
@@ -150,6 +151,9 @@ class LidarInertialFilter:
         self.locked = False
         self.events: list[NavigationEvent] = []
         self._aids = Aids(self.state, known, level, self.events)
+        self._arrivals = Arrivals(
+            inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
+        )
         if prior is not None:
             self._uses = np.zeros(prior.grid.shape, np.int32)
             self._variance = self._of_uses(prior, self._uses)
@@ -200,12 +204,19 @@ class LidarInertialFilter:
         return Shift(self._offset.copy())
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; what it cannot use changes nothing."""
+        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+
+        Raises
+        ------
+        InputError
+            If `time` (s) runs backwards.
+        """
+        measurement = self._arrivals.admit(sensor, measurement, time)
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
         elif isinstance(measurement, LidarScan):
             self.update_scan(measurement, time)
-        else:
+        elif measurement is not None:
             before = self.inertial.position.copy()
             self._aids.take(sensor, measurement, time)
             # Where the site lies is learnt; the local frame stays where it is.
