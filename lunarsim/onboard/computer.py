@@ -28,7 +28,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.contract import (
     Candidates,
@@ -241,6 +241,8 @@ class OnboardComputer:
         self._arrivals.advance(measurements.time)
         elapsed = measurements.time - self.time
         # The tanks are not gauged: what the engine was asked for has been burnt.
+        if isinstance(self.navigation, ThrustAware):
+            self.navigation.commanded(self._thrust, elapsed)
         burnt = self._thrust * elapsed / self.lander.exhaust_velocity
         self.mass = max(self.mass - burnt, self.lander.dry_mass)
         self.time = measurements.time

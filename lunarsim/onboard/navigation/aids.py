@@ -36,7 +36,7 @@ _MOST_SPEED, _MOST_TURN, _MOST_HEIGHT = 30.0, 0.2, 300.0
 # Variances grow at least and at most by these factors where a watch asks for it.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
 # A lander cannot jump in speed or attitude, but the ground under it may in height.
-_WATCHED = {
+WATCHED = {
     "range": WatchSettings(),
     "speed": WatchSettings(patience=None, drift_s=8.0),
     "attitude": WatchSettings(patience=None, drift_s=8.0),
@@ -235,7 +235,7 @@ class Aids:
         time: float,
     ) -> None:
         """Watch what came of a measurement; widen what it depends on where it is doubted."""
-        watch = self._watches.setdefault((sensor, kind), Watch(_WATCHED[kind]))
+        watch = self._watches.setdefault((sensor, kind), Watch(WATCHED[kind]))
         before = watch.lost
         verdict = watch.note(time, found)
         if verdict is Verdict.DRIFT:
