@@ -163,3 +163,27 @@ class Late:
 
     def __init__(self, time: float) -> None:
         self.time = time
+
+
+def test_the_unscented_filter_errs_as_it_says(scenario):
+    plain = scenario.changed(
+        navigation={"kind": "ukf"}, sensors={"flash": None}, tasking={"flash": None}
+    )
+    nees, mass = Consistency(), []
+    for seed in range(4):
+        simulation = Simulation(plain, seed, "no-divert")
+        navigation, epochs = simulation.computer.navigation, 0
+        while not simulation.done:
+            simulation.step()
+            epochs += 1
+            if not simulation.done and epochs in (80, 200, 300):
+                covariance = navigation.covariance[np.ix_(KEEP, KEEP)]
+                nees = nees.plus(normalised_square(error_of(simulation), covariance), 9)
+                mass.append(navigation.mass[0] - simulation.state.mass)
+        assert simulation.verdict.touchdown is not None, simulation.verdict
+        assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1
+        assert not simulation.computer.estimate.lost
+        assert not {"doubted", "lost"} & set(events(simulation))
+    # Modest: what lasts and is taken for noise is made larger. Never sure of too much.
+    assert 0.4 < nees.ratio < nees.bounds(0.999)[1]
+    assert np.abs(mass).max() < 1.0

@@ -40,7 +40,7 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, gate_of
+from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
@@ -74,9 +74,7 @@ _MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
 class UnscentedNavigation:
     """filterpy's unscented filter on position, velocity, accelerometer bias and mass."""
 
-    ground_sigma: float = quantity(
-        10.0, "m", gt=0, le=1000, help="of the ground's height below the lander, 1 sigma"
-    )
+    relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
     mass_sigma: float = quantity(1.0, "kg", gt=0, help="of the mass at the start, 1 sigma")
     thrust_error: float = quantity(
         0.01, gt=0, le=1, help="of the engine's thrust against what it is asked for, 1 sigma"
@@ -93,7 +91,8 @@ class UnscentedNavigation:
         """Return the filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
-            state, sigmas, self, ground=float(briefing.target[2]), mass=briefing.lander.wet_mass,
+            state, sigmas, self, ground=LevelGround.of(briefing, float(np.tan(self.relief))),
+            mass=briefing.lander.wet_mass,
             exhaust_velocity=briefing.lander.exhaust_velocity, lag=briefing.lander.thrust_lag,
             instruments=briefing.instruments,
         )  # fmt: skip
@@ -111,7 +110,7 @@ class UnscentedFilter:
     settings
         What else errs, and by how much.
     ground
-        Elevation of the ground, m.
+        What is known of the ground's height.
     mass
         At the start, kg.
     exhaust_velocity
@@ -128,7 +127,7 @@ class UnscentedFilter:
         errors: StartSigmas | None = None,
         settings: UnscentedNavigation | None = None,
         *,
-        ground: float = 0.0,
+        ground: LevelGround | None = None,
         mass: float = 1000.0,
         exhaust_velocity: float = 3000.0,
         lag: float = 0.0,
@@ -137,13 +136,11 @@ class UnscentedFilter:
         for name, value in (("mass", mass), ("exhaust_velocity", exhaust_velocity)):
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"navigation.{name}", value, "a positive number")
-        if not np.isfinite(ground):
-            raise InputError("navigation.ground_elevation", ground, "a finite height")
         self.inertial = inertial
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
         self._watches: dict[tuple[str, str], Watch] = {}
-        self._ground, self._exhaust, self._lag = float(ground), exhaust_velocity, lag
+        self._ground, self._exhaust, self._lag = ground or LevelGround(), exhaust_velocity, lag
         known = instruments or {}
         self._beams = {n: i.boresight for n, i in known.items() if isinstance(i, FixedBeam)}
         self._cones = {
@@ -312,9 +309,9 @@ class UnscentedFilter:
             return Outcome(np.nan, 1, False)
         # The ground is off by the same at every reading: together they never count more than once.
         uses = self._ranges.get(sensor, 0)
-        level = (self.settings.ground_sigma / down) ** 2 * (uses + 1) * (uses + 2)
+        level = ((self._ground.sigma or 0.0) / down) ** 2 * (uses + 1) * (uses + 2)
         found = self._update(
-            np.array([r]), lambda x: np.array([(self._ground - x[2]) / down]),
+            np.array([r]), lambda x: np.array([(self._ground.elevation - x[2]) / down]),
             np.array([[sigma**2 + level]]), gate_of(1),
         )  # fmt: skip
         self._ranges[sensor] = uses + found.taken
