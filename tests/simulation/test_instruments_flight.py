@@ -9,7 +9,12 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
-from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.frames import (
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    quat_to_rotation_vector,
+)
 from lunarsim.messages.measurements import (
     AltimeterReading,
     DopplerReading,
@@ -187,3 +192,26 @@ def test_the_unscented_filter_errs_as_it_says(scenario):
     # Modest: what lasts and is taken for noise is made larger. Never sure of too much.
     assert 0.4 < nees.ratio < nees.bounds(0.999)[1]
     assert np.abs(mass).max() < 1.0
+
+
+def test_scans_speeds_and_ranges_tell_neither_place_nor_yaw(scenario):
+    """Without stars and map: a hundred scans and clones, and no certainty that cannot be had."""
+    blind = scenario.changed(
+        sensors={"stars": None}, tasking={"flash": {"kind": "periodic", "rate_hz": 5.0}},
+        start_knowledge={"position_m": 10.0, "velocity_m_s": 0.3, "attitude_deg": 0.1},
+    )  # fmt: skip
+    simulation = Simulation(blind, 2, "no-divert")
+    navigation = simulation.computer.navigation
+    start = np.linalg.norm(navigation.inertial.velocity[:2])
+    # All that is known of yaw: how it was told, and the way that the start's velocity points.
+    told = np.deg2rad(0.1)
+    yaw = 1.0 / np.hypot(1.0 / told, start / 0.3)
+    assert yaw > 0.98 * told
+    while simulation.time < 25.0:
+        simulation.step()
+        p = navigation.covariance
+        up = quat_to_matrix(navigation.inertial.attitude)[2]
+        assert np.sqrt(np.diag(p)[:2]).min() > 0.9999 * 10.0
+        assert np.sqrt(up @ p[9:12, 9:12] @ up) > 0.998 * yaw
+    assert np.sqrt(p[2, 2]) < 0.9 * 10.0, "height is told"
+    assert np.sqrt(np.diag(p)[3:6]).max() < 0.1, "speed is told"
