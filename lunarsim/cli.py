@@ -115,6 +115,9 @@ def _facts(record: Any) -> list[tuple[str, str]]:
         ("propellant", f"{record.propellant_used:.1f} kg"),
         ("divert", f"{record.divert_distance:.1f} m"),
     ]
+    if record.first_lost is not None:
+        end = "to the end" if record.lost else "believed again later"
+        facts.append(("navigation", f"lost from {record.first_lost:.1f} s, {end}"))
     touchdown = record.verdict.touchdown
     if touchdown is not None:
         degrees = 57.29577951308232

@@ -37,6 +37,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "policy": flight.policy,
         "safe": flight.verdict.safe,
         "failed": ",".join(flight.verdict.failed),
+        "navigation_lost": flight.lost,
         "propellant_kg": flight.propellant_used,
         "duration_s": flight.duration,
         "divert_m": flight.divert_distance,

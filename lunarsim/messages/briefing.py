@@ -29,6 +29,8 @@ class StartEstimate:
         Quaternion, body to ENU (4,).
     position_sigma, velocity_sigma, attitude_sigma
         Standard deviations an axis, m, m/s, rad.
+    ground_sigma
+        Of the target's elevation, m.
     """
 
     position: Array
@@ -37,6 +39,7 @@ class StartEstimate:
     position_sigma: float
     velocity_sigma: float
     attitude_sigma: float
+    ground_sigma: float = 0.0
 
 
 @dataclass(frozen=True)

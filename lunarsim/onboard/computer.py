@@ -26,7 +26,8 @@ from lunarsim.onboard.guidance.divert import DivertCost, divert_cost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.arrivals import Arrivals
+from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.contract import (
     Candidates,
@@ -114,6 +115,8 @@ class OnboardComputer:
         self._decided = False
         self._aim: tuple[FloatMap, FloatMap] | None = None
         self._events = 0
+        self._arrivals = Arrivals(briefing.step, lambda *told: self.telemetry.append(told))
+        self._barred, self._mapped_lost = False, False
 
     # --- what is known --------------------------------------------------------------------
 
@@ -141,11 +144,22 @@ class OnboardComputer:
         return self.mappers.get(self.decisions_map)
 
     @property
+    def diverts_barred(self) -> bool:
+        """Whether the lander keeps its site, whatever a policy wants.
+
+        So it is while navigation is lost: the site decided on last is as far off as any other, and
+        a divert costs propellant and time besides. Once something was mapped while it was lost, so
+        it stays: part of the map then lies where nobody knows.
+        """
+        return self._barred
+
+    @property
     def decision_due(self) -> bool:
         """True when the policy is to be asked in this cycle."""
         window = self.decisions
         return (
             self.phase == APPROACH
+            and not self._barred
             and self.mapper is not None
             and window.last_altitude <= self.altitude <= window.first_altitude
             and self.time >= self._next_decision - 1e-9
@@ -215,9 +229,19 @@ class OnboardComputer:
             self.apply(self.policy.decide(self.observe()))
 
     def update(self, measurements: Measurements) -> None:
-        """Navigate and map by what has been measured since the last cycle."""
+        """Navigate and map by what has been measured since the last cycle.
+
+        Raises
+        ------
+        InputError
+            If time runs backwards. A measurement that was made before the last one of its sensor,
+            or in the future, is left out and reported as "out-of-order".
+        """
+        self._arrivals.advance(measurements.time)
         elapsed = measurements.time - self.time
         # The tanks are not gauged: what the engine was asked for has been burnt.
+        if isinstance(self.navigation, ThrustAware):
+            self.navigation.commanded(self._thrust, elapsed)
         burnt = self._thrust * elapsed / self.lander.exhaust_velocity
         self.mass = max(self.mass - burnt, self.lander.dry_mass)
         self.time = measurements.time
@@ -227,12 +251,25 @@ class OnboardComputer:
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
+        self._bar_diverts()
         self._level_site()
         if not self._decided and self.approach.time_to_go is None and elapsed == 0.0:
             # The plan was made for the planned start: begin from where the lander is.
             self._retime()
 
-    def _take(self, sensor: str, measurement: Any) -> None:
+    def _bar_diverts(self) -> None:
+        """Note whether diverts are still to be trusted to navigation and map."""
+        lost = self.estimate.lost
+        self._mapped_lost |= lost and bool(self.mapped)
+        if self._barred != (lost or self._mapped_lost):
+            self._barred = not self._barred
+            name = "diverts-barred" if self._barred else "diverts-allowed"
+            self.telemetry.append((self.time, name, {"site": self.site.copy()}))
+
+    def _take(self, sensor: str, given: Any) -> None:
+        measurement = self._arrivals.admit(sensor, given, self.time)
+        if measurement is None:
+            return
         if isinstance(measurement, InertialSamples):
             self.navigation.take(sensor, measurement, self.time)
             self._follow_navigation()
@@ -283,7 +320,9 @@ class OnboardComputer:
             self.site = np.array([self.site[0], self.site[1], height])
 
     def apply(self, decision: Decision) -> bool:
-        """Carry out a decision; return False if its site is out of reach (the old one stays).
+        """Carry out a decision; return False if the old site stays though it wants another.
+
+        That is so where its site is out of reach, and while diverts are barred.
 
         Raises
         ------
@@ -299,16 +338,20 @@ class OnboardComputer:
                 self._retime()
             return True
         site = np.asarray(decision.site, dtype=np.float64)
+        if self._barred:
+            self._refuse(site, "navigation is lost")
+            return False
         time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
         if not np.isfinite(time_to_go):
-            self.telemetry.append(
-                (self.time, "divert-refused", {"site": site, "reason": "out of reach"})
-            )
+            self._refuse(site, "out of reach")
             return False
         self.diverts.append((self.time, self.site, decision))
         self.site = site
         self._arrival = self.time + time_to_go
         return True
+
+    def _refuse(self, site: Array, reason: str) -> None:
+        self.telemetry.append((self.time, "divert-refused", {"site": site, "reason": reason}))
 
     def _retime(self) -> None:
         """Choose the time-to-go to the present site afresh.

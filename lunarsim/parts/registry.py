@@ -83,6 +83,7 @@ CONTRACTS: dict[str, Contract] = {
             "fixes": "lunarsim.onboard.navigation.fixes:Fixes",
             "rocks": "lunarsim.onboard.navigation.rock_filter:RockNavigation",
             "prior-map": "lunarsim.onboard.navigation.kinds:PriorMapNavigation",
+            "ukf": "lunarsim.onboard.navigation.unscented:UnscentedNavigation",
         },
         ("build", "needs", "takes", "uses_prior_map"),
     ),

@@ -37,11 +37,14 @@ class StartKnowledge:
     ----------
     position, velocity, attitude
         Standard deviations, m, m/s, rad.
+    ground
+        Of the target's elevation as the mission knows it, m.
     """
 
     position: float = quantity(5.0, "m", ge=0, help="1 sigma an axis")
     velocity: float = quantity(0.02, "m/s", ge=0, help="1 sigma an axis")
     attitude: float = quantity(0.03, "deg", ge=0, help="1 sigma an axis")
+    ground: float = quantity(0.0, "m", ge=0, help="of the target's elevation as told, 1 sigma")
 
 
 @dataclass(frozen=True)

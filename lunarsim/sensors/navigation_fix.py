@@ -26,7 +26,8 @@ class NavigationFixes:
     position_bias
         Constant offset of a flight from the map, m.
     position_drift, drift_time
-        Gauss-Markov drift after the start, m, and its time constant, s.
+        Gauss-Markov drift after the start, m, and its time constant, s: nought at the first fix,
+        it grows to the stated deviation.
     velocity
         Gauss-Markov velocity error with the same time constant, m/s.
     attitude
@@ -73,16 +74,9 @@ class FixInstrument:
         self._misalignment = quat_from_rotation_vector(budget.attitude * rng.standard_normal(3))
         self._drift = np.zeros(3)
         self._velocity = budget.velocity * rng.standard_normal(3)
+        # Of the drift, as a share of what it grows to.
+        self._drifted = 0.0
         self._time: float | None = None
-        variances = np.repeat(
-            [
-                budget.position_bias**2 + budget.position_drift**2,
-                budget.velocity**2,
-                budget.attitude**2,
-            ],
-            3,
-        )
-        self._covariance = np.diag(variances)
 
     def measure(
         self,
@@ -100,11 +94,17 @@ class FixInstrument:
             noise = rng.standard_normal((2, 3))
             self._drift = keep * self._drift + b.position_drift * spread * noise[0]
             self._velocity = keep * self._velocity + b.velocity * spread * noise[1]
+            self._drifted = keep * keep * self._drifted + spread * spread
         self._time = time
         return NavigationFix(
             time,
             state.position + self._bias + self._drift,
             state.velocity + self._velocity,
             quat_multiply(self._misalignment, state.attitude),
-            self._covariance.copy(),
+            self._covariance(),
         )
+
+    def _covariance(self) -> Array:
+        b = self.budget
+        position = b.position_bias**2 + b.position_drift**2 * self._drifted
+        return np.diag(np.repeat([position, b.velocity**2, b.attitude**2], 3))

@@ -54,6 +54,7 @@ COLUMNS: dict[str, str] = {
     **{f"site_{a}": "m" for a in "xyz"},
     "time_to_go": "s",
     "phase": "0 approach, 1 vertical descent",
+    "lost": "1 while navigation says that it is lost",
 }
 _SCAN_COLUMNS = ("x", "y", "z", "time")
 _CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
@@ -194,6 +195,17 @@ class Flight:
         return float(self.trajectory["time"][-1])
 
     @property
+    def lost(self) -> bool:
+        """Whether navigation said at the end that it was lost."""
+        return bool(self.trajectory["lost"][-1])
+
+    @property
+    def first_lost(self) -> float | None:
+        """When navigation first said that it was lost, s; None if it never did."""
+        rows = np.flatnonzero(self.trajectory["lost"])
+        return float(self.trajectory["time"][rows[0]]) if len(rows) else None
+
+    @property
     def divert_distance(self) -> float:
         """Distance over the ground from the site before the first divert to the last one, m."""
         if not self.decisions:
@@ -235,6 +247,8 @@ class Flight:
             "decided_on": self.decided_on,
             "maps": list(self.maps),
             "first_map": None if first is None else _plain(asdict(first) | {"covariance": None}),
+            "lost": self.lost,
+            "first_lost_s": self.first_lost,
             "propellant_used_kg": self.propellant_used,
             "divert_distance_m": self.divert_distance,
             "duration_s": self.duration,

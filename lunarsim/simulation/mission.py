@@ -147,6 +147,7 @@ def told(state: State, knowledge: StartKnowledge, rng: np.random.Generator) -> S
         knowledge.position,
         knowledge.velocity,
         knowledge.attitude,
+        knowledge.ground,
     )
 
 
@@ -194,4 +195,8 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
     knowledge = (
         StartKnowledge() if scenario.start_knowledge is None else scenario.start_knowledge.make()
     )
-    return state, replace(upright, start=told(state, knowledge, streams.get("navigation")))
+    rng = streams.get("navigation")
+    believed = told(state, knowledge, rng)
+    # Nobody has been there to measure how high the ground lies.
+    known = target + np.array([0.0, 0.0, knowledge.ground * rng.standard_normal()])
+    return state, replace(upright, start=believed, target=known)

@@ -85,7 +85,7 @@ class Recorder:
                     estimate.velocity,
                     [estimate.mass],
                     site,
-                    [time_to_go, phase],
+                    [time_to_go, phase, estimate.lost],
                 )
             )
         )

@@ -7,6 +7,7 @@ twice or more each flight is flown from each error of position at the start, ove
 
 python scenarios/navigation/consistency.py --flights 50 --jobs 2
 python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
+python scenarios/navigation/consistency.py --flights 50 --kind inertial --kind ukf
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.unscented import UnscentedFilter
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -45,6 +47,7 @@ class Task:
     flight: int
     seed: int
     policy: str
+    kind: str | None
 
 
 @dataclass(frozen=True)
@@ -83,9 +86,11 @@ def fly(task: Task) -> Flown:
     scenario = Scenario.load(Path(task.scenario))
     if task.start is not None:
         scenario = scenario.changed(start_knowledge={"position_m": task.start})
+    if task.kind is not None:
+        scenario = scenario.changed(navigation={"kind": task.kind})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     navigation = simulation.computer.navigation
-    if not isinstance(navigation, Navigator):
+    if not isinstance(navigation, Navigator | UnscentedFilter):
         raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]
@@ -164,7 +169,7 @@ def nis_table(flights: list[Flown]) -> Table:
 def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     """Return how flights ended, by error at the start."""
     table = Table(title="Landings")
-    for heading in ("error at the start\n(1 sigma an axis, m)", "drawn, median (m)",
+    for heading in ("error at the start\n(1 sigma an axis, m), kind", "drawn, median (m)",
                     "at touchdown,\nmedian (m)", "landed safe", "against the first:\nwon, lost (p)",
                     "doubted", "lost at the end,\never"):  # fmt: skip
         table.add_column(heading, justify="right")
@@ -210,6 +215,14 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     help="Error of position at the start, 1 sigma an axis, m; may be given again. "
     "Left out: the scenario's.",
 )
+@click.option(
+    "--kind",
+    "kinds",
+    type=click.Choice(("inertial", "ukf")),
+    multiple=True,
+    help="Navigation; may be given again, to be flown over the same ground. Left out: the "
+    "scenario's.",
+)
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @click.option(
@@ -220,15 +233,18 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     help="Processes; results do not depend on it.",
 )
 def main(
-    scenario: str, flights: int, starts: tuple[float, ...], policy: str, seed: int, jobs: int
-) -> None:
+    scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...], policy: str,
+    seed: int, jobs: int,
+) -> None:  # fmt: skip
     """Fly, and compare what navigation says of its errors with the errors."""
     console = Console(width=120)
     by_start: dict[str, list[Flown]] = {}
-    for start in starts or (None,):
-        tasks = [Task(scenario, start, n, seed, policy) for n in range(flights)]
-        name = "the scenario's" if start is None else f"{start:g}"
-        by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
+    for kind in kinds or (None,):
+        for start in starts or (None,):
+            tasks = [Task(scenario, start, n, seed, policy, kind) for n in range(flights)]
+            name = "the scenario's" if start is None else f"{start:g}"
+            name += "" if kind is None else f", {kind}"
+            by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
     for name, flown in by_start.items():
         console.print(f"Error at the start: {name}")
         console.print(nees_table(flown))

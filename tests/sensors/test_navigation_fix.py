@@ -41,13 +41,34 @@ def test_errors_have_the_stated_covariance():
     assert nees.mean() == pytest.approx(9.0, abs=0.52)
 
 
-def test_drift_is_correlated_over_its_time_constant():
-    budget = NavigationFixes(0.0, 1.0, 10.0, 0.0, 0.0)
-    x = np.array([fix.position for fix in fixes(budget, 3, range(30_000))])
-    x = x[200:]
-    lag = np.mean(x[10:] * x[:-10]) / np.mean(x**2)
-    assert lag == pytest.approx(np.exp(-1.0), abs=0.03)
-    assert np.std(x) == pytest.approx(1.0, abs=0.05)
+@pytest.mark.parametrize("time", [0.0, 5.0, 20.0, 60.0])
+def test_the_drift_has_grown_as_far_as_is_stated(time):
+    """Without a constant offset, which would hide it: 3 x 400 errors at each time."""
+    budget = NavigationFixes(0.0, 0.5, 40.0, 0.1, 0.01)
+    off, stated = [], []
+    for seed in range(400):
+        fix = fixes(budget, seed, np.arange(0.0, time + 1.0, 5.0))[-1]
+        off.append(np.concatenate((fix.position, fix.velocity)))
+        stated.append(np.diag(fix.covariance)[:6])
+    stated = np.array(stated)
+    assert np.array_equal(stated, np.tile(stated[0], (400, 1)))
+    found = np.mean(np.square(off), axis=0)
+    assert found[:3].mean() == pytest.approx(0.25 * (1.0 - np.exp(-time / 20.0)), rel=0.13)
+    assert stated[0, :3] == pytest.approx(0.25 * (1.0 - np.exp(-time / 20.0)))
+    assert found[3:].mean() == pytest.approx(0.01, rel=0.13)
+
+
+@pytest.mark.parametrize("step", [0.5, 2.0])
+def test_errors_are_correlated_over_their_time_constant(step):
+    budget = NavigationFixes(0.0, 1.0, 10.0, 0.3, 0.0)
+    made = fixes(budget, 3, step * np.arange(30_000))[200:]
+    lag = round(10.0 / step)
+    for x, sigma in ((np.array([f.position for f in made]), 1.0),
+                     (np.array([f.velocity for f in made]), 0.3)):  # fmt: skip
+        # As many seconds at either step: the error of these means is 10 s over them.
+        alike = np.mean(x[lag:] * x[:-lag]) / np.mean(x**2)
+        assert alike == pytest.approx(np.exp(-1.0), abs=0.05)
+        assert np.std(x) == pytest.approx(sigma, rel=0.05)
 
 
 def test_no_errors_is_the_truth():

@@ -7,9 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
-from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.messages.measurements import AltimeterReading, DopplerReading, InertialSamples
+from lunarsim.frames import (
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    quat_to_rotation_vector,
+)
+from lunarsim.messages.measurements import (
+    AltimeterReading,
+    DopplerReading,
+    InertialSamples,
+    Measurements,
+)
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.conftest import SCENARIOS
@@ -136,3 +147,73 @@ def test_an_accelerometer_that_jumps_is_found_by_its_drift(scenario):
     assert "drift" in events(simulation)
     bias, _ = simulation.computer.navigation.inertial.biases
     assert 0.02 < bias[0] < 0.08, "the unit itself is good for 0.003"
+
+
+def test_a_computer_takes_nothing_from_before(scenario):
+    simulation = Simulation(scenario, 6, "no-divert")
+    while simulation.time < 2.0:
+        simulation.step()
+    computer = simulation.computer
+    before = computer.navigation.covariance.copy()
+    told = len(computer.telemetry)
+    late = (("altimeter", AltimeterReading(1.0, 3.0, 0.1)), ("camera", Late(np.nan)),
+            ("camera", Late(9.0)))  # fmt: skip
+    computer.update(Measurements(computer.time, late))
+    assert [name for _, name, _ in computer.telemetry[told:]] == ["out-of-order"] * 3
+    assert np.array_equal(computer.navigation.covariance, before)
+    with pytest.raises(InputError, match="time"):
+        computer.update(Measurements(computer.time - 0.1))
+
+
+class Late:
+    """A picture or scan of which only its time counts."""
+
+    def __init__(self, time: float) -> None:
+        self.time = time
+
+
+def test_the_unscented_filter_errs_as_it_says(scenario):
+    plain = scenario.changed(
+        navigation={"kind": "ukf"}, sensors={"flash": None}, tasking={"flash": None}
+    )
+    nees, mass = Consistency(), []
+    for seed in range(4):
+        simulation = Simulation(plain, seed, "no-divert")
+        navigation, epochs = simulation.computer.navigation, 0
+        while not simulation.done:
+            simulation.step()
+            epochs += 1
+            if not simulation.done and epochs in (80, 200, 300):
+                covariance = simulation.estimate.covariance
+                nees = nees.plus(normalised_square(error_of(simulation), covariance), 9)
+                mass.append(navigation.mass[0] - simulation.state.mass)
+        assert simulation.verdict.touchdown is not None, simulation.verdict
+        assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1
+        assert not simulation.computer.estimate.lost
+        assert not {"doubted", "lost"} & set(events(simulation))
+    # Modest: what lasts and is taken for noise is made larger. Never sure of too much.
+    assert 0.4 < nees.ratio < nees.bounds(0.999)[1]
+    assert np.abs(mass).max() < 1.0
+
+
+def test_scans_speeds_and_ranges_tell_neither_place_nor_yaw(scenario):
+    """Without stars and map: a hundred scans and clones, and no certainty that cannot be had."""
+    blind = scenario.changed(
+        sensors={"stars": None}, tasking={"flash": {"kind": "periodic", "rate_hz": 5.0}},
+        start_knowledge={"position_m": 10.0, "velocity_m_s": 0.3, "attitude_deg": 0.1},
+    )  # fmt: skip
+    simulation = Simulation(blind, 2, "no-divert")
+    navigation = simulation.computer.navigation
+    start = np.linalg.norm(navigation.inertial.velocity[:2])
+    # All that is known of yaw: how it was told, and the way that the start's velocity points.
+    told = np.deg2rad(0.1)
+    yaw = 1.0 / np.hypot(1.0 / told, start / 0.3)
+    assert yaw > 0.98 * told
+    while simulation.time < 25.0:
+        simulation.step()
+        p = navigation.frame.covariance_in_site()
+        up = quat_to_matrix(navigation.inertial.attitude)[2]
+        assert np.sqrt(np.diag(p)[:2]).min() > 0.9999 * 10.0
+        assert np.sqrt(up @ p[6:9, 6:9] @ up) > 0.998 * yaw
+    assert np.sqrt(p[2, 2]) < 0.9 * 10.0, "height is told"
+    assert np.sqrt(np.diag(p)[3:6]).max() < 0.1, "speed is told"

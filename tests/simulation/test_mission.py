@@ -7,8 +7,14 @@ import pytest
 
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation.aids import GROUND
+from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.mission import plan
+from lunarsim.simulation.worlds import build_world
+from lunarsim.world.terrain import Terrain
+from tests.conftest import SCENARIOS
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
@@ -129,3 +135,48 @@ def test_the_oracle_flies_to_what_is_truly_safe(small_scenario):
         flight = simulation.run()
         assert np.linalg.norm(simulation.navigation_error[:2]) > 3.0
         assert simulation.truth.safe_at(flight.verdict.touchdown.position[:2]), seed
+
+
+@pytest.mark.parametrize(
+    ("relief", "worlds", "good_to"),
+    [(0.0, 1, 0.3), pytest.param(5.0, 20, 0.65, marks=pytest.mark.slow)],
+)
+def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to):
+    """200 starts, each with a target of its own; above twenty pieces of ground where they roll."""
+    scaled = []
+    for world in range(worlds):
+        scenario = Scenario.load(SCENARIOS / "instruments.toml").changed(
+            # Relief is drawn anew for another number of posts.
+            terrain={"size_m": 1600.0 + 32.0 * world, "posting_m": 4.0, "rms_slope_deg": relief},
+            rocks={"cover": 1e-4, "min_diameter_m": 2.0}, target={"scatter_m": [150.0, 150.0]},
+            start_knowledge={"position_m": 4.0, "ground_m": 5.0},
+            # Told is the slope over a metre, made that over a post.
+            navigation={"relief_deg": relief * 4.0**0.15}, approach={"time_to_go_s": 45.0},
+        )  # fmt: skip
+        made = build_world(scenario, Streams(flight_seed(3, world)))
+        for flight in range(200 // worlds):
+            state, briefing = plan(scenario, made, Streams(flight_seed(4 + world, flight)))
+            navigation = scenario.navigation.make().build(briefing)
+            height = navigation.inertial.position[2] - briefing.target[2]
+            ground = float(made.terrain.elevation(state.position[:2]))
+            at = np.array([2, navigation.state.block(GROUND).start])
+            over = np.array([1.0, -1.0])
+            sigma = np.sqrt(over @ navigation.covariance[np.ix_(at, at)] @ over)
+            scaled.append((height - (state.position[2] - ground)) / sigma)
+    # As good as 200 draws make it, or twenty where relief counts most.
+    assert np.mean(np.square(scaled)) == pytest.approx(1.0, abs=good_to)
+
+
+def test_the_target_is_told_as_well_as_it_is_known(small_scenario):
+    own = small_scenario.changed(
+        sensors={"fix": None}, navigation={"kind": "inertial"}, start_knowledge={"ground_m": 3.0}
+    )
+    exact = own.changed(start_knowledge={"ground_m": 0.0})
+    off, made = [], build_world(own, Streams(0))
+    for seed in range(30):
+        (_, told), (_, true) = (plan(s, made, Streams(seed)) for s in (own, exact))
+        assert np.array_equal(told.target[:2], true.target[:2])
+        assert np.array_equal(told.start.position, true.start.position)
+        assert true.target[2] == float(Terrain(made.terrain.relief).elevation(true.target[:2]))
+        off.append(told.target[2] - true.target[2])
+    assert np.std(off) == pytest.approx(3.0, rel=0.4)

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
@@ -36,7 +37,7 @@ _MOST_SPEED, _MOST_TURN, _MOST_HEIGHT = 30.0, 0.2, 300.0
 # Variances grow at least and at most by these factors where a watch asks for it.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
 # A lander cannot jump in speed or attitude, but the ground under it may in height.
-_WATCHED = {
+WATCHED = {
     "range": WatchSettings(),
     "speed": WatchSettings(patience=None, drift_s=8.0),
     "attitude": WatchSettings(patience=None, drift_s=8.0),
@@ -51,6 +52,11 @@ _BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
 # differ by its slope times this length after as many metres, m.
 GROUND = "ground"
 _CORRELATION = 10.0
+# Heights of the ground so far apart differ by its slope over a metre times this power of the way:
+# lunar mare up to a kilometre (Rosenburg et al. 2011; highland is rougher yet, 0.95).
+_HURST = 0.76
+# Ground is never known better than this, m.
+_LEAST_GROUND = 0.1
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,18 @@ class LevelGround:
                 )
         if not np.isfinite(self.elevation):
             raise InputError("navigation.ground_elevation", self.elevation, "a finite height")
+
+    @classmethod
+    def of(cls, briefing: Briefing, relief: float) -> LevelGround:
+        """Return what a mission knows of the ground under the start.
+
+        That is the target's elevation, off by what the mission says of it and by how much relief,
+        whose slope over a metre has this tangent, lies higher or lower so far away.
+        """
+        away = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
+        rise = relief * away**_HURST
+        sigma = float(np.hypot(briefing.start.ground_sigma, rise))
+        return cls(float(briefing.target[2]), max(sigma, _LEAST_GROUND), relief)
 
 
 @lru_cache
@@ -256,7 +274,7 @@ class Aids:
             What may be wrong where innovations lie to one side: errors (j,) and deviations (j,) to
             let them go to; left out: a bias of the inertial unit.
         """
-        watch = self._watches.setdefault((sensor, kind), Watch(_WATCHED[kind]))
+        watch = self._watches.setdefault((sensor, kind), Watch(WATCHED[kind]))
         before = watch.lost
         verdict = watch.note(time, found)
         if verdict is Verdict.DRIFT:

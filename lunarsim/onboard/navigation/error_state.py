@@ -51,7 +51,9 @@ class Outcome:
     taken
         Whether it corrected the state.
     white
-        Whitened innovation of what was taken, (degrees,) or an error each; else empty.
+        Whitened innovation (n,) of what was taken, by degree or by error, always of one length for
+        one kind of measurement of one sensor, NaN for parts that it did not give this time; else
+        empty.
     """
 
     nis: float

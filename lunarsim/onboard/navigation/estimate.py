@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,15 @@ class Navigation(Protocol):
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the estimate at `time` with the mass (kg) that the computer keeps."""
+        ...
+
+
+@runtime_checkable
+class ThrustAware(Protocol):
+    """A navigation that makes something of the thrust that the engine was asked for."""
+
+    def commanded(self, thrust: float, seconds: float) -> None:
+        """Note the thrust (N) over the last so many seconds, before what was measured in them."""
         ...
 
 

@@ -12,6 +12,9 @@ from lunarsim.messages.briefing import Briefing, StartEstimate
 from lunarsim.messages.measurements import InertialSamples, NavigationFix
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 
+# Without a fix for so long nobody knows where the lander is, s.
+_LONGEST = 2.0
+
 
 @dataclass(frozen=True)
 class Fixes:
@@ -28,6 +31,8 @@ class Fixes:
 
 class FixNavigation:
     """The last fix is the estimate; before the first it is the start's.
+
+    A fix that is not finite tells nothing. After 2 s without one it is lost.
 
     Parameters
     ----------
@@ -54,11 +59,17 @@ class FixNavigation:
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Keep a fix, and the rate of gyroscopes."""
         if isinstance(measurement, NavigationFix):
-            self._fix = measurement
+            whole = (measurement.position, measurement.velocity, measurement.attitude,
+                     measurement.covariance)  # fmt: skip
+            if all(np.isfinite(part).all() for part in whole):
+                self._fix = measurement
         elif isinstance(measurement, InertialSamples):
             self._rate = measurement.angle[-1] / self._step
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the last fix with the given mass (kg)."""
         f = self._fix
-        return Estimate(time, f.position, f.velocity, f.attitude, self._rate, mass, f.covariance)
+        lost = time - f.time > _LONGEST
+        return Estimate(
+            time, f.position, f.velocity, f.attitude, self._rate, mass, f.covariance, lost
+        )

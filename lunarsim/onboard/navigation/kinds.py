@@ -26,9 +26,6 @@ from lunarsim.parts.quantity import check_bounds, quantity
 class InertialNavigation:
     """Inertial unit, scans against each other, ranges, speeds and stars: whatever there is."""
 
-    ground_sigma: float = quantity(
-        10.0, "m", gt=0, le=1000, help="of the ground's height under the start, 1 sigma"
-    )
     relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
@@ -43,9 +40,7 @@ class InertialNavigation:
     def build(self, briefing: Briefing) -> Navigator:
         """Return the filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
-        ground = LevelGround(
-            float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
-        )
+        ground = LevelGround.of(briefing, float(np.tan(self.relief)))
         return Navigator(state, sigmas, None, instruments=briefing.instruments, ground=ground)
 
 
@@ -70,5 +65,5 @@ class PriorMapNavigation:
         state, sigmas = StrapdownState.of(briefing)
         return Navigator(
             state, sigmas, briefing.prior_map, instruments=briefing.instruments,
-            ground=LevelGround(float(briefing.target[2])),
+            ground=LevelGround.of(briefing, LevelGround().relief),
         )  # fmt: skip

@@ -14,6 +14,7 @@ from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
@@ -91,6 +92,9 @@ class Navigator:
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
         self._aids = Aids(self.state, known, level, self.events)
+        self._arrivals = Arrivals(
+            inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
+        )
         shared = Shared(self.state, self.frame, self._aids, self.events, most_of(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, prior, limits)
         self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
@@ -144,7 +148,16 @@ class Navigator:
         return self.frame.shift
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; what it cannot use changes nothing."""
+        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+
+        Raises
+        ------
+        InputError
+            If `time` (s) runs backwards.
+        """
+        measurement = self._arrivals.admit(sensor, measurement, time)
+        if measurement is None:
+            return
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
             return

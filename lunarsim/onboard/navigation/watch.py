@@ -55,6 +55,9 @@ class WatchSettings:
         Time over which the mean of whitened innovations is watched, s; None: it is not.
     drift_level
         Standard deviations of that mean beyond which something drifts.
+    drift_patience, drift_window_s
+        Drifts within so many seconds that a bias may explain; with one more it does not, and the
+        filter is lost. A bias that jumps is found within one or two memories of the mean.
     """
 
     window_s: float = 2.0
@@ -65,6 +68,8 @@ class WatchSettings:
     patience: int | None = 3
     drift_s: float | None = None
     drift_level: float = 5.5
+    drift_patience: int = 3
+    drift_window_s: float = 30.0
 
 
 @dataclass
@@ -94,8 +99,9 @@ class Watch:
     refused: int = 0
     _seen: deque[tuple[float, Outcome]] = field(default_factory=deque)
     _widened: deque[float] = field(default_factory=deque)
-    _mean: dict[int, Array] = field(default_factory=dict)
-    _weight: dict[int, float] = field(default_factory=dict)
+    _drifted: deque[float] = field(default_factory=deque)
+    _mean: Array | None = None
+    _weight: Array = field(default_factory=lambda: np.zeros(0))
     _last: float = -np.inf
 
     def note(self, time: float, outcome: Outcome) -> Verdict:
@@ -110,8 +116,17 @@ class Watch:
         else:
             self.refused += 1
         verdict = self._judge_window(time, outcome)
-        drifts = self._drifts(time, outcome)
-        return Verdict.DRIFT if verdict is Verdict.WELL and drifts else verdict
+        if not self._drifts(time, outcome) or verdict is not Verdict.WELL:
+            return verdict
+        s = self.settings
+        self._drifted.append(time)
+        while self._drifted[0] < time - s.drift_window_s:
+            self._drifted.popleft()
+        if len(self._drifted) <= s.drift_patience:
+            return Verdict.DRIFT
+        self._drifted.clear()
+        self.lost = True
+        return Verdict.LOST
 
     def _judge_window(self, time: float, outcome: Outcome) -> Verdict:
         s = self.settings
@@ -128,8 +143,7 @@ class Watch:
                 self.lost = False
             return Verdict.WELL
         self._seen.clear()
-        self._mean.clear()
-        self._weight.clear()
+        self._mean = None
         self._widened.append(time)
         if s.patience is None or len(self._widened) > s.patience:
             self.lost = True
@@ -153,18 +167,20 @@ class Watch:
         s = self.settings
         if s.drift_s is None or not outcome.taken:
             return False
-        keep = float(np.exp(-max(time - self._last, 0.0) / s.drift_s)) if self._mean else 0.0
+        parts = len(outcome.white)
+        if self._mean is None:
+            self._mean, self._weight = np.zeros(parts), np.zeros(parts)
+            self._last = time
+        keep = float(np.exp(-max(time - self._last, 0.0) / s.drift_s))
         self._last = time
-        for kind in self._mean:
-            self._mean[kind] = keep * self._mean[kind]
-            self._weight[kind] *= keep**2
-        m = len(outcome.white)
-        # Sums of independent unit normals; their variance is the sum of the squared weights.
-        self._mean[m] = self._mean.get(m, np.zeros(m)) + outcome.white
-        self._weight[m] = self._weight.get(m, 0.0) + 1.0
-        level = np.abs(self._mean[m]) / np.sqrt(self._weight[m])
-        if self._weight[m] < s.least or not (level > s.drift_level).any():
+        # Each part by itself, as often as it was measured: sums of independent unit normals, whose
+        # variance is the sum of the squared weights.
+        seen = np.isfinite(outcome.white)
+        self._mean = keep * self._mean + np.where(seen, outcome.white, 0.0)
+        self._weight = keep**2 * self._weight + seen
+        often = self._weight >= s.least
+        level = np.abs(self._mean[often]) / np.sqrt(self._weight[often])
+        if not (level > s.drift_level).any():
             return False
-        self._mean.clear()
-        self._weight.clear()
+        self._mean = None
         return True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,3 +48,24 @@ def test_gyroscopes_give_the_rate_and_other_sensors_nothing():
     angle = np.array([[9.0, 9.0, 9.0], [0.001, -0.002, 0.0005]])
     navigation.take("imu", InertialSamples(0.1, angle, np.zeros((2, 3))), 0.1)
     assert navigation.estimate(0.1, 1.0).rate == pytest.approx([0.1, -0.2, 0.05])
+
+
+@pytest.mark.parametrize("part", ["position", "velocity", "attitude", "covariance"])
+def test_a_fix_that_is_no_number_tells_nothing(part):
+    navigation = FixNavigation(START, 0.01)
+    good = NavigationFix(1.0, np.ones(3), np.ones(3), TURN, np.eye(9))
+    navigation.take("fix", good, 1.0)
+    navigation.take("fix", replace(good, time=1.1, **{part: getattr(good, part) * np.nan}), 1.1)
+    e = navigation.estimate(1.1, 1.0)
+    assert np.array_equal(e.position, np.ones(3))
+    assert np.isfinite(e.covariance).all()
+    assert not e.lost
+
+
+def test_without_fixes_it_is_lost_until_one_comes():
+    navigation = FixNavigation(START, 0.01)
+    navigation.take("fix", NavigationFix(1.0, np.ones(3), np.ones(3), TURN, np.eye(9)), 1.0)
+    assert not navigation.estimate(3.0, 1.0).lost
+    assert navigation.estimate(3.1, 1.0).lost
+    navigation.take("fix", NavigationFix(3.2, np.ones(3), np.ones(3), TURN, np.eye(9)), 3.2)
+    assert not navigation.estimate(3.2, 1.0).lost

@@ -150,3 +150,13 @@ def test_a_beam_without_a_return_leaves_the_others():
     speed = t.speeds()
     speed[1] = np.nan
     assert take_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2
+
+
+def test_whitened_speeds_keep_the_places_of_their_beams():
+    truth = Truth(11)
+    speed = truth.speeds(0.03)
+    speed[1] = np.nan
+    found = take_speeds(truth.state, speed, np.full(3, 0.03), BEAMS)
+    assert found.degrees == 2
+    assert np.isfinite(found.white).tolist() == [True, False, True]
+    assert np.nansum(found.white**2) == pytest.approx(found.nis)

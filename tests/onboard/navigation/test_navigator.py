@@ -169,7 +169,7 @@ def test_scans_of_too_few_posts_take_no_lock_away(world, monkeypatch):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
     # A metre across: nothing to compare, nothing against it.
-    monkeypatch.setattr("tests.onboard.navigation.test_lidar_inertial.LIDAR",
+    monkeypatch.setattr("tests.onboard.navigation.test_navigator.LIDAR",
                         FlashLidar(24, 24, 0.003, 5e-5))  # fmt: skip
     descent.fly(5.0, aim=np.zeros(3))
     assert names(descent) == ["lock"]

@@ -107,3 +107,53 @@ def test_what_cannot_jump_is_lost_at_once_and_stays_so():
     for k, outcome in enumerate(whitened(rng, 300)):
         watch.note(2.0 + 0.1 * k, outcome)
     assert watch.lost
+
+
+def test_a_drift_that_comes_again_and_again_is_lost():
+    """Something that no bias explains: found, explained, found again."""
+    always = whitened(np.random.default_rng(6), 600, np.array([0.0, 0.0, 2.0]))
+    watch = Watch(SPEEDS)
+    found = verdicts(watch, always)
+    told = [(k, v) for k, v in enumerate(found) if v is not Verdict.WELL]
+    assert [v for _, v in told[:4]] == [Verdict.DRIFT] * 3 + [Verdict.LOST]
+    assert 0.1 * told[3][0] < SPEEDS.drift_window_s
+    assert watch.lost
+    verdicts(watch, whitened(np.random.default_rng(7), 600))
+    assert watch.lost, "what has gone along with it stays lost"
+
+
+def test_drifts_far_apart_are_explained_each():
+    """A bias that jumps every 16 s, each time found and put right at once."""
+    rng = np.random.default_rng(8)
+    watch, found, jumped = Watch(SPEEDS), [], False
+    for k in range(6 * 160):
+        jumped = jumped or k % 160 == 0
+        shift = np.array([1.8, 0.0, 0.0]) if jumped else 0.0
+        found.append(watch.note(0.1 * k, next(whitened(rng, 1, shift))))
+        jumped = jumped and found[-1] is Verdict.WELL
+    assert found.count(Verdict.DRIFT) == 6
+    assert set(found) == {Verdict.WELL, Verdict.DRIFT}
+    assert not watch.lost
+
+
+def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
+    """Each beam against sums written out; one to one side is found though others drop out."""
+    rng = np.random.default_rng(9)
+    times, white = 0.1 * np.arange(150), rng.normal(size=(150, 3)) + [0.0, 0.0, 0.9]
+    white[rng.random(white.shape) < 0.4] = np.nan
+    white[np.isnan(white).all(axis=1), 0] = 0.1
+    outcomes = [
+        Outcome(float(np.nansum(row**2)), int(np.isfinite(row).sum()), True, row) for row in white
+    ]
+    found = verdicts(Watch(SPEEDS), outcomes)
+    seen = np.isfinite(white)
+    expected = None
+    for k in range(150):
+        weight = np.exp(-(times[k] - times[: k + 1]) / 8.0)[:, None] * seen[: k + 1]
+        total = np.abs((weight * np.nan_to_num(white[: k + 1])).sum(axis=0))
+        squares = (weight**2).sum(axis=0)
+        if ((squares >= 6) & (total > 5.5 * np.sqrt(squares))).any():
+            expected = k
+            break
+    assert expected is not None
+    assert found.index(Verdict.DRIFT) == expected

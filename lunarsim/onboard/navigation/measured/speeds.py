@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -34,6 +36,11 @@ def take_speeds(
         Unit vectors (n, 3), body axes.
     gate
         See `ErrorState.measure`.
+
+    Returns
+    -------
+    Outcome
+        Its `white` has a place for every beam.
     """
     measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
     seen = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
@@ -43,4 +50,9 @@ def take_speeds(
     rotation = quat_to_matrix(state.inertial.attitude)
     own = rotation.T @ state.inertial.velocity
     jacobian = np.hstack((b @ rotation.T, np.cross(b, own)))
-    return state.measure(jacobian, _COLUMNS, measured[seen] - b @ own, noise[seen] ** 2, gate)
+    found = state.measure(jacobian, _COLUMNS, measured[seen] - b @ own, noise[seen] ** 2, gate)
+    if not found.taken:
+        return found
+    white = np.full(len(seen), np.nan)
+    white[seen] = found.white
+    return replace(found, white=white)

@@ -1,0 +1,435 @@
+"""An unscented filter on position, velocity, accelerometer bias and mass: the plain alternative.
+
+filterpy's `UnscentedKalmanFilter` (Wan and van der Merwe 2000) with ten states. The attitude is not
+among them: gyroscopes carry it from one reading of the star tracker to the next, each of which is
+taken as it comes. What the attitude errs by, and what the ground lies off by, is noise here and not
+a state; since both last, that noise is made larger by how long. Scans, and ranges of velocimeters,
+are not used. It stands beside the error-state filter to be compared with (`kinds.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from filterpy.kalman import (
+    MerweScaledSigmaPoints,
+    UnscentedKalmanFilter,
+    unscented_transform,
+)
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from lunarsim.errors import InputError
+from lunarsim.frames import (
+    Shift,
+    is_rotation,
+    normalised,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    quat_to_rotation_vector,
+)
+from lunarsim.messages.briefing import Briefing
+from lunarsim.messages.measurements import (
+    AltimeterReading,
+    AttitudeReading,
+    DopplerReading,
+    InertialSamples,
+)
+from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of
+from lunarsim.onboard.navigation.arrivals import Arrivals
+from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
+from lunarsim.onboard.navigation.inertial import (
+    ACCELEROMETER,
+    ATTITUDE,
+    INERTIAL,
+    StartSigmas,
+    StrapdownState,
+)
+from lunarsim.onboard.navigation.watch import Verdict, Watch
+from lunarsim.parts.quantity import check_bounds, quantity
+
+Array = NDArray[np.float64]
+
+STATES = 10
+_LINEAR, _MASS = slice(0, 9), 9
+_TURN = slice(9, 15)
+_VELOCITY = np.r_[3:6]
+# What lasts as long as this and is taken for noise counts as often as it is met in it, s.
+_LASTING = 10.0
+# Cosine from straight down beyond which a beam says little of the ground below.
+_LEAST_DOWN = 0.1
+# Where something is doubted variances grow fourfold to 1e4-fold, up to these deviations: height and
+# bias in m and m/s^2, velocity in m/s.
+_GROWTH = (4.0, 1e4)
+_MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
+
+
+@dataclass(frozen=True)
+class UnscentedNavigation:
+    """filterpy's unscented filter on position, velocity, accelerometer bias and mass."""
+
+    relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
+    mass_sigma: float = quantity(1.0, "kg", gt=0, help="of the mass at the start, 1 sigma")
+    thrust_error: float = quantity(
+        0.01, gt=0, le=1, help="of the engine's thrust against what it is asked for, 1 sigma"
+    )
+
+    needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
+    takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    uses_prior_map: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "navigation")
+
+    def build(self, briefing: Briefing) -> UnscentedFilter:
+        """Return the filter of one flight."""
+        state, sigmas = StrapdownState.of(briefing)
+        return UnscentedFilter(
+            state, sigmas, self, ground=LevelGround.of(briefing, float(np.tan(self.relief))),
+            mass=briefing.lander.wet_mass,
+            exhaust_velocity=briefing.lander.exhaust_velocity, lag=briefing.lander.thrust_lag,
+            instruments=briefing.instruments,
+        )  # fmt: skip
+
+
+class UnscentedFilter:
+    """Ten states by sigma points, attitude as instruments give it.
+
+    Parameters
+    ----------
+    inertial
+        The lander's state at the start.
+    errors
+        Its standard deviations.
+    settings
+        What else errs, and by how much.
+    ground
+        What is known of the ground's height.
+    mass
+        At the start, kg.
+    exhaust_velocity
+        m/s.
+    lag
+        Time constant with which thrust follows its command, s.
+    instruments
+        Calibrations of altimeters, velocimeters and star trackers, by name.
+    """
+
+    def __init__(
+        self,
+        inertial: StrapdownState,
+        errors: StartSigmas | None = None,
+        settings: UnscentedNavigation | None = None,
+        *,
+        ground: LevelGround | None = None,
+        mass: float = 1000.0,
+        exhaust_velocity: float = 3000.0,
+        lag: float = 0.0,
+        instruments: Mapping[str, Any] | None = None,
+    ) -> None:
+        for name, value in (("mass", mass), ("exhaust_velocity", exhaust_velocity)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"navigation.{name}", value, "a positive number")
+        self.inertial = inertial
+        self.settings = settings or UnscentedNavigation()
+        self.events: list[NavigationEvent] = []
+        self._watches: dict[tuple[str, str], Watch] = {}
+        self._ground, self._exhaust, self._lag = ground or LevelGround(), exhaust_velocity, lag
+        known = instruments or {}
+        self._beams = {n: i.boresight for n, i in known.items() if isinstance(i, FixedBeam)}
+        self._cones = {
+            n: np.array(i.directions) for n, i in known.items() if isinstance(i, FixedBeams)
+        }
+        self._mounts = {
+            n: i.misalignment for n, i in known.items() if isinstance(i, StarInstrument)
+        }
+        start = inertial.covariance(errors or StartSigmas())
+        # The attitude's own: small rotation in body axes, bias of the gyroscopes.
+        self._turn = start[_TURN, _TURN].copy()
+        self._drift = start[12:, 12:].copy()
+        points = MerweScaledSigmaPoints(STATES, alpha=1.0, beta=2.0, kappa=0.0)
+        self.kalman = UnscentedKalmanFilter(STATES, 1, inertial.step, None, None, points)
+        self.kalman.x = np.concatenate(
+            (inertial.position, inertial.velocity, inertial.biases[0], [mass])
+        )
+        self.kalman.P = np.zeros((STATES, STATES))
+        self.kalman.P[_LINEAR, _LINEAR] = start[_LINEAR, _LINEAR]
+        self.kalman.P[_MASS, _MASS] = self.settings.mass_sigma**2
+        self._thrust: float | None = None
+        self._asked = 0.0
+        self._ranges: dict[str, int] = {}
+        self._offset = np.zeros(3)
+        self._arrivals = Arrivals(
+            inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
+        )
+
+    # --- what is known --------------------------------------------------------------------
+
+    @property
+    def covariance(self) -> Array:
+        """Of the errors as `StrapdownState` orders them (15, 15); attitude apart from the rest."""
+        out = np.zeros((INERTIAL, INERTIAL))
+        out[_LINEAR, _LINEAR] = self.kalman.P[_LINEAR, _LINEAR]
+        out[_TURN, _TURN] = self._turn
+        return out
+
+    @property
+    def mass(self) -> tuple[float, float]:
+        """Mass and its standard deviation, kg."""
+        return float(self.kalman.x[_MASS]), float(np.sqrt(self.kalman.P[_MASS, _MASS]))
+
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """The watch over each kind of measurement of each sensor, by "sensor kind"."""
+        return {f"{sensor} {kind}": watch for (sensor, kind), watch in self._watches.items()}
+
+    @property
+    def site_to_local(self) -> Shift:
+        """Where the site lies in the local frame, which no measurement moves."""
+        return Shift(self._offset.copy())
+
+    def estimate(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state; its mass is the filter's own once thrust was told."""
+        own = mass if self._thrust is None else self.mass[0]
+        found = self.inertial.estimate(self.covariance, time, own)
+        lost = any(watch.lost for watch in self._watches.values())
+        return Estimate(
+            time, self.site_to_local.to_local(found.position), found.velocity, found.attitude,
+            found.rate, own, found.covariance, lost,
+        )  # fmt: skip
+
+    def estimate_in_site(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state in the site frame: what its covariance refers to."""
+        return replace(self.estimate(time, mass), position=self.inertial.position.copy())
+
+    # --- time -----------------------------------------------------------------------------
+
+    def commanded(self, thrust: float, seconds: float) -> None:
+        """Note the thrust (N) that the engine was asked for over the last so many seconds.
+
+        Raises
+        ------
+        InputError
+            If it is no number, or negative.
+        """
+        for name, value in (("thrust", thrust), ("seconds", seconds)):
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"navigation.{name}", value, "a number that is not negative")
+        before = thrust if self._thrust is None else self._thrust
+        left = float(np.exp(-seconds / self._lag)) if self._lag > 0.0 else 0.0
+        share = self._lag / seconds * (1.0 - left) if seconds > 0.0 else 0.0
+        # Mean thrust of the cycle, and the one that it ends with.
+        self._asked = thrust + (before - thrust) * share
+        self._thrust = thrust + (before - thrust) * left
+
+    def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
+        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one.
+
+        Raises
+        ------
+        InputError
+            If they are not as many of both, three numbers each.
+        """
+        samples = [np.asarray(part, dtype=np.float64) for part in (angle, velocity)]
+        for name, part in zip(("angle", "velocity"), samples, strict=True):
+            if part.ndim != 2 or part.shape[1] != 3 or len(part) != len(samples[0]):
+                raise InputError(
+                    f"inertial.{name}", np.shape(part), "samples (n, 3), as many of both"
+                )
+        if len(samples[0]) == 0:
+            return
+        seconds = len(samples[0]) * self.inertial.step
+        lasting = max(_LASTING / seconds, 1.0)
+        before = self.kalman.x.copy()
+        transition, noise = self.inertial.propagate(*samples)
+        by_turn = transition[_LINEAR, ATTITUDE]
+        burnt = self._asked * seconds / self._exhaust
+        q = np.zeros((STATES, STATES))
+        q[_LINEAR, _LINEAR] = noise[_LINEAR, _LINEAR]
+        q[_LINEAR, _LINEAR] += lasting * by_turn @ self._turn[:3, :3] @ by_turn.T
+        q[_MASS, _MASS] = lasting * (self.settings.thrust_error * burnt) ** 2 + 1e-12
+        # With the attitude given, errors of the rest go on linearly about what was carried.
+        carried = np.concatenate(
+            (self.inertial.position, self.inertial.velocity, self.inertial.biases[0],
+             [before[_MASS] - burnt])
+        )  # fmt: skip
+        whole = np.eye(STATES)
+        whole[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
+        self.kalman.Q = q
+        self.kalman.predict(dt=seconds, fx=lambda x, dt: carried + whole @ (x - before))
+        turn = transition[_TURN, _TURN]
+        self._turn = turn @ self._turn @ turn.T + noise[_TURN, _TURN]
+        self._follow()
+        self._weigh(samples[1])
+
+    def _weigh(self, velocity: Array) -> None:
+        """Take in the push along the engine: thrust over mass, and the accelerometer's bias."""
+        push = velocity[np.isfinite(velocity).all(axis=1), 2] / self.inertial.step
+        if self._thrust is None or self._asked <= 0.0 or len(push) == 0:
+            return
+        asked, sigma = self._asked, self.settings.thrust_error
+        expected = asked / self.kalman.x[_MASS]
+        noise = _LASTING / (len(velocity) * self.inertial.step) * (sigma * expected) ** 2
+        self._update(
+            np.array([push.mean()]), lambda x: np.array([asked / x[_MASS] + x[8]]),
+            np.array([[noise]]), gate_of(1),
+        )  # fmt: skip
+
+    # --- measurements ---------------------------------------------------------------------
+
+    def take(self, sensor: str, measurement: Any, time: float) -> None:
+        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+
+        Raises
+        ------
+        InputError
+            If `time` (s) runs backwards, or a reading is not of the shape that its sensor gives.
+        """
+        given = self._arrivals.admit(sensor, measurement, time)
+        if isinstance(given, InertialSamples):
+            self.propagate(given.angle, given.velocity)
+            return
+        before = self.inertial.position.copy()
+        if isinstance(given, AltimeterReading):
+            self._judge(sensor, "range", self._range(sensor, given), time)
+        elif isinstance(given, DopplerReading) and sensor in self._cones:
+            self._judge(sensor, "speed", self._speeds(sensor, given), time)
+        elif isinstance(given, AttitudeReading):
+            self._judge(sensor, "attitude", self._stars(sensor, given), time)
+        self._offset -= self.inertial.position - before
+
+    def _range(self, sensor: str, reading: AltimeterReading) -> Outcome:
+        beam = np.asarray(self._beams.get(sensor, (0.0, 0.0, -1.0)))
+        down = float(quat_to_matrix(self.inertial.attitude)[2] @ beam)
+        r, sigma = reading.range, reading.sigma
+        good = np.isfinite(r) and r > 0.0 and np.isfinite(sigma) and sigma > 0.0
+        if not good or down > -_LEAST_DOWN:
+            return Outcome(np.nan, 1, False)
+        # The ground is off by the same at every reading: together they never count more than once.
+        uses = self._ranges.get(sensor, 0)
+        level = ((self._ground.sigma or 0.0) / down) ** 2 * (uses + 1) * (uses + 2)
+        found = self._update(
+            np.array([r]), lambda x: np.array([(self._ground.elevation - x[2]) / down]),
+            np.array([[sigma**2 + level]]), gate_of(1),
+        )  # fmt: skip
+        self._ranges[sensor] = uses + found.taken
+        return found
+
+    def _speeds(self, sensor: str, reading: DopplerReading) -> Outcome:
+        beams = self._cones[sensor]
+        for name in ("speed", "speed_sigma"):
+            shape = np.shape(getattr(reading, name))
+            if shape != (len(beams),):
+                raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
+        speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
+        seen = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
+        if not seen.any():
+            return Outcome(np.nan, 0, False)
+        rays = beams[seen] @ quat_to_matrix(self.inertial.attitude).T
+        own = quat_to_matrix(self.inertial.attitude).T @ self.inertial.velocity
+        by_turn = np.cross(beams[seen], own)
+        often = _LASTING / 0.1 * self._turn[:3, :3]
+        found = self._update(
+            speed[seen], lambda x: rays @ x[3:6],
+            np.diag(sigma[seen] ** 2) + by_turn @ often @ by_turn.T, gate_of(int(seen.sum())),
+        )  # fmt: skip
+        white = np.full(len(beams), np.nan)
+        if found.taken:
+            white[seen] = found.white
+        return Outcome(found.nis, found.degrees, found.taken, white)
+
+    def _stars(self, sensor: str, reading: AttitudeReading) -> Outcome:
+        q, r = np.asarray(reading.attitude, float), np.asarray(reading.covariance, float)
+        if q.shape != (4,) or r.shape != (3, 3):
+            raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance")
+        mount = self._mounts.get(sensor, 0.0)
+        own = r + mount**2 * np.eye(3)
+        if not is_rotation(q) or not np.isfinite(own).all() or np.linalg.eigvalsh(own).min() <= 0:
+            return Outcome(np.nan, 3, False)
+        between = quat_multiply(quat_conjugate(self.inertial.attitude), normalised(q))
+        turn = quat_to_rotation_vector(between)
+        outcome = _compared(turn, self._turn[:3, :3] + own, gate_of(3))
+        if outcome.taken:
+            error = np.zeros(INERTIAL)
+            error[ATTITUDE] = turn
+            self.inertial.correct(error)
+            self._turn = np.zeros((6, 6))
+            self._turn[:3, :3], self._turn[3:, 3:] = own, self._drift
+        return outcome
+
+    # --- correction -----------------------------------------------------------------------
+
+    def _update(
+        self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
+    ) -> Outcome:
+        """Take in a measurement (m,), unless it lies beyond the gate."""
+        k = self.kalman
+        # filterpy draws its points in `predict` alone: several updates need them anew.
+        k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
+        through = np.array([expected(x) for x in k.sigmas_f])
+        mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
+        outcome = _compared(z - mean, spread, gate)
+        if outcome.taken:
+            k.update(z, R=noise, hx=expected)
+            k.P = 0.5 * (k.P + k.P.T)
+            self._follow()
+        return outcome
+
+    def _follow(self) -> None:
+        """Set the carried state to where the filter is."""
+        s = self.inertial
+        error = np.zeros(INERTIAL)
+        error[_LINEAR] = self.kalman.x[_LINEAR] - np.concatenate(
+            (s.position, s.velocity, s.biases[0])
+        )
+        s.correct(error)
+
+    def _judge(self, sensor: str, kind: str, found: Outcome, time: float) -> None:
+        """Watch what came of a measurement; widen what it depends on where it is doubted."""
+        watch = self._watches.setdefault((sensor, kind), Watch(WATCHED[kind]))
+        before = watch.lost
+        verdict = watch.note(time, found)
+        growth = float(np.clip(watch.excess, *_GROWTH))
+        name = {Verdict.WIDEN: "doubted", Verdict.LOST: "lost", Verdict.DRIFT: "drift"}.get(verdict)
+        if kind == "attitude" and verdict is not Verdict.WELL:
+            # There is no state for it: the next reading is believed again.
+            self._turn *= growth
+        elif verdict is Verdict.DRIFT:
+            self._inflate(np.arange(9)[ACCELEROMETER], _GROWTH[1], _MOST_BIAS)
+        elif verdict is not Verdict.WELL and kind == "range":
+            self._inflate(np.array([2]), growth, _MOST_HEIGHT)
+        elif verdict is not Verdict.WELL:
+            self._inflate(_VELOCITY, growth, _MOST_SPEED)
+        elif before and not watch.lost:
+            name = "believed"
+        if name is not None and not (name == "lost" and before):
+            self.events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))
+
+    def _inflate(self, at: NDArray[np.int64], factor: float, most: float) -> None:
+        """Multiply variances (k,) by a factor, no deviation beyond `most`; correlations stay."""
+        p = self.kalman.P
+        room = np.maximum(most / np.sqrt(p[at, at]), 1.0)
+        times = np.minimum(np.sqrt(factor), room)
+        p[at] *= times[:, None]
+        p[:, at] *= times
+
+
+def _compared(innovation: Array, spread: Array, gate: float) -> Outcome:
+    """Return what an innovation (m,) is against its covariance (m, m)."""
+    if not np.isfinite(spread).all():
+        return Outcome(np.inf, len(innovation), False)
+    try:
+        lower = np.linalg.cholesky(0.5 * (spread + spread.T))
+    except np.linalg.LinAlgError:
+        return Outcome(np.inf, len(innovation), False)
+    white = solve_triangular(lower, innovation, lower=True)
+    nis = float(white @ white)
+    if not nis <= gate:
+        return Outcome(nis, len(white), False)
+    return Outcome(nis, len(white), True, white)
