@@ -24,7 +24,7 @@ ACCELEROMETERS = TriadErrors(3e-3, 1e-3, 1e-5)
 class Flight:
     """A straight powered descent past the origin, and a filter that follows it."""
 
-    def __init__(self, rng, rocks=12, seconds=20.0):
+    def __init__(self, rng, rocks=12, ground=None):
         self.rng = rng
         self.position = np.array([-150.0, 40.0, 260.0])
         self.velocity = np.array([9.0, -2.0, -9.0])
@@ -44,7 +44,7 @@ class Flight:
             gyroscopes=GYROSCOPES,
             accelerometers=ACCELEROMETERS,
         )
-        self.filter = RockFilter(start, ERRORS, capacity=4)
+        self.filter = RockFilter.of(start, ERRORS, ground=ground, capacity=4)
         self.pixel_sigma = 0.8
         self.seen = rocks  # by the last image
         self.resting: np.random.Generator | None = None  # draws which rocks an image leaves alone
@@ -90,12 +90,12 @@ class Flight:
         return pixel, covariance, radius, sigma**2
 
     def ground_of(self, pixel, camera):
-        """Return where the filter takes pixels to lie on the ground (n, 2)."""
+        """Return where the filter takes pixels to lie on the ground at 0 m (n, 3)."""
         s = self.filter.inertial
         tangent = (pixel - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         ray = np.column_stack((tangent, np.ones(len(pixel))))
         ray = ray @ (quat_to_matrix(s.attitude) @ camera.mount).T
-        return (s.position + ray * (-s.position[2] / ray[:, 2:]))[:, :2]
+        return s.position + ray * (-s.position[2] / ray[:, 2:])
 
     def image(self):
         """Take in one image: new rocks at the first, an update at the others; return the NIS."""
@@ -113,7 +113,7 @@ class Flight:
         self.seen = len(index)
         return self.filter.update_rocks(
             index, sight, pixel[index], covariance[index], radius[index], variance[index]
-        )
+        ).nis
 
     def range(self, sigma=1.0):
         """Take in an altimeter reading; return the NIS."""
@@ -137,6 +137,6 @@ class Flight:
                 self.bias_a - bias_a,
                 quat_to_rotation_vector(between),
                 self.bias_g - bias_g,
-                (self.xy - self.filter.xy).ravel(),
+                (np.column_stack((self.xy, np.zeros(len(self.xy)))) - self.filter.xyz).ravel(),
             )
         )

@@ -52,7 +52,7 @@ def rocks_on_a_plane(shape, seed=0, count=120, size=80.0):
 def tracker_at(position, **settings):
     state, _ = at(position)
     inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
-    rocks = RockFilter(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
+    rocks = RockFilter.of(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
     return RockTracker(rocks, MODEL, settings=TrackerSettings(**settings))
 
 

@@ -383,7 +383,7 @@ class RockFilter:
         self.update_radii(index, radius, radius_variance, radius_floor)
         good = np.isfinite(pixel).all(1) & _positive(pixel_covariance)
         if not good.any():
-            return Outcome(np.nan, 0, False)
+            return Outcome(0.0, 0, False)
         with BLAS.limit(limits=1, user_api="blas"):
             return self._update_places(
                 index[good], sight, pixel[good], pixel_covariance[good], common, gate

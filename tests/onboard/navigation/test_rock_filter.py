@@ -13,6 +13,7 @@ from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.aids import LevelGround
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.reference.shadows import consider_update
 from tests.rock_scene import GRAVITY, Flight
@@ -37,7 +38,7 @@ def shifted(rocks, error):
         s.position + error[:3], s.velocity + error[3:6],
         quat_multiply(s.attitude, quat_from_rotation_vector(error[9:12])), GRAVITY,
     )  # fmt: skip
-    return RockFilter(inertial)
+    return RockFilter.of(inertial)
 
 
 def test_jacobians_equal_finite_differences():
@@ -50,46 +51,46 @@ def test_jacobians_equal_finite_differences():
     for column, k in enumerate([0, 1, 2, 9, 10, 11]):
         error = np.zeros(15)
         error[k] = step
-        ahead, behind = (shifted(f, e).sight(camera, f.xy).pixel for e in (error, -error))
+        ahead, behind = (shifted(f, e).sight(camera, f.xyz).pixel for e in (error, -error))
         slope = (ahead - behind) / (2 * step)
         assert sight.by_pose[:, :, column] == pytest.approx(slope, rel=1e-5, abs=1e-4)
-    for axis in range(2):
-        move = np.zeros(2)
+    for axis in range(3):
+        move = np.zeros(3)
         move[axis] = 1e-4
-        slope = (f.sight(camera, f.xy + move).pixel - f.sight(camera, f.xy - move).pixel) / 2e-4
+        slope = (f.sight(camera, f.xyz + move).pixel - f.sight(camera, f.xyz - move).pixel) / 2e-4
         assert sight.by_rock[:, :, axis] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
 
 def test_updates_equal_a_dense_filter():
-    """filterpy's EKF with 15 + 3 n states and one update a scalar gives the same."""
-    flight = Flight(np.random.default_rng(2), rocks=4)
+    """filterpy's EKF with 16 + 4 n states and one update a scalar gives the same."""
+    flight = Flight(np.random.default_rng(2), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
     flight.advance()
     flight.image()
     flight.advance()
     f, camera = flight.filter, flight.camera()
     n = f.count
-    size = 15 + 3 * n
-    # Order of the dense state, Eq. 1: lander, then x, y, r of each rock.
-    place = np.concatenate((np.arange(15), (15 + 3 * np.arange(n)[:, None] + [0, 1]).ravel()))
+    size = 16 + 4 * n
+    # Order of the dense state, Eq. 1: lander, ground, then x, y, z, r of each rock.
+    place = np.concatenate((np.arange(16), (16 + 4 * np.arange(n)[:, None] + [0, 1, 2]).ravel()))
     dense = ExtendedKalmanFilter(size, 1)
     dense.x = np.zeros(size)
     dense.P = np.zeros((size, size))
     dense.P[np.ix_(place, place)] = f.covariance
-    dense.P[17::3, 17::3] = np.diag(f.radius_variance)
+    dense.P[19::4, 19::4] = np.diag(f.radius_variance)
     sight = f.sight(camera)
     pixel, covariance, radius, variance = flight.look(camera)
-    before = (f.inertial.position.copy(), f.xy.copy(), f.radius.copy())
+    before = (f.inertial.position.copy(), f.xyz.copy(), f.radius.copy())
     rows, values, noises = [], [], []
     for j in range(n):
         for axis in range(2):
             h = np.zeros(size)
             h[[0, 1, 2, 9, 10, 11]] = sight.by_pose[j, axis]
-            h[15 + 3 * j : 17 + 3 * j] = sight.by_rock[j, axis]
+            h[16 + 4 * j : 19 + 4 * j] = sight.by_rock[j, axis]
             rows.append(h)
             values.append(pixel[j, axis] - sight.pixel[j, axis])
             noises.append(covariance[j, axis, axis])
         h = np.zeros(size)
-        h[17 + 3 * j] = 1.0
+        h[19 + 4 * j] = 1.0
         rows.append(h)
         values.append(radius[j] - f.radius[j])
         noises.append(variance[j])
@@ -102,10 +103,10 @@ def test_updates_equal_a_dense_filter():
         )
     f.update_rocks(np.arange(n), sight, pixel, covariance, radius, variance)
     assert f.covariance == pytest.approx(dense.P[np.ix_(place, place)], rel=1e-7, abs=1e-10)
-    assert f.radius_variance == pytest.approx(np.diag(dense.P)[17::3])
+    assert f.radius_variance == pytest.approx(np.diag(dense.P)[19::4])
     assert f.inertial.position - before[0] == pytest.approx(dense.x[:3], abs=1e-9)
-    assert (f.xy - before[1]).ravel() == pytest.approx(dense.x[place[15:]], abs=1e-9)
-    assert f.radius - before[2] == pytest.approx(dense.x[17::3], abs=1e-12)
+    assert (f.xyz - before[1]).ravel() == pytest.approx(dense.x[place[16:]], abs=1e-9)
+    assert f.radius - before[2] == pytest.approx(dense.x[19::4], abs=1e-12)
 
 
 def test_births_carry_the_full_cross_covariance():
@@ -118,7 +119,7 @@ def test_births_carry_the_full_cross_covariance():
     f.add(camera, centre, covariance, radius, variance)
     draws = np.linalg.cholesky(f.covariance[:15, :15]) @ rng.standard_normal((15, 4000))
     base = f.inertial
-    found = np.empty((4000, 4))
+    found = np.empty((4000, 6))
     for k in range(4000):
         flight.filter = shifted(f, draws[:, k])
         noisy = pixel + flight.pixel_sigma * rng.standard_normal(pixel.shape)
@@ -126,8 +127,11 @@ def test_births_carry_the_full_cross_covariance():
     flight.filter = f
     assert f.inertial is base
     sample = np.cov(np.vstack((draws, found.T)))
-    scale = np.sqrt(np.diag(f.covariance))
-    correlation = f.covariance / np.outer(scale, scale)
+    # Heights of rocks on ground that is known do not err.
+    level = np.r_[0:17, 18:20]
+    sample, p = sample[np.ix_(level, level)], f.covariance[np.ix_(level, level)]
+    scale = np.sqrt(np.diag(p))
+    correlation = p / np.outer(scale, scale)
     assert sample / np.outer(scale, scale) == pytest.approx(correlation, abs=0.12)
 
 
@@ -147,26 +151,26 @@ def test_rocks_that_rest_are_considered(seed):
         sight = f.sight(camera)
         pixel, covariance, radius, variance = flight.look(camera)
         index = np.flatnonzero(~rests)
-        h = np.zeros((2 * len(index), 33))
+        h = np.zeros((2 * len(index), 42))
         for k, j in enumerate(index):
             h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
-            h[2 * k : 2 * k + 2, 15 + 2 * j : 17 + 2 * j] = sight.by_rock[j]
+            h[2 * k : 2 * k + 2, 15 + 3 * j : 18 + 3 * j] = sight.by_rock[j]
         r = flight.pixel_sigma**2 * np.eye(len(h))
-        states = np.concatenate((np.arange(15), (15 + 2 * index[:, None] + [0, 1]).ravel()))
+        states = np.concatenate((np.arange(15), (15 + 3 * index[:, None] + [0, 1, 2]).ravel()))
         gain, expected = consider_update(f.covariance, h, r, states)
         moved = gain @ (pixel[index] - sight.pixel[index]).ravel()
-        before = f.xy.copy()
+        before = f.xyz.copy()
         f.update_rocks(
             index, sight, pixel[index], covariance[index], radius[index], variance[index]
         )
         assert f.covariance == pytest.approx(expected, rel=1e-7, abs=1e-11)
-        assert (f.xy - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
-        assert np.array_equal(f.xy[rests], before[rests])
-        before, p = f.xy.copy(), f.covariance.copy()
+        assert (f.xyz - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
+        assert np.array_equal(f.xyz[rests], before[rests])
+        before, p = f.xyz.copy(), f.covariance.copy()
         flight.range()
-        assert np.array_equal(f.xy[rests], before[rests])
+        assert np.array_equal(f.xyz[rests], before[rests])
         assert np.array_equal(f.covariance, f.covariance.T)
-        resting = 15 + 2 * np.flatnonzero(rests)[:, None] + np.arange(2)
+        resting = 15 + 3 * np.flatnonzero(rests)[:, None] + np.arange(3)
         own = np.ix_(resting.ravel(), resting.ravel())
         assert np.array_equal(f.covariance[own], p[own])
 
@@ -182,7 +186,9 @@ def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
         for value, degrees in fly(flight, seconds):
             nis = nis.plus(value, degrees)
         error, p = flight.error(), flight.filter.covariance
-        nees = nees.plus(normalised_square(error, p), 31)
+        # Heights of rocks on ground that is known do not err.
+        level = np.concatenate((np.arange(15), (15 + 3 * np.arange(8)[:, None] + [0, 1]).ravel()))
+        nees = nees.plus(normalised_square(error[level], p[np.ix_(level, level)]), 31)
         lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
     for found in (nees, lander, nis):
         assert found.holds(0.95), (found.ratio, found.bounds(0.95))
@@ -203,7 +209,9 @@ def test_covariance_stays_sound_over_ten_thousand_updates(resting):
         flight.range()
     p = f.covariance
     assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
-    assert np.linalg.eigvalsh(p).min() > 0.0
+    level = np.flatnonzero(np.arange(len(p)) % 3 != 2 - 15 % 3)
+    level = np.union1d(level, np.arange(15))
+    assert np.linalg.eigvalsh(p[np.ix_(level, level)]).min() > 0.0
     assert np.linalg.norm(f.inertial.attitude) == pytest.approx(1.0, abs=1e-12)
     assert (f.radius_variance > 0.0).all()
 
@@ -213,12 +221,12 @@ def test_removing_a_rock_leaves_the_others_as_they_were():
     flight.advance()
     flight.image()
     f = flight.filter
-    p, xy = f.covariance.copy(), f.xy.copy()
+    p, xyz = f.covariance.copy(), f.xyz.copy()
     keep = f.remove(np.array([1, 3]))  # the last takes the first hole
-    rows = np.concatenate((np.arange(15), (15 + 2 * keep[:, None] + [0, 1]).ravel()))
+    rows = np.concatenate((np.arange(15), (15 + 3 * keep[:, None] + [0, 1, 2]).ravel()))
     assert keep.tolist() == [0, 4, 2]
     assert np.array_equal(f.covariance, p[np.ix_(rows, rows)])
-    assert np.array_equal(f.xy, xy[keep])
+    assert np.array_equal(f.xyz, xyz[keep])
 
 
 def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
@@ -231,7 +239,7 @@ def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
     f.propagate(np.full((200, 3), np.nan), np.full((200, 3), np.nan))
     assert np.trace(f.covariance[3:6, 3:6]) > 10.0 * before
     assert f.inertial.position == pytest.approx(start[0] + 2.0 * start[1], abs=1.5)
-    real, flight.filter = f, RockFilter(StrapdownState(*start, flight.attitude, GRAVITY))
+    real, flight.filter = f, RockFilter.of(StrapdownState(*start, flight.attitude, GRAVITY))
     flight.advance(200)
     flight.filter = real
     fly(flight, 2.0)
