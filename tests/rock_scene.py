@@ -33,6 +33,7 @@ class Flight:
         self.force = np.array([0.05, -0.02, 1.7])
         self.xy = rng.uniform(-40.0, 40.0, (rocks, 2))
         self.radius = rng.uniform(0.3, 1.0, rocks)
+        self.height = np.zeros(rocks)
         self.bias_a = ACCELEROMETERS.bias * rng.standard_normal(3)
         self.bias_g = GYROSCOPES.bias * rng.standard_normal(3)
         error = rng.standard_normal((3, 3))
@@ -49,6 +50,16 @@ class Flight:
         self.seen = rocks  # by the last image
         self.resting: np.random.Generator | None = None  # draws which rocks an image leaves alone
         self.time = 0.0
+
+    def draw_heights(self, sigma, relief):
+        """Draw rocks' heights: of a level under the lander, and as differences grow from there."""
+        places = np.vstack((self.position[:2], self.xy))
+        away = np.linalg.norm(places[:, None] - places[None], axis=-1)
+        # Of differences from the ground under the lander; 5 cm are each place's own.
+        rise = 0.5 * 10.0 * relief**2 * (away[1:, :1] + away[:1, 1:] - away[1:, 1:])
+        n = len(self.xy)
+        drawn = np.linalg.cholesky(rise + 0.05**2 * (np.eye(n) + 1.0)) @ self.rng.normal(size=n)
+        self.height = sigma * self.rng.normal() + drawn
 
     def advance(self, samples=10, step=0.01):
         """Move truth and filter by as many inertial samples."""
@@ -79,7 +90,7 @@ class Flight:
 
     def look(self, camera):
         """Return noisy pixels (n, 2), radii (n,) and their covariances."""
-        ground = np.column_stack((self.xy, np.zeros(len(self.xy))))
+        ground = np.column_stack((self.xy, self.height))
         seen = (ground - self.position) @ quat_to_matrix(self.attitude) @ camera.mount
         tangent = seen[:, :2] / seen[:, 2:]
         pixel = tangent * [camera.fx, camera.fy] + [camera.cx, camera.cy]
@@ -137,6 +148,6 @@ class Flight:
                 self.bias_a - bias_a,
                 quat_to_rotation_vector(between),
                 self.bias_g - bias_g,
-                (np.column_stack((self.xy, np.zeros(len(self.xy)))) - self.filter.xyz).ravel(),
+                (np.column_stack((self.xy, self.height)) - self.filter.xyz).ravel(),
             )
         )

@@ -47,6 +47,8 @@ Index = NDArray[np.int64]
 
 # East, north and height.
 _AXES = 3
+# Turns of the view are taken together up to this angle, rad.
+_LEAST_TURN = 0.02
 # Passes that find where a line of sight meets ground that is not level.
 _PASSES = 2
 # Variances grow at least and at most by these factors where rocks are doubted; standard deviations
@@ -446,12 +448,15 @@ class RockFilter:
             Standard deviation of each of the two after a radian, in radii.
         """
         eye = self.inertial.position.copy()
-        before, self._eye = self._eye, eye
-        if before is None or self.count == 0:
+        if self._eye is None or self.count == 0:
+            self._eye = eye
             return
-        old, new = self.xyz - before, self.xyz - eye
+        old, new = self.xyz - self._eye, self.xyz - eye
         sine = np.linalg.norm(np.cross(old, new), axis=1)
         angle = np.arctan2(sine, np.einsum("ij,ij->i", old, new))
+        if np.median(angle) < _LEAST_TURN:
+            return
+        self._eye = eye
         along = np.append(sun[:2] / np.hypot(sun[0], sun[1]), 0.0)
         move = (wander * np.sqrt(angle) * self.radius)[:, None] * along
         size = self.state.size

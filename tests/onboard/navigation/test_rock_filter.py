@@ -8,25 +8,28 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
 from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.aids import LevelGround
+from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.reference.shadows import consider_update
 from tests.rock_scene import GRAVITY, Flight
 
 
-def fly(flight, seconds, images=True):
+def fly(flight, seconds, images=True, ranges=True):
     """Return NIS of images and ranges over a flight."""
     nis = []
     for k in range(int(10 * seconds)):
         flight.advance()
         if images:
             nis.append((flight.image(), 2 * flight.seen))
-        if k % 2 == 0:
+        if ranges and k % 2 == 0:
             nis.append((flight.range(), 1))
     return [(value, size) for value, size in nis if value is not None]
 
@@ -294,3 +297,181 @@ def test_closed_forms_of_two_rows():
     assert planar.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
     distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
     assert planar.squared_distance(offset, square) == pytest.approx(distance)
+
+
+@pytest.fixture
+def sloped():
+    """A filter over ground that rises and falls, with four rocks seen once."""
+    flight = Flight(np.random.default_rng(11), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
+    flight.advance()
+    flight.image()
+    return flight
+
+
+def test_heights_of_new_rocks_differ_as_the_ground_does(sloped):
+    """Variances of height differences: 0.1^2 x 10 m a metre between them, and 5 cm each."""
+    f = sloped.filter
+    z = np.append(15, f.state.head + 3 * np.arange(4) + 2)  # the ground under the lander first
+    places = np.vstack((f.inertial.position[:2], f.xy))
+    away = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    p = f.covariance[np.ix_(z, z)]
+    found = np.diag(p)[:, None] + np.diag(p)[None] - 2.0 * p
+    expected = 0.1 * away + 2.0 * 0.05**2 * (away > 0.0)
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert p[0, 0] == pytest.approx(9.0 + 0.1 * np.hypot(0.9, 0.2), rel=0.01)
+
+
+def test_a_new_rock_errs_along_the_line_of_sight_as_its_height_does(sloped):
+    f = sloped.filter
+    i = f.state.head + 3 * np.arange(4)
+    eye = f.inertial.position
+    for k in range(4):
+        lean = (f.xyz[k, :2] - eye[:2]) / (f.xyz[k, 2] - eye[2])
+        x, y, z = i[k], i[k] + 1, i[k] + 2
+        per_metre = f.covariance[[x, y], z] / f.covariance[z, z]
+        assert per_metre == pytest.approx(lean, abs=1e-6)
+
+
+def test_flights_over_ground_that_rises_and_falls_are_consistent():
+    nees, lander = Consistency(), Consistency()
+    for k in range(30):
+        flight = Flight(np.random.default_rng(300 + k), rocks=8, ground=LevelGround(0.0, 3.0, 0.1))
+        flight.draw_heights(3.0, 0.1)
+        fly(flight, 8.0, ranges=False)
+        error, p = flight.error(), flight.filter.covariance
+        rocks = 16 + np.arange(24)
+        columns = np.concatenate((np.arange(15), rocks))
+        nees = nees.plus(normalised_square(error, p[np.ix_(columns, columns)]), 39)
+        lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
+    for found in (nees, lander):
+        assert found.holds(0.99), (found.ratio, found.bounds(0.99))
+
+
+@pytest.mark.parametrize("bad", ["pixel", "covariance", "singular"])
+def test_a_rock_whose_place_is_no_number_tells_nothing(bad):
+    one, other = (Flight(np.random.default_rng(12), rocks=5) for _ in range(2))
+    for flight in (one, other):
+        flight.advance()
+        flight.image()
+        flight.advance()
+    camera = one.camera()
+    pixel, covariance, radius, variance = one.look(camera)
+    left = np.array([0, 1, 3, 4])
+    other.filter.update_rocks(
+        left, other.filter.sight(camera), pixel[left], covariance[left], radius[left],
+        variance[left],
+    )  # fmt: skip
+    if bad == "pixel":
+        pixel[2, 1] = np.nan
+    elif bad == "covariance":
+        covariance[2, 0, 0] = np.inf
+    else:
+        covariance[2] = 0.0
+    found = one.filter.update_rocks(
+        np.arange(5), one.filter.sight(camera), pixel, covariance, radius, variance
+    )
+    assert found.degrees == 8
+    assert np.array_equal(one.filter.covariance, other.filter.covariance)
+    assert np.array_equal(one.filter.xyz, other.filter.xyz)
+
+
+@pytest.mark.parametrize(("radius", "variance"), [(np.nan, 0.04), (0.5, np.nan), (0.5, 0.0)])
+def test_a_radius_that_is_no_number_tells_nothing(radius, variance):
+    flight = Flight(np.random.default_rng(13), rocks=3)
+    flight.image()
+    f = flight.filter
+    before = f.radius.copy(), f.radius_variance.copy()
+    f.update_radii(np.array([1]), np.array([radius]), np.array([variance]))
+    assert np.array_equal(f.radius, before[0]) and np.array_equal(f.radius_variance, before[1])
+    f.update_radii(np.array([1]), np.array([0.5]), np.array([0.04]))
+    assert f.radius_variance[1] < before[1][1]
+
+
+def test_an_image_of_nothing_changes_nothing():
+    flight = Flight(np.random.default_rng(14), rocks=3)
+    flight.image()
+    f, p = flight.filter, flight.filter.covariance.copy()
+    none = np.empty(0)
+    found = f.update_rocks(
+        np.empty(0, int), f.sight(flight.camera()), np.empty((0, 2)), np.empty((0, 2, 2)), none,
+        none,
+    )  # fmt: skip
+    assert (found.nis, found.degrees, found.taken) == (0.0, 0, False)
+    assert np.array_equal(f.covariance, p)
+
+
+def test_an_image_that_is_off_as_a_whole_is_refused():
+    flight = Flight(np.random.default_rng(15), rocks=9)
+    flight.advance()
+    flight.image()
+    camera, f = flight.camera(), flight.filter
+    for _ in range(5):
+        flight.image()
+    p, xyz = f.covariance.copy(), f.xyz.copy()
+    pixel, covariance, radius, variance = flight.look(camera)
+    rng = np.random.default_rng(0)
+    wrong = pixel + 40.0 * rng.standard_normal(pixel.shape)
+    found = f.update_rocks(
+        np.arange(9), f.sight(camera), wrong, covariance, radius, variance, gate=3.0
+    )
+    assert not found.taken and found.nis > 54.0
+    assert np.array_equal(f.covariance, p) and np.array_equal(f.xyz, xyz)
+
+
+def test_centres_wander_along_the_sun_as_the_view_turns():
+    flight = Flight(np.random.default_rng(16), rocks=2)
+    flight.image()
+    f = flight.filter
+    sun = np.array([0.6, 0.0, 0.8])
+    f.turn(sun, 0.2)
+    p = f.covariance.copy()
+    assert np.array_equal(p, flight.filter.covariance)
+    before = f.inertial.position.copy()
+    move = np.zeros(f.state.size)
+    move[:3] = [10.0, -5.0, -20.0]
+    f.inertial.correct(move[:15])
+    f.turn(sun, 0.2)
+    grown = f.covariance - p
+    angles = []
+    for rock in f.xyz:
+        a, b = rock - before, rock - f.inertial.position
+        angles.append(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+    step = 0.2 * np.sqrt(angles) * f.radius
+    assert grown[15, 15] == pytest.approx(2.0 * step[0] ** 2)
+    assert grown[18, 18] == pytest.approx(2.0 * step[1] ** 2)
+    assert grown[15, 18] == pytest.approx(step[0] * step[1])
+    grown[np.ix_([15, 18], [15, 18])] = 0.0
+    assert np.array_equal(grown, np.zeros_like(grown))
+
+
+def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
+    start = Flight(np.random.default_rng(17)).filter.inertial
+    level, events = LevelGround(0.0, 3.0, 0.1), []
+    state = ErrorState(start, blocks={**blocks_of({}, level), "scan": np.eye(6)})
+    f = RockFilter(state, Aids(state, {}, level, events))
+    shared = state.covariance.copy()
+    f.add_known(np.array([[1.0, 2.0], [5.0, -3.0]]), np.array([0.5, 0.4]), np.ones(2), np.ones(2))
+    assert np.array_equal(state.covariance[:22, :22], shared)
+    assert np.diag(state.covariance)[22:25] == pytest.approx([0.25, 0.25, 9.0], rel=2.0)
+    assert state.covariance[15, 24] == pytest.approx(9.0)  # the rock's height follows the ground
+    state.measure([[1.0]], [15], [2.0], [1.0])
+    assert f.ground == pytest.approx(1.8)
+    assert f.xyz[0, 2] == pytest.approx(1.8)
+    with pytest.raises(InputError, match=r"navigation\.rocks"):
+        RockFilter(state, Aids(state, {}, level, events))
+
+
+def test_a_doubt_widens_lander_and_rocks_alike():
+    flight = Flight(np.random.default_rng(18), rocks=3)
+    flight.advance()
+    flight.image()
+    f = flight.filter
+    before = np.diag(f.covariance).copy()
+    wrong = Outcome(900.0, 200, False)
+    remedies = [f.judge("places", 0.2 * k, wrong) for k in range(6)]
+    assert remedies[-1] is Remedy.DOUBT and [e.name for e in f.events] == ["doubted"]
+    after = np.diag(f.covariance)
+    assert after[3:6] == pytest.approx(4.5 * before[3:6])
+    assert after[15:17] == pytest.approx(4.5 * before[15:17])
+    assert np.array_equal(after[6:9], before[6:9])  # biases of the inertial unit stay
+    assert not f.lost

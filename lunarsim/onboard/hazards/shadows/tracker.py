@@ -26,8 +26,8 @@ Index = NDArray[np.int64]
 _MOST_EVIDENCE = 3.0
 _MISS = 0.6
 _GONE = 0.05
-# From this probability on a rock should be seen again.
-_SURE = 0.9
+# From this probability and number of images on a rock should be seen again.
+_SURE, _SURE_HITS = 0.9, 5
 # A rock that turns out smaller than this share of the least radius is let go.
 _SHRUNK = 0.85
 # Chi-squared with 2 degrees of freedom at 99.7 %.
@@ -90,7 +90,7 @@ class TrackerSettings:
     least_found: float = 0.4
     large: int = 1200
     most_rocks: int = 2000
-    most_updates: int = 120
+    most_updates: int = 60
 
     def __post_init__(self) -> None:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
@@ -167,6 +167,7 @@ class RockTracker:
         self.tentative = Tentative.none()
         self.renewals = 0
         self._updated = np.empty(0)
+        self._established = np.empty(0, bool)
         self._time: float | None = None
 
     def add_known(
@@ -190,6 +191,7 @@ class RockTracker:
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
         self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
+        self._established = np.concatenate((self._established, np.zeros(n, bool)))
 
     def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> Outcome:
         """Take in the detections of one image; return what came of the rocks' places.
@@ -289,8 +291,8 @@ class RockTracker:
         Returns
         -------
         expected
-            Whether as many were found as should have been, of those that are no doubtful ones:
-            "taken" if so; of no degrees of freedom if there were too few.
+            Whether as many were found as should have been, of those that were sure once: "taken"
+            if so; of no degrees of freedom if there were too few.
         """
         odds = self.existence / (1.0 - self.existence)
         false = self.rates.false_positive(seen.q[d])
@@ -302,9 +304,9 @@ class RockTracker:
         )
         # A rock whose shadow runs into another's is no missing rock.
         miss[self._in_the_dark(lost, azimuth, depression, seen, camera, sun)] = 1.0
-        sure = (self.existence > _SURE) & (self.hits > 2)
-        found = float(np.count_nonzero(sure[hit]))
-        missed = float(((1.0 - miss) * sure[lost]).sum())
+        self._established |= (self.existence > _SURE) & (self.hits >= _SURE_HITS)
+        found = float(np.count_nonzero(self._established[hit]))
+        missed = float(((1.0 - miss) * self._established[lost]).sum())
         odds[lost] *= np.clip(miss, _MISS, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
         if found + missed < self.settings.least_expected:
@@ -387,6 +389,7 @@ class RockTracker:
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
         now = -np.inf if self._time is None else self._time
         self._updated = np.concatenate((self._updated, np.full(new.size, now)))
+        self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
         return born
 
     def _merge(self) -> None:
@@ -437,6 +440,7 @@ class RockTracker:
             self.existence = self.existence[keep]
             self.hits = self.hits[keep]
             self._updated = self._updated[keep]
+            self._established = self._established[keep]
 
 
 def _ground_covariance(
