@@ -87,7 +87,7 @@ class TrackerSettings:
     view_wander: float = 0.22
     most_off: float = 3.0
     least_expected: float = 8.0
-    least_found: float = 0.4
+    least_found: float = 0.55
     large: int = 1200
     most_rocks: int = 2000
     most_updates: int = 60
