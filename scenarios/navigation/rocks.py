@@ -195,9 +195,7 @@ def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
         (f"relief of {r:g} deg", [f for f in right if f.task.relief == r]) for r in sorted(reliefs)
     ]
     rows += [(f"cover of {c:.0%}", [f for f in right if f.task.cover == c]) for c in sorted(covers)]
-    rows += [
-        (f"Sun {s:g} deg off", [f for f in flown if f.task.sun == s]) for s in SUNS if s > 0.0
-    ]
+    rows += [(f"Sun {s:g} deg off", [f for f in flown if f.task.sun == s]) for s in SUNS if s > 0.0]
     rows += [(fault, [f for f in flown if f.task.fault == fault]) for fault in FAULTS]
     return [row for row in (*rows, ("all", flown)) if row[1]]
 

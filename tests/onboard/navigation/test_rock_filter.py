@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
-from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.errors import InputError
+from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.onboard.navigation import planar
-from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
-from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.reference.shadows import consider_update

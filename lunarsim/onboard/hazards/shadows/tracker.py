@@ -412,9 +412,7 @@ class RockTracker:
         dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
         self._drop(dropped)
 
-    def _split(
-        self, seen: Detections, points: Array, camera: CameraModel, variance: Array
-    ) -> None:
+    def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> None:
         """Replace a rock by the smaller ones into which a sharper image resolves it."""
         f = self.filter
         if f.count == 0 or len(seen) < 2:
