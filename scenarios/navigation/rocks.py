@@ -1,8 +1,8 @@
 """Whether navigation by rocks says so when it is wrong: relief, cover, a wrong Sun, lost pictures.
 
-Flies `shadow_nominal.toml`, pictures at 2.5 Hz from 160 m on, over relief of 0 to 8 deg, with 2 to 15 %
-of the ground under rocks and the Sun taken to stand up to 180 deg from where it does; then with
-pictures that fail from 28 s on. An error is too large where velocity, attitude, height above the
+Flies `shadow_nominal.toml`, pictures at 2.5 Hz from 160 m on, over relief of 0 to 8 deg, with 2 to
+15 % of the ground under rocks and the Sun taken to stand up to 180 deg from where it does; then
+with pictures that fail from 28 s on. An error is too large where velocity, attitude, height above the
 ground or the place among the rocks is off by more than five of its standard deviations on an axis;
 a flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
 not told: landings show what a fault does.
@@ -251,8 +251,9 @@ def main(
                 f"{off} sigma, lost {f.lost} (ever {f.ever}), doubted {f.doubted}, safe {f.safe}"
             )
     table = Table(title="Flights by rocks; rows of relief and cover with the Sun right, no fault")
-    for heading in ("flights with", "flights", "over 5 sigma\nat the end", "of these not\ncalled lost",
-                    "called lost\nat the end", "rocks doubted\nat times", "landed safe"):  # fmt: skip
+    for heading in ("flights with", "flights", "over 5 sigma\nat the end",
+                    "of these not\ncalled lost", "called lost\nat the end",
+                    "rocks doubted\nat times", "landed safe"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "flights with" else "right")
     for name, mine in rows_of(flown):
         table.add_row(

@@ -507,9 +507,7 @@ class RockFilter:
         by_height = -(back @ sight.by_rock[:, :, 2:])[:, :, 0]
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
-            raise InputError(
-                "rocks", points.tolist(), "points on the ground in front of the camera"
-            )
+            raise InputError("rocks", points.tolist(), "points on ground in front of the camera")
         index = self._append(points, radius, radius_variance)
         for rock in index:
             self._follow_ground(rock)
