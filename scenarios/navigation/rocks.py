@@ -3,8 +3,8 @@
 Flies `shadow_nominal.toml`, pictures at 2.5 Hz from 160 m on, over relief of 0 to 8 deg, with 2 to
 15 % of the ground under rocks and the Sun taken to stand up to 180 deg from where it does; then
 with pictures that fail from 28 s on. An error is too large where velocity, attitude, height above the
-ground or the place among the rocks is off by more than five of its standard deviations on an axis;
-a flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
+ground or place among the rocks is off by more than five of its standard deviations on an axis; a
+flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
 not told: landings show what a fault does.
 
 python scenarios/navigation/rocks.py --flights 1

@@ -40,6 +40,7 @@ from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse
 from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
+from lunarsim.onboard.navigation.watch import Watch
 from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
@@ -277,6 +278,12 @@ class RockFilter:
         found = self.inertial.estimate(self.covariance, time, mass)
         position = self.site_to_local.to_local(found.position)
         return replace(found, position=position, lost=self.lost)
+
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """The watch over each kind of measurement, by "sensor kind"; those of rocks as "rocks"."""
+        rocks = {f"rocks' {kind}": watch for kind, watch in self.pictures.watches.items()}
+        return {**self._aids.watches, **rocks}
 
     @property
     def lost(self) -> bool:
