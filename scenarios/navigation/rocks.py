@@ -2,7 +2,7 @@
 
 Flies `shadow_nominal.toml`, pictures at 2.5 Hz from 160 m on, over relief of 0 to 8 deg, with 2 to
 15 % of the ground under rocks and the Sun taken to stand up to 180 deg from where it does; then
-with pictures that fail from 28 s on. An error is too large where velocity, attitude, height above the
+with pictures that fail from 28 s on. An error is too large where velocity, attitude, height above
 ground or place among the rocks is off by more than five of its standard deviations on an axis; a
 flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
 not told: landings show what a fault does.
