@@ -143,7 +143,7 @@ class Errors:
     def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:
         self.simulation, self.mapper = simulation, mapper
         terrain = simulation.world.terrain
-        self.bare = Terrain(terrain.relief)
+        self.rough, self.bare = terrain, Terrain(terrain.relief)
         self.rocks = cKDTree(np.column_stack((terrain.rocks.x, terrain.rocks.y)))
 
     def now(self) -> tuple[float, float, float, float]:
@@ -153,10 +153,12 @@ class Errors:
         sigma = np.sqrt(np.diag(p))
         velocity, attitude = np.abs(error[3:6]) / sigma[3:6], np.abs(error[6:9]) / sigma[9:12]
         ground = rocks.state.block(GROUND).start
-        below = float(self.bare.elevation(state.position[:2]))
-        height = state.position[2] - below - (rocks.inertial.position[2] - rocks.ground)
+        # The altimeter may see the ground or the top of a rock that stands there.
+        below = [float(t.elevation(state.position[:2])) for t in (self.bare, self.rough)]
+        above = state.position[2] - np.array(below)
+        height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.ground)))
         spread = np.sqrt(max(p[2, 2] + p[ground, ground] - 2.0 * p[2, ground], 1e-12))
-        off_height = abs(height) / spread if np.isfinite(height) else 0.0
+        off_height = height / spread if np.isfinite(height) else 0.0
         return float(velocity.max()), float(attitude.max()), float(off_height), self.among_rocks()
 
     def among_rocks(self) -> float:
