@@ -24,7 +24,7 @@ ACCELEROMETERS = TriadErrors(3e-3, 1e-3, 1e-5)
 class Flight:
     """A straight powered descent past the origin, and a filter that follows it."""
 
-    def __init__(self, rng, rocks=12, seconds=20.0):
+    def __init__(self, rng, rocks=12, ground=None):
         self.rng = rng
         self.position = np.array([-150.0, 40.0, 260.0])
         self.velocity = np.array([9.0, -2.0, -9.0])
@@ -33,6 +33,7 @@ class Flight:
         self.force = np.array([0.05, -0.02, 1.7])
         self.xy = rng.uniform(-40.0, 40.0, (rocks, 2))
         self.radius = rng.uniform(0.3, 1.0, rocks)
+        self.height = np.zeros(rocks)
         self.bias_a = ACCELEROMETERS.bias * rng.standard_normal(3)
         self.bias_g = GYROSCOPES.bias * rng.standard_normal(3)
         error = rng.standard_normal((3, 3))
@@ -44,11 +45,21 @@ class Flight:
             gyroscopes=GYROSCOPES,
             accelerometers=ACCELEROMETERS,
         )
-        self.filter = RockFilter(start, ERRORS, capacity=4)
+        self.filter = RockFilter.of(start, ERRORS, ground=ground, capacity=4)
         self.pixel_sigma = 0.8
         self.seen = rocks  # by the last image
         self.resting: np.random.Generator | None = None  # draws which rocks an image leaves alone
         self.time = 0.0
+
+    def draw_heights(self, sigma, relief):
+        """Draw rocks' heights: of a level under the lander, and as differences grow from there."""
+        places = np.vstack((self.position[:2], self.xy))
+        away = np.linalg.norm(places[:, None] - places[None], axis=-1)
+        # Of differences from the ground under the lander; 5 cm are each place's own.
+        rise = 0.5 * 10.0 * relief**2 * (away[1:, :1] + away[:1, 1:] - away[1:, 1:])
+        n = len(self.xy)
+        drawn = np.linalg.cholesky(rise + 0.05**2 * (np.eye(n) + 1.0)) @ self.rng.normal(size=n)
+        self.height = sigma * self.rng.normal() + drawn
 
     def advance(self, samples=10, step=0.01):
         """Move truth and filter by as many inertial samples."""
@@ -79,7 +90,7 @@ class Flight:
 
     def look(self, camera):
         """Return noisy pixels (n, 2), radii (n,) and their covariances."""
-        ground = np.column_stack((self.xy, np.zeros(len(self.xy))))
+        ground = np.column_stack((self.xy, self.height))
         seen = (ground - self.position) @ quat_to_matrix(self.attitude) @ camera.mount
         tangent = seen[:, :2] / seen[:, 2:]
         pixel = tangent * [camera.fx, camera.fy] + [camera.cx, camera.cy]
@@ -90,12 +101,12 @@ class Flight:
         return pixel, covariance, radius, sigma**2
 
     def ground_of(self, pixel, camera):
-        """Return where the filter takes pixels to lie on the ground (n, 2)."""
+        """Return where the filter takes pixels to lie on the ground at 0 m (n, 3)."""
         s = self.filter.inertial
         tangent = (pixel - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         ray = np.column_stack((tangent, np.ones(len(pixel))))
         ray = ray @ (quat_to_matrix(s.attitude) @ camera.mount).T
-        return (s.position + ray * (-s.position[2] / ray[:, 2:]))[:, :2]
+        return s.position + ray * (-s.position[2] / ray[:, 2:])
 
     def image(self):
         """Take in one image: new rocks at the first, an update at the others; return the NIS."""
@@ -113,7 +124,7 @@ class Flight:
         self.seen = len(index)
         return self.filter.update_rocks(
             index, sight, pixel[index], covariance[index], radius[index], variance[index]
-        )
+        ).nis
 
     def range(self, sigma=1.0):
         """Take in an altimeter reading; return the NIS."""
@@ -137,6 +148,6 @@ class Flight:
                 self.bias_a - bias_a,
                 quat_to_rotation_vector(between),
                 self.bias_g - bias_g,
-                (self.xy - self.filter.xy).ravel(),
+                (np.column_stack((self.xy, self.height)) - self.filter.xyz).ravel(),
             )
         )

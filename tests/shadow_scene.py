@@ -52,11 +52,11 @@ def rocks_on_a_plane(shape, seed=0, count=120, size=80.0):
 def tracker_at(position, **settings):
     state, _ = at(position)
     inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
-    rocks = RockFilter(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
+    rocks = RockFilter.of(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
     return RockTracker(rocks, MODEL, settings=TrackerSettings(**settings))
 
 
-def follow(terrain, path, tracker, mapping=None):
+def follow(terrain, path, tracker, mapping=None, begins=0.0):
     """Take one picture from each place on a path; the lander's own motion is known."""
     for k, position in enumerate(path):
         state, camera, counts = picture(terrain, position)
@@ -64,7 +64,7 @@ def follow(terrain, path, tracker, mapping=None):
         error[:3] = state.position - tracker.filter.inertial.position
         tracker.filter.inertial.correct(error)
         seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-        tracker.update(seen, camera, SUN, 0.1 * k)
+        tracker.update(seen, camera, SUN, begins + 0.1 * k)
         if mapping is not None:
             mapping.see(camera, camera.view(state), SUN, seen)
     return tracker

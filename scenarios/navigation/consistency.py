@@ -8,6 +8,7 @@ twice or more each flight is flown from each error of position at the start, ove
 python scenarios/navigation/consistency.py --flights 50 --jobs 2
 python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
 python scenarios/navigation/consistency.py --flights 50 --kind inertial --kind ukf
+python scenarios/navigation/consistency.py --flights 50 --scenario scenarios/shadow_nominal.toml
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -90,7 +92,7 @@ def fly(task: Task) -> Flown:
         scenario = scenario.changed(navigation={"kind": task.kind})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     navigation = simulation.computer.navigation
-    if not isinstance(navigation, Navigator | UnscentedFilter):
+    if not isinstance(navigation, Navigator | RockFilter | UnscentedFilter):
         raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]

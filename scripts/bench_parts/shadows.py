@@ -21,11 +21,12 @@ def _rock_filter(count, seed=0):
     rng = np.random.default_rng(seed)
     position = np.array([-20.0, 10.0, 80.0])
     level = np.array([0.0, 0.0, 0.0, 1.0])
-    rocks = RockFilter(StrapdownState(position, np.zeros(3), level, 1.622), capacity=count)
+    rocks = RockFilter.of(StrapdownState(position, np.zeros(3), level, 1.622), capacity=count)
     camera = replace(Camera(), mount=gimbal_mount(level, -position))
     xy = rng.uniform(-30.0, 30.0, (count, 2))
     noise = np.tile(0.25 * np.eye(2), (count, 1, 1))
-    rocks.add(camera, xy, noise, np.full(count, 0.5), np.full(count, 0.01))
+    points = np.column_stack((xy, np.zeros(count)))
+    rocks.add(camera, points, noise, np.full(count, 0.5), np.full(count, 0.01))
     return rocks, camera, xy
 
 
@@ -109,13 +110,13 @@ def _update_alone() -> None:
     seen = 150
     sight, noise = rocks.sight(camera), np.tile(0.25 * np.eye(2), (seen, 1, 1))
     index, flat = np.arange(seen), np.full(seen, 0.01)
-    size = 15 + 2 * 500
+    size = 15 + 3 * 500
     dense = ExtendedKalmanFilter(size, 2 * seen)
     dense.P = rocks.covariance.copy()
     h = np.zeros((2 * seen, size))
     for j in range(seen):
         h[2 * j : 2 * j + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
-        h[2 * j : 2 * j + 2, 15 + 2 * j : 17 + 2 * j] = sight.by_rock[j]
+        h[2 * j : 2 * j + 2, 15 + 3 * j : 18 + 3 * j] = sight.by_rock[j]
     z, r = np.zeros(2 * seen), 0.25 * np.eye(2 * seen)
     with threadpool_limits(1, "blas"):
         ours = median_ms(

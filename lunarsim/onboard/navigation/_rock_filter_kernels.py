@@ -40,8 +40,8 @@ def subtract_product(p, product, states, place):
 def measured_rows(p, size, pose, by_pose, columns, by_rock):
     """Return the products (2 m, size) of the pixels' Jacobians with the covariance p.
 
-    `by_pose` (m, 2, 6) and `by_rock` (m, 2, 2) are the only entries of the Jacobians that are not
-    0, at the states `pose` (6,) and `columns` (m, 2).
+    `by_pose` (m, 2, 6) and `by_rock` (m, 2, 3) are the only entries of the Jacobians that are not
+    0, at the states `pose` (6,) and `columns` (m, 3).
     """
     out = np.empty((2 * len(columns), size))
     for k in prange(2 * len(columns)):
@@ -49,15 +49,15 @@ def measured_rows(p, size, pose, by_pose, columns, by_rock):
         axis = k % 2
         a0, a1, a2 = by_pose[rock, axis, 0], by_pose[rock, axis, 1], by_pose[rock, axis, 2]
         a3, a4, a5 = by_pose[rock, axis, 3], by_pose[rock, axis, 4], by_pose[rock, axis, 5]
-        b0, b1 = by_rock[rock, axis, 0], by_rock[rock, axis, 1]
+        b0, b1, b2 = by_rock[rock, axis, 0], by_rock[rock, axis, 1], by_rock[rock, axis, 2]
         p0, p1, p2 = p[pose[0]], p[pose[1]], p[pose[2]]
         p3, p4, p5 = p[pose[3]], p[pose[4]], p[pose[5]]
-        q0, q1 = p[columns[rock, 0]], p[columns[rock, 1]]
+        q0, q1, q2 = p[columns[rock, 0]], p[columns[rock, 1]], p[columns[rock, 2]]
         row = out[k]
         for j in range(size):
             row[j] = (
                 (a0 * p0[j] + a1 * p1[j] + a2 * p2[j])
                 + (a3 * p3[j] + a4 * p4[j] + a5 * p5[j])
-                + (b0 * q0[j] + b1 * q1[j])
+                + (b0 * q0[j] + b1 * q1[j] + b2 * q2[j])
             )
     return out

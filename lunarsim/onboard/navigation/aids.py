@@ -98,6 +98,11 @@ class LevelGround:
         sigma = float(np.hypot(briefing.start.ground_sigma, rise))
         return cls(float(briefing.target[2]), max(sigma, _LEAST_GROUND), relief)
 
+    @property
+    def growth(self) -> float:
+        """By how much the variance of the difference of two heights grows with a metre, m^2/m."""
+        return self.relief**2 * _CORRELATION
+
 
 @lru_cache
 def gate_of(degrees: int) -> float:
@@ -163,6 +168,11 @@ class Aids:
         self._time = -np.inf
 
     @property
+    def events(self) -> list[NavigationEvent]:
+        """What was reported."""
+        return self._events
+
+    @property
     def lost(self) -> bool:
         """Whether what was measured cannot be explained."""
         return any(watch.lost for watch in self._watches.values())
@@ -181,7 +191,7 @@ class Aids:
         self._place = here.copy()
         if np.isfinite(moved):
             at = [self.state.block(GROUND).start]
-            self.state.widen(at, self.ground.relief**2 * _CORRELATION * moved)
+            self.state.widen(at, self.ground.growth * moved)
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool = False) -> bool:
         """Take in a measurement; return whether it is of a kind known here.
@@ -244,7 +254,7 @@ class Aids:
             columns = np.append(columns, self.state.block(GROUND).start)
             # A slanted beam meets the ground beside the lander, higher or lower than below it.
             across = float(np.linalg.norm(quat_rotate(self.state.inertial.attitude, beam)[:2]))
-            rise = self.ground.relief**2 * _CORRELATION * across * abs(distance)
+            rise = self.ground.growth * across * abs(distance)
         found = take_range(
             self.state, distance, sigma, beam, self.ground.elevation, block=block, rise=rise,
             gate=gate_of(1),

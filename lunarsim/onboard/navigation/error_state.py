@@ -177,6 +177,14 @@ class ErrorState:
         p[into] = p[source]
         p[:, into] = p[:, source]
 
+    def follow(self, at: int, sources: Index, weights: Array, variance: float) -> None:
+        """Let an error be from now on a weighted sum of errors (k,), and noise of its own."""
+        p = self.covariance
+        row = weights @ p[sources]
+        own = float(row[sources] @ weights) + variance
+        p[at], p[:, at] = row, row
+        p[at, at] = own
+
     def rest(self, tail: NDArray[np.bool_]) -> None:
         """Leave errors behind the blocks (tail,) as they are until told otherwise.
 

@@ -2,10 +2,14 @@
 
 Rocks do not move and their radius is measured directly, in metres and with errors of its own
 (paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
-apart as scalar filters, which is exact. What is left is the error state of the lander (15) and
-two coordinates a rock. A measured rock depends on position, attitude and its own coordinates, so
-products with its Jacobian cost a few rows of the covariance; all rocks of one image are taken in
-one update, which equals the sequential one.
+apart as scalar filters, which is exact. What is left is the error state of the lander, of what
+other measurements need, and three coordinates a rock. A measured rock depends on position, attitude
+and its own coordinates, so products with its Jacobian cost a few rows of the covariance; all rocks
+of one image are taken in one update, which equals the sequential one.
+
+The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
+its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
+their errors, so that what a height is off by counts once, however often the rock is seen.
 """
 
 from __future__ import annotations
@@ -29,14 +33,29 @@ from lunarsim.messages.measurements import (
 )
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
-from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
-from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState
-from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.aids import GROUND, Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse
+from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
+from lunarsim.onboard.navigation.watch import Watch
+from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+# East, north and height.
+_AXES = 3
+# Turns of the view are taken together up to this angle, rad.
+_LEAST_TURN = 0.02
+# Passes that find where a line of sight meets ground that is not level.
+_PASSES = 2
+# Variances grow at least and at most by these factors where rocks are doubted; standard deviations
+# not beyond: m, m/s, rad.
+_LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
+_MOST_PLACE, _MOST_SPEED, _MOST_TURN = 100.0, 10.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -52,7 +71,7 @@ class Sight:
     by_pose
         Derivatives by position and attitude error (n, 2, 6).
     by_rock
-        Derivatives by the rock's east and north (n, 2, 2).
+        Derivatives by the rock's east, north and height (n, 2, 3).
     """
 
     pixel: Array
@@ -65,16 +84,25 @@ class Sight:
 class RockNavigation:
     """Inertial unit, the rocks that a camera sees by their shadows, ranges, speeds and stars."""
 
+    ground_sigma: float = quantity(
+        10.0, "m", gt=0, le=1000, help="of the ground's height under the start, 1 sigma"
+    )
+    relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
+
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
     takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
     uses_prior_map: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        check_bounds(self, "navigation")
+
     def build(self, briefing: Briefing) -> RockFilter:
-        """Return the filter of one flight; its rocks stand at the level of the target."""
+        """Return the filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
-        return RockFilter(
-            state, sigmas, ground=float(briefing.target[2]), instruments=briefing.instruments
+        ground = LevelGround(
+            float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
         )
+        return RockFilter.of(state, sigmas, ground=ground, instruments=briefing.instruments)
 
 
 class RockFilter:
@@ -82,43 +110,69 @@ class RockFilter:
 
     Parameters
     ----------
-    inertial
-        The lander's state at the start.
-    errors
-        Its standard deviations.
-    ground
-        Elevation of the plane on which rocks stand, m.
+    state
+        Error state of the lander; what stands behind its blocks is this filter's.
+    aids
+        The other measurements of that state, with what is known of the ground.
     capacity
         Rocks for which room is made at first; it grows as needed.
-    instruments
-        Calibrations of altimeters, velocimeters and star trackers, by name.
+
+    Attributes
+    ----------
+    state
+        The error state.
+    pictures
+        Whether what pictures show can be believed.
+    events
+        What was reported, by the aids too.
     """
 
-    def __init__(
-        self,
+    def __init__(self, state: ErrorState, aids: Aids, *, capacity: int = 128) -> None:
+        if state.tail:
+            raise InputError("navigation.rocks", state.tail, "no errors behind the state's blocks")
+        self.state = state
+        self.state.reserve(_AXES * capacity)
+        self.state.listeners.append(self._corrected)
+        self._first = self.state.head
+        self.events = aids.events
+        self.pictures = PictureWatch(self.events)
+        self._aids = aids
+        self._raised = 0.0
+        self._eye: Array | None = None
+        self.count = 0
+        self._xyz = np.zeros((capacity, _AXES))
+        self._r = np.zeros((capacity, 2))
+        self._rests = np.zeros(capacity, bool)
+
+    @classmethod
+    def of(
+        cls,
         inertial: StrapdownState,
         errors: StartSigmas | None = None,
         *,
-        ground: float = 0.0,
+        ground: LevelGround | None = None,
         capacity: int = 128,
         instruments: Mapping[str, Any] | None = None,
-    ) -> None:
+    ) -> RockFilter:
+        """Return a filter with a state of its own.
+
+        Parameters
+        ----------
+        inertial
+            The lander's state at the start.
+        errors
+            Its standard deviations.
+        ground
+            What is known of its height; left out: level, at 0 m.
+        capacity
+            Rocks for which room is made at first.
+        instruments
+            Calibrations of altimeters, velocimeters and star trackers, by name.
+        """
         known = instruments or {}
-        # Rocks stand on level ground, and so does what ranges are measured to.
-        level = LevelGround(float(ground), None)
-        self.state = ErrorState(
-            inertial, errors, blocks=blocks_of(known, level), capacity=2 * capacity
-        )
-        self.state.listeners.append(self._corrected)
-        self._first = self.state.head
-        self.events: list[NavigationEvent] = []
-        self._aids = Aids(self.state, known, level, self.events)
-        self._raised = 0.0
-        self.ground = float(ground)
-        self.count = 0
-        self._xy = np.zeros((capacity, 2))
-        self._r = np.zeros((capacity, 2))
-        self._rests = np.zeros(capacity, bool)
+        level = ground or LevelGround(0.0, None)
+        state = ErrorState(inertial, errors, blocks=blocks_of(known, level))
+        return cls(state, Aids(state, known, level, []), capacity=capacity)
 
     @property
     def inertial(self) -> StrapdownState:
@@ -134,24 +188,29 @@ class RockFilter:
         self._note_rests()
 
     def _note_rests(self) -> None:
-        self.state.rest(np.repeat(self._rests[: self.count], 2))
+        self.state.rest(np.repeat(self._rests[: self.count], _AXES))
 
     def _places(self, index: Index | None = None) -> Index:
-        """Return where rocks' coordinates lie in the error state (n, 2)."""
+        """Return where rocks' coordinates lie in the error state (n, 3)."""
         rocks = np.arange(self.count) if index is None else np.asarray(index)
-        return self._first + 2 * rocks[:, None] + np.arange(2)
+        return np.asarray(self._first + _AXES * rocks[:, None] + np.arange(_AXES))
 
     # --- the state ------------------------------------------------------------------------
 
     @property
     def covariance(self) -> Array:
-        """Of the lander's error state (15), what aids need, and the rocks' coordinates (2 n)."""
+        """Of the lander's error state (15), what aids need, and the rocks' coordinates (3 n)."""
         return self.state.covariance
 
     @property
+    def xyz(self) -> Array:
+        """Rocks' centres on the ground (n, 3), ENU, m."""
+        return self._xyz[: self.count]
+
+    @property
     def xy(self) -> Array:
-        """Rocks' centres (n, 2), ENU, m."""
-        return self._xy[: self.count]
+        """Rocks' centres (n, 2), east and north, m."""
+        return self._xyz[: self.count, :2]
 
     @property
     def radius(self) -> Array:
@@ -164,12 +223,12 @@ class RockFilter:
         return self._r[: self.count, 1]
 
     def rock_covariance(self) -> Array:
-        """Return the covariance of each rock's centre (n, 2, 2), m^2."""
+        """Return the covariance of each rock's coordinates (n, 3, 3), m^2."""
         i = self._places()
         return np.asarray(self.state.p[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
-        """Return the covariance of each rock's centre less the lander's position (n, 2, 2), m^2.
+        """Return the covariance of each rock's place less the lander's position (n, 3, 3), m^2.
 
         An error that lander and rocks share moves the map with the lander and misplaces nothing
         on it.
@@ -178,14 +237,62 @@ class RockFilter:
         if self.count == 0:
             return own
         p = self.state.p
-        cross = np.moveaxis(p[np.arange(2)[:, None, None], self._places()[None]], 0, 1)
-        return np.asarray(own + p[:2, :2] - cross - np.swapaxes(cross, 1, 2))
+        cross = np.moveaxis(p[np.arange(_AXES)[:, None, None], self._places()[None]], 0, 1)
+        return np.asarray(own + p[:_AXES, :_AXES] - cross - np.swapaxes(cross, 1, 2))
+
+    @property
+    def ground(self) -> float:
+        """Height of the ground under the lander, m."""
+        below = self.state.value(GROUND)[0] if self.state.has(GROUND) else 0.0
+        return float(self._aids.ground.elevation + below)
+
+    def ground_at(self, xy: ArrayLike) -> Array:
+        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
+        at = np.atleast_2d(np.asarray(xy, np.float64))
+        if self.count == 0 or not self.state.has(GROUND):
+            return np.full(len(at), self.ground)
+        places = np.vstack((self.inertial.position[:2], self.xy))
+        return heights(places, np.append(self.ground, self.xyz[:, 2]), at, self._aids.ground.growth)
+
+    def ground_points(self, camera: CameraModel, pixel: Array) -> Array:
+        """Return where lines of sight through pixels (n, 2), undistorted, meet the ground (n, 3).
+
+        NaN where they do not.
+        """
+        if len(pixel) == 0:
+            return np.empty((0, _AXES))
+        view = camera.view(self.inertial)
+        tangent = (pixel - [view.cx, view.cy]) / [view.fx, view.fy]
+        ray = np.column_stack((tangent, np.ones(len(tangent)))) @ view.axes.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            per_drop = np.where(ray[:, 2:] < 0.0, ray[:, :2] / -ray[:, 2:], np.nan)
+        height = np.full(len(pixel), self.ground)
+        for _ in range(_PASSES):
+            xy = view.position[:2] + per_drop * (view.position[2] - height)[:, None]
+            seen = np.isfinite(xy).all(1)
+            height[seen] = self.ground_at(xy[seen])
+        return np.column_stack((xy, height))
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it, local frame."""
         found = self.inertial.estimate(self.covariance, time, mass)
         position = self.site_to_local.to_local(found.position)
-        return replace(found, position=position, lost=self._aids.lost)
+        return replace(found, position=position, lost=self.lost)
+
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """The watch over each kind of measurement, by "sensor kind"; those of rocks as "rocks"."""
+        rocks = {f"rocks' {kind}": watch for kind, watch in self.pictures.watches.items()}
+        return {**self._aids.watches, **rocks}
+
+    @property
+    def lost(self) -> bool:
+        """Whether what was measured or seen cannot be explained."""
+        return self._aids.lost or self.pictures.lost
+
+    def estimate_in_site(self, time: float, mass: float) -> Estimate:
+        """Return the lander's state in the site frame: what its covariance refers to."""
+        return replace(self.estimate(time, mass), position=self.inertial.position.copy())
 
     @property
     def site_to_local(self) -> Shift:
@@ -208,16 +315,16 @@ class RockFilter:
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         self.state.propagate(angle, velocity)
+        self._aids.travel()
 
     # --- rocks ----------------------------------------------------------------------------
 
-    def sight(self, camera: CameraModel, xy: Array | None = None) -> Sight:
-        """Return where rocks at `xy` (n, 2), or those tracked, should be seen (Eqs. 10-11)."""
-        points = self.xy if xy is None else xy
+    def sight(self, camera: CameraModel, points: Array | None = None) -> Sight:
+        """Return where rocks at points (n, 3), or those tracked, should be seen (Eqs. 10-11)."""
+        points = self.xyz if points is None else points
         s = self.inertial
         rotation = quat_to_matrix(s.attitude)
-        to_rock = np.column_stack((points, np.full(len(points), self.ground))) - s.position
-        body = to_rock @ rotation
+        body = (points - s.position) @ rotation
         seen = (body - np.asarray(camera.offset)) @ camera.mount
         with np.errstate(divide="ignore", invalid="ignore"):
             pixel = camera.pinhole.project(seen)
@@ -226,15 +333,14 @@ class RockFilter:
         by_point = by_body @ rotation.T
         # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
         by_attitude = np.cross(by_body, body[:, None, :])
-        return Sight(
-            pixel, seen[:, 2], np.concatenate((-by_point, by_attitude), axis=-1), by_point[:, :, :2]
-        )
+        by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
+        return Sight(pixel, seen[:, 2], by_pose, by_point)
 
     def innovation_covariance(self, sight: Sight) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
         p = self.state.p
         pose = p[np.ix_(POSE, POSE)]
-        cross = np.moveaxis(p[POSE[:, None, None], self._places()[None]], 0, 1)  # (n, 6, 2)
+        cross = np.moveaxis(p[POSE[:, None, None], self._places()[None]], 0, 1)  # (n, 6, 3)
         own = self.rock_covariance()
         a, b = sight.by_pose, sight.by_rock
         mixed = a @ cross @ np.swapaxes(b, 1, 2)
@@ -255,8 +361,11 @@ class RockFilter:
         radius_variance: Array,
         common: float = 0.0,
         radius_floor: float = 0.0,
-    ) -> float:
-        """Take in what was seen of rocks in one image; return the normalised innovation squared.
+        gate: float = np.inf,
+    ) -> Outcome:
+        """Take in what was seen of rocks in one image.
+
+        What is not finite, or has no positive variance, tells nothing.
 
         Parameters
         ----------
@@ -275,65 +384,127 @@ class RockFilter:
         radius_floor
             Share of one look's variance below which that of a radius does not fall: looks from
             nearly the same place err alike.
+        gate
+            Normalised innovation squared a degree of freedom, beyond which the places of the image
+            are refused as a whole.
 
         Returns
         -------
-        nis
-            Of the 2 m pixel coordinates; chi-squared with 2 m degrees of freedom.
+        outcome
+            Of the pixel coordinates; chi-squared with two degrees of freedom a rock.
         """
         self.update_radii(index, radius, radius_variance, radius_floor)
-        if len(index) == 0:
-            return 0.0
+        good = np.isfinite(pixel).all(1) & _positive(pixel_covariance)
+        if not good.any():
+            return Outcome(0.0, 0, False)
         with BLAS.limit(limits=1, user_api="blas"):
-            return self._update_places(index, sight, pixel, pixel_covariance, common)
+            return self._update_places(
+                index[good], sight, pixel[good], pixel_covariance[good], common, gate
+            )
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
     ) -> None:
         """Take in the radii alone of rocks seen, as `update_rocks` does."""
+        radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
+        good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
+        index, radius, radius_variance = index[good], radius[good], radius_variance[good]
         r = self._r[index]
         gain = r[:, 1] / (r[:, 1] + radius_variance)
         self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
         self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
 
     def _update_places(
-        self, index: Index, sight: Sight, pixel: Array, pixel_covariance: Array, common: float
-    ) -> float:
-        """Correct lander and centres; return the normalised innovation squared."""
+        self,
+        index: Index,
+        sight: Sight,
+        pixel: Array,
+        pixel_covariance: Array,
+        common: float,
+        gate: float,
+    ) -> Outcome:
+        """Correct lander and rocks."""
         m = len(index)
         a, b = sight.by_pose[index], sight.by_rock[index]
         columns = self._places(index)
         with threads_for(1e-2 * m * self.state.size):
             hp = measured_rows(self.state.p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
-        own = hp[:, columns.ravel()].reshape(2 * m, m, 2)
+        own = hp[:, columns.ravel()].reshape(2 * m, m, _AXES)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
         s[::2, ::2] += common**2
         s[1::2, 1::2] += common**2
         innovation = (pixel - sight.pixel[index]).ravel()
-        return self.state.absorb(hp, s, innovation).nis
+        return self.state.absorb(hp, s, innovation, 2 * m * gate)
 
     def _corrected(self, error: Array) -> None:
         """Move the rocks by a correction of the whole error state, and note the height's."""
         self._raised += float(error[2])
-        self.xy[:] += error[self._first :].reshape(-1, 2)
+        self.xyz[:] += error[self._first :].reshape(-1, _AXES)
+
+    def turn(self, sun: Array, wander: float) -> None:
+        """Let what shadows tell of rocks' centres wander as the view turns.
+
+        How a patch lies about its rock depends on where it is seen from. What the model of shadows
+        has wrong of that is a rock's own in part and in part the same for all, in radii; it lies
+        along the Sun.
+
+        Parameters
+        ----------
+        sun
+            Direction towards the Sun (3,), ENU.
+        wander
+            Standard deviation of each of the two after a radian, in radii.
+        """
+        eye = self.inertial.position.copy()
+        if self._eye is None or self.count == 0:
+            self._eye = eye
+            return
+        old, new = self.xyz - self._eye, self.xyz - eye
+        sine = np.linalg.norm(np.cross(old, new), axis=1)
+        angle = np.arctan2(sine, np.einsum("ij,ij->i", old, new))
+        if np.median(angle) < _LEAST_TURN:
+            return
+        self._eye = eye
+        along = np.append(sun[:2] / np.hypot(sun[0], sun[1]), 0.0)
+        move = (wander * np.sqrt(angle) * self.radius)[:, None] * along
+        size = self.state.size
+        self.state.p[self._first : size, self._first : size] += np.outer(move, move)
+        i = self._places()
+        self.state.p[i[:, :, None], i[:, None, :]] += move[:, :, None] * move[:, None, :]
+
+    def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
+        """Watch what came of a picture, see `PictureWatch`; widen the state where it is doubted.
+
+        Rocks that are to be begun anew are left to the caller.
+        """
+        remedy = self.pictures.note(kind, time, outcome)
+        if remedy is not Remedy.NONE and kind != "shadows":
+            excess = self.pictures.watches[kind].excess
+            growth = float(np.clip(excess, _LEAST_GROWTH, _MOST_GROWTH))
+            size = self.state.size
+            most = np.full(size, _MOST_PLACE)
+            most[VELOCITY], most[ATTITUDE] = _MOST_SPEED, _MOST_TURN
+            columns = np.r_[0:6, 9:12, self._first : size]
+            self.state.inflate(columns, growth, most[columns])
+        return remedy
 
     # --- coming and going -----------------------------------------------------------------
 
     def add(
         self,
         camera: CameraModel,
-        xy: Array,
+        points: Array,
         pixel_covariance: Array,
         radius: Array,
         radius_variance: Array,
     ) -> Index:
-        """Begin to track rocks seen at `xy` (b, 2), with their full cross-covariance.
+        """Begin to track rocks seen at points (b, 3), with their full cross-covariance.
 
-        From ``by_pose d(pose) + by_rock d(rock) = d(pixel)`` a new rock's error is
-        ``by_rock^-1 (d(pixel) - by_pose d(pose))``.
+        Their heights follow their neighbours'. From ``by_pose d(pose) + by_rock d(rock) =
+        d(pixel)`` the error of east and north then follows, as pose, height and pixel have it.
 
         Returns
         -------
@@ -341,45 +512,65 @@ class RockFilter:
             Of the new rocks (b,).
         """
         b = len(radius)
-        sight = self.sight(camera, xy)
-        back = inverse(sight.by_rock)
-        by_pose = -(back @ sight.by_pose).reshape(2 * b, 6)
+        sight = self.sight(camera, points)
+        back = inverse(sight.by_rock[:, :, :2])
+        by_pose = -(back @ sight.by_pose)
+        by_height = -(back @ sight.by_rock[:, :, 2:])[:, :, 0]
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
-            raise InputError("rocks", xy.tolist(), "points on the ground in front of the camera")
-        self._reserve(self.count + b)
-        old = self.state.size
-        new = old + 2 * b
-        p = self.state.p
-        p[old:new, :old] = by_pose @ p[POSE, :old]
-        p[:old, old:new] = p[old:new, :old].T
-        block = by_pose @ p[np.ix_(POSE, POSE)] @ by_pose.T
-        at = 2 * np.arange(b)[:, None] + np.arange(2)
+            raise InputError("rocks", points.tolist(), "points on ground in front of the camera")
+        index = self._append(points, radius, radius_variance)
+        for rock in index:
+            self._follow_ground(rock)
+        p, size, i = self.state.p, self.state.size, self._places(index)
+        level = i[:, :2].ravel()
+        rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
+        rows += (by_height[:, :, None] * p[i[:, 2], :size][:, None, :]).reshape(2 * b, size)
+        p[level, :size], p[:size, level] = rows, rows.T
+        block = rows[:, POSE] @ by_pose.reshape(2 * b, 6).T
+        block += rows[:, i[:, 2]].repeat(2, 1) * by_height.ravel()
+        at = np.arange(2 * b).reshape(b, 2)
         block[at[:, :, None], at[:, None, :]] += own
-        p[old:new, old:new] = 0.5 * (block + block.T)
-        index = np.arange(self.count, self.count + b)
-        self._counted(self.count + b)
-        self._xy[index] = xy
+        p[np.ix_(level, level)] = 0.5 * (block + block.T)
+        return index
+
+    def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
+        """Begin to track rocks known beforehand (n,), with errors of their own."""
+        index = self._append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
+        level = self._places(index)[:, :2].ravel()
+        for rock in index:
+            self._follow_ground(rock)
+        self.state.p[level, level] = np.repeat(np.square(sigma), 2)
+
+    def _append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
+        """Make room for rocks (b,) that err by nothing yet; return their numbers."""
+        index = np.arange(self.count, self.count + len(points))
+        self._reserve(self.count + len(points))
+        old = self.state.size
+        self._counted(self.count + len(points))
+        p, size = self.state.p, self.state.size
+        p[old:size, :size] = 0.0
+        p[:size, old:size] = 0.0
+        self._xyz[index] = points
         self._r[index] = np.column_stack((radius, radius_variance))
         self._rests[index] = False
         self._note_rests()
         return index
 
-    def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
-        """Begin to track rocks known beforehand (n,), with errors of their own."""
-        n = len(xy)
-        self._reserve(self.count + n)
-        old = self.state.size
-        new = old + 2 * n
-        p = self.state.p
-        p[old:new, :new] = 0.0
-        p[:new, old:new] = 0.0
-        p[np.arange(old, new), np.arange(old, new)] = np.repeat(np.square(sigma), 2)
-        self._xy[self.count : self.count + n] = xy
-        self._r[self.count : self.count + n] = np.column_stack((radius, radius_variance))
-        self._rests[self.count : self.count + n] = False
-        self._counted(self.count + n)
-        self._note_rests()
+    def _follow_ground(self, rock: int) -> None:
+        """Let a rock's height err as those of its neighbours and the ground under the lander."""
+        if not self.state.has(GROUND):
+            return
+        at = self._xyz[rock, :2]
+        away = np.hypot(*(self._xyz[:rock, :2] - at).T)
+        near = np.argsort(away, kind="stable")[:NEIGHBOURS]
+        places = np.vstack((self.inertial.position[:2], self._xyz[near, :2]))
+        weights, variance = kriging(places[None], at[None], self._aids.ground.growth)
+        below = [self.state.block(GROUND).start]
+        sources = np.concatenate((below, self._places(near)[:, 2]))
+        self.state.follow(
+            int(self._places(np.array([rock]))[0, 2]), sources, weights[0], float(variance[0])
+        )
 
     def remove(self, index: Index) -> Index:
         """Stop tracking rocks; those from the end take their places.
@@ -400,7 +591,7 @@ class RockFilter:
         p, size = self.state.p, self.state.size
         p[to, :size] = p[source, :size]
         p[:size, to] = p[:size, source]
-        self._xy[holes] = self._xy[movers]
+        self._xyz[holes] = self._xyz[movers]
         self._r[holes] = self._r[movers]
         self._rests[holes] = self._rests[movers]
         self._counted(left)
@@ -416,12 +607,20 @@ class RockFilter:
         if count <= capacity:
             return
         capacity = max(count, 2 * capacity)
-        self.state.reserve(2 * capacity)
-        for name in ("_xy", "_r", "_rests"):
+        self.state.reserve(_AXES * capacity)
+        for name in ("_xyz", "_r", "_rests"):
             old = getattr(self, name)
             more = np.zeros((capacity, *old.shape[1:]), old.dtype)
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
 
     def _counted(self, count: int) -> None:
-        self.count, self.state.tail = count, 2 * count
+        self.count, self.state.tail = count, _AXES * count
+
+
+def _positive(covariance: Array) -> NDArray[np.bool_]:
+    """Return which covariances (n, 2, 2) are finite and positive (n,)."""
+    with np.errstate(invalid="ignore"):
+        determinant = np.linalg.det(covariance)
+        positive = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
+    return np.asarray(np.isfinite(covariance).all((1, 2)) & positive)

@@ -7,18 +7,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
 from lunarsim.onboard.perception.segmentation import lit_ground
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 # A lit face is brighter than the ground by this factor, and within so many pixels of the shadow or
 # 0.7 q, whichever is more.
 _BRIGHT = 1.15
 _RING = 3
+# Rocks that tell enough of the direction of all shadows.
+_MOST = 24
 
 
-def shadow_directions(image: ArrayLike, seen: Detections) -> Array:
+def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
     """Return the direction from each rock's lit face to its shadow (n, 2), image axes.
 
     The middle of the pixels round a patch that are brighter than the ground is the lit face. NaN
@@ -30,15 +34,19 @@ def shadow_directions(image: ArrayLike, seen: Detections) -> Array:
         That in which the rocks were found (height, width).
     seen
         The rocks.
+    rocks
+        Those of them to look at (n,); left out: all.
     """
     grey = np.asarray(image, dtype=np.float64)
     if grey.shape != seen.labels.shape:
         raise InputError("image", grey.shape, f"the shape of the detections, {seen.labels.shape}")
     relative = grey / lit_ground(grey.astype(np.float32), DetectorSettings().window)
-    out = np.full((len(seen), 2), np.nan)
-    for n, label in enumerate(seen.label):
+    index = np.arange(len(seen)) if rocks is None else rocks
+    out = np.full((len(index), 2), np.nan)
+    for n, rock in enumerate(index):
+        label = seen.label[rock]
         rows, cols = np.nonzero(seen.labels == label)
-        reach = max(_RING, round(0.7 * float(seen.q[n])))
+        reach = max(_RING, round(0.7 * float(seen.q[rock])))
         i0, j0 = max(rows.min() - reach, 0), max(cols.min() - reach, 0)
         box = np.s_[i0 : rows.max() + reach + 1, j0 : cols.max() + reach + 1]
         here = (seen.labels[box] == label).astype(np.uint8)
@@ -54,6 +62,42 @@ def shadow_directions(image: ArrayLike, seen: Detections) -> Array:
         if length > 0.5:
             out[n] = gap / length
     return out
+
+
+def turn_from_sun(
+    image: ArrayLike, seen: Detections, view: View, points: Array, sun: Array
+) -> tuple[float, float, int]:
+    """Return by what angle shadows fall beside where the assumed Sun would throw them.
+
+    Parameters
+    ----------
+    image, seen
+        As for `shadow_directions`; only the largest rocks are looked at.
+    view
+        From where they are seen.
+    points
+        Rocks' places on the ground (n, 3), ENU, m.
+    sun
+        Direction towards the Sun as it is assumed (3,), ENU.
+
+    Returns
+    -------
+    angle, sigma, number
+        In the image, rad, the standard deviation of what chance makes of it, and of how many
+        rocks. NaN if there are fewer than three.
+    """
+    rocks = np.argsort(-seen.q, kind="stable")[:_MOST]
+    found = shadow_directions(image, seen, rocks)
+    seen_from = (points[rocks] - view.position) @ view.axes
+    moves = view.pinhole.jacobian(seen_from, view.axes[:2].T)
+    away = -(moves @ (np.asarray(sun)[:2] / np.hypot(sun[0], sun[1])))
+    # Angles from where each shadow should point; the same turn for all of them.
+    across = away[:, 0] * found[:, 1] - away[:, 1] * found[:, 0]
+    turned = np.column_stack((np.einsum("ij,ij->i", away, found), across))
+    with np.errstate(invalid="ignore"):
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    angle, half, number = mean_direction(turned)
+    return float(np.angle(np.exp(1j * angle))), half / 1.96, number
 
 
 def mean_direction(directions: Array) -> tuple[float, float, int]:

@@ -80,6 +80,20 @@ def test_a_clone_errs_as_what_it_was_made_of(seed):
     assert state.covariance == pytest.approx(copy @ p @ copy.T)
 
 
+def test_an_error_that_follows_others_errs_as_their_sum():
+    state = made(np.random.default_rng(3), tail=4)
+    before = state.covariance.copy()
+    at = state.size - 1
+    sources, weights = np.array([1, at - 2, at]), np.array([0.2, 0.5, 0.3])
+    h = np.eye(state.size)
+    h[at] = 0.0
+    h[at, sources] = weights
+    expected = h @ before @ h.T
+    expected[at, at] += 0.25
+    state.follow(at, sources, weights, 0.25)
+    assert state.covariance == pytest.approx(expected)
+
+
 def test_time_carries_what_stands_behind_the_lander():
     rng = np.random.default_rng(1)
     state = made(rng, 4)

@@ -7,25 +7,29 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
+from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.onboard.navigation import planar
+from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.reference.shadows import consider_update
 from tests.rock_scene import GRAVITY, Flight
 
 
-def fly(flight, seconds, images=True):
+def fly(flight, seconds, images=True, ranges=True):
     """Return NIS of images and ranges over a flight."""
     nis = []
     for k in range(int(10 * seconds)):
         flight.advance()
         if images:
             nis.append((flight.image(), 2 * flight.seen))
-        if k % 2 == 0:
+        if ranges and k % 2 == 0:
             nis.append((flight.range(), 1))
     return [(value, size) for value, size in nis if value is not None]
 
@@ -37,7 +41,7 @@ def shifted(rocks, error):
         s.position + error[:3], s.velocity + error[3:6],
         quat_multiply(s.attitude, quat_from_rotation_vector(error[9:12])), GRAVITY,
     )  # fmt: skip
-    return RockFilter(inertial)
+    return RockFilter.of(inertial)
 
 
 def test_jacobians_equal_finite_differences():
@@ -50,46 +54,46 @@ def test_jacobians_equal_finite_differences():
     for column, k in enumerate([0, 1, 2, 9, 10, 11]):
         error = np.zeros(15)
         error[k] = step
-        ahead, behind = (shifted(f, e).sight(camera, f.xy).pixel for e in (error, -error))
+        ahead, behind = (shifted(f, e).sight(camera, f.xyz).pixel for e in (error, -error))
         slope = (ahead - behind) / (2 * step)
         assert sight.by_pose[:, :, column] == pytest.approx(slope, rel=1e-5, abs=1e-4)
-    for axis in range(2):
-        move = np.zeros(2)
+    for axis in range(3):
+        move = np.zeros(3)
         move[axis] = 1e-4
-        slope = (f.sight(camera, f.xy + move).pixel - f.sight(camera, f.xy - move).pixel) / 2e-4
+        slope = (f.sight(camera, f.xyz + move).pixel - f.sight(camera, f.xyz - move).pixel) / 2e-4
         assert sight.by_rock[:, :, axis] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
 
 def test_updates_equal_a_dense_filter():
-    """filterpy's EKF with 15 + 3 n states and one update a scalar gives the same."""
-    flight = Flight(np.random.default_rng(2), rocks=4)
+    """filterpy's EKF with 16 + 4 n states and one update a scalar gives the same."""
+    flight = Flight(np.random.default_rng(2), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
     flight.advance()
     flight.image()
     flight.advance()
     f, camera = flight.filter, flight.camera()
     n = f.count
-    size = 15 + 3 * n
-    # Order of the dense state, Eq. 1: lander, then x, y, r of each rock.
-    place = np.concatenate((np.arange(15), (15 + 3 * np.arange(n)[:, None] + [0, 1]).ravel()))
+    size = 16 + 4 * n
+    # Order of the dense state, Eq. 1: lander, ground, then x, y, z, r of each rock.
+    place = np.concatenate((np.arange(16), (16 + 4 * np.arange(n)[:, None] + [0, 1, 2]).ravel()))
     dense = ExtendedKalmanFilter(size, 1)
     dense.x = np.zeros(size)
     dense.P = np.zeros((size, size))
     dense.P[np.ix_(place, place)] = f.covariance
-    dense.P[17::3, 17::3] = np.diag(f.radius_variance)
+    dense.P[19::4, 19::4] = np.diag(f.radius_variance)
     sight = f.sight(camera)
     pixel, covariance, radius, variance = flight.look(camera)
-    before = (f.inertial.position.copy(), f.xy.copy(), f.radius.copy())
+    before = (f.inertial.position.copy(), f.xyz.copy(), f.radius.copy())
     rows, values, noises = [], [], []
     for j in range(n):
         for axis in range(2):
             h = np.zeros(size)
             h[[0, 1, 2, 9, 10, 11]] = sight.by_pose[j, axis]
-            h[15 + 3 * j : 17 + 3 * j] = sight.by_rock[j, axis]
+            h[16 + 4 * j : 19 + 4 * j] = sight.by_rock[j, axis]
             rows.append(h)
             values.append(pixel[j, axis] - sight.pixel[j, axis])
             noises.append(covariance[j, axis, axis])
         h = np.zeros(size)
-        h[17 + 3 * j] = 1.0
+        h[19 + 4 * j] = 1.0
         rows.append(h)
         values.append(radius[j] - f.radius[j])
         noises.append(variance[j])
@@ -102,10 +106,10 @@ def test_updates_equal_a_dense_filter():
         )
     f.update_rocks(np.arange(n), sight, pixel, covariance, radius, variance)
     assert f.covariance == pytest.approx(dense.P[np.ix_(place, place)], rel=1e-7, abs=1e-10)
-    assert f.radius_variance == pytest.approx(np.diag(dense.P)[17::3])
+    assert f.radius_variance == pytest.approx(np.diag(dense.P)[19::4])
     assert f.inertial.position - before[0] == pytest.approx(dense.x[:3], abs=1e-9)
-    assert (f.xy - before[1]).ravel() == pytest.approx(dense.x[place[15:]], abs=1e-9)
-    assert f.radius - before[2] == pytest.approx(dense.x[17::3], abs=1e-12)
+    assert (f.xyz - before[1]).ravel() == pytest.approx(dense.x[place[16:]], abs=1e-9)
+    assert f.radius - before[2] == pytest.approx(dense.x[19::4], abs=1e-12)
 
 
 def test_births_carry_the_full_cross_covariance():
@@ -118,7 +122,7 @@ def test_births_carry_the_full_cross_covariance():
     f.add(camera, centre, covariance, radius, variance)
     draws = np.linalg.cholesky(f.covariance[:15, :15]) @ rng.standard_normal((15, 4000))
     base = f.inertial
-    found = np.empty((4000, 4))
+    found = np.empty((4000, 6))
     for k in range(4000):
         flight.filter = shifted(f, draws[:, k])
         noisy = pixel + flight.pixel_sigma * rng.standard_normal(pixel.shape)
@@ -126,8 +130,11 @@ def test_births_carry_the_full_cross_covariance():
     flight.filter = f
     assert f.inertial is base
     sample = np.cov(np.vstack((draws, found.T)))
-    scale = np.sqrt(np.diag(f.covariance))
-    correlation = f.covariance / np.outer(scale, scale)
+    # Heights of rocks on ground that is known do not err.
+    level = np.r_[0:17, 18:20]
+    sample, p = sample[np.ix_(level, level)], f.covariance[np.ix_(level, level)]
+    scale = np.sqrt(np.diag(p))
+    correlation = p / np.outer(scale, scale)
     assert sample / np.outer(scale, scale) == pytest.approx(correlation, abs=0.12)
 
 
@@ -147,26 +154,26 @@ def test_rocks_that_rest_are_considered(seed):
         sight = f.sight(camera)
         pixel, covariance, radius, variance = flight.look(camera)
         index = np.flatnonzero(~rests)
-        h = np.zeros((2 * len(index), 33))
+        h = np.zeros((2 * len(index), 42))
         for k, j in enumerate(index):
             h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
-            h[2 * k : 2 * k + 2, 15 + 2 * j : 17 + 2 * j] = sight.by_rock[j]
+            h[2 * k : 2 * k + 2, 15 + 3 * j : 18 + 3 * j] = sight.by_rock[j]
         r = flight.pixel_sigma**2 * np.eye(len(h))
-        states = np.concatenate((np.arange(15), (15 + 2 * index[:, None] + [0, 1]).ravel()))
+        states = np.concatenate((np.arange(15), (15 + 3 * index[:, None] + [0, 1, 2]).ravel()))
         gain, expected = consider_update(f.covariance, h, r, states)
         moved = gain @ (pixel[index] - sight.pixel[index]).ravel()
-        before = f.xy.copy()
+        before = f.xyz.copy()
         f.update_rocks(
             index, sight, pixel[index], covariance[index], radius[index], variance[index]
         )
         assert f.covariance == pytest.approx(expected, rel=1e-7, abs=1e-11)
-        assert (f.xy - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
-        assert np.array_equal(f.xy[rests], before[rests])
-        before, p = f.xy.copy(), f.covariance.copy()
+        assert (f.xyz - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
+        assert np.array_equal(f.xyz[rests], before[rests])
+        before, p = f.xyz.copy(), f.covariance.copy()
         flight.range()
-        assert np.array_equal(f.xy[rests], before[rests])
+        assert np.array_equal(f.xyz[rests], before[rests])
         assert np.array_equal(f.covariance, f.covariance.T)
-        resting = 15 + 2 * np.flatnonzero(rests)[:, None] + np.arange(2)
+        resting = 15 + 3 * np.flatnonzero(rests)[:, None] + np.arange(3)
         own = np.ix_(resting.ravel(), resting.ravel())
         assert np.array_equal(f.covariance[own], p[own])
 
@@ -182,7 +189,9 @@ def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
         for value, degrees in fly(flight, seconds):
             nis = nis.plus(value, degrees)
         error, p = flight.error(), flight.filter.covariance
-        nees = nees.plus(normalised_square(error, p), 31)
+        # Heights of rocks on ground that is known do not err.
+        level = np.concatenate((np.arange(15), (15 + 3 * np.arange(8)[:, None] + [0, 1]).ravel()))
+        nees = nees.plus(normalised_square(error[level], p[np.ix_(level, level)]), 31)
         lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
     for found in (nees, lander, nis):
         assert found.holds(0.95), (found.ratio, found.bounds(0.95))
@@ -203,7 +212,9 @@ def test_covariance_stays_sound_over_ten_thousand_updates(resting):
         flight.range()
     p = f.covariance
     assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
-    assert np.linalg.eigvalsh(p).min() > 0.0
+    level = np.flatnonzero(np.arange(len(p)) % 3 != 2 - 15 % 3)
+    level = np.union1d(level, np.arange(15))
+    assert np.linalg.eigvalsh(p[np.ix_(level, level)]).min() > 0.0
     assert np.linalg.norm(f.inertial.attitude) == pytest.approx(1.0, abs=1e-12)
     assert (f.radius_variance > 0.0).all()
 
@@ -213,12 +224,12 @@ def test_removing_a_rock_leaves_the_others_as_they_were():
     flight.advance()
     flight.image()
     f = flight.filter
-    p, xy = f.covariance.copy(), f.xy.copy()
+    p, xyz = f.covariance.copy(), f.xyz.copy()
     keep = f.remove(np.array([1, 3]))  # the last takes the first hole
-    rows = np.concatenate((np.arange(15), (15 + 2 * keep[:, None] + [0, 1]).ravel()))
+    rows = np.concatenate((np.arange(15), (15 + 3 * keep[:, None] + [0, 1, 2]).ravel()))
     assert keep.tolist() == [0, 4, 2]
     assert np.array_equal(f.covariance, p[np.ix_(rows, rows)])
-    assert np.array_equal(f.xy, xy[keep])
+    assert np.array_equal(f.xyz, xyz[keep])
 
 
 def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
@@ -231,7 +242,7 @@ def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
     f.propagate(np.full((200, 3), np.nan), np.full((200, 3), np.nan))
     assert np.trace(f.covariance[3:6, 3:6]) > 10.0 * before
     assert f.inertial.position == pytest.approx(start[0] + 2.0 * start[1], abs=1.5)
-    real, flight.filter = f, RockFilter(StrapdownState(*start, flight.attitude, GRAVITY))
+    real, flight.filter = f, RockFilter.of(StrapdownState(*start, flight.attitude, GRAVITY))
     flight.advance(200)
     flight.filter = real
     fly(flight, 2.0)
@@ -286,3 +297,181 @@ def test_closed_forms_of_two_rows():
     assert planar.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
     distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
     assert planar.squared_distance(offset, square) == pytest.approx(distance)
+
+
+@pytest.fixture
+def sloped():
+    """A filter over ground that rises and falls, with four rocks seen once."""
+    flight = Flight(np.random.default_rng(11), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
+    flight.advance()
+    flight.image()
+    return flight
+
+
+def test_heights_of_new_rocks_differ_as_the_ground_does(sloped):
+    """Variances of height differences: 0.1^2 x 10 m a metre between them, and 5 cm each."""
+    f = sloped.filter
+    z = np.append(15, f.state.head + 3 * np.arange(4) + 2)  # the ground under the lander first
+    places = np.vstack((f.inertial.position[:2], f.xy))
+    away = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    p = f.covariance[np.ix_(z, z)]
+    found = np.diag(p)[:, None] + np.diag(p)[None] - 2.0 * p
+    expected = 0.1 * away + 2.0 * 0.05**2 * (away > 0.0)
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert p[0, 0] == pytest.approx(9.0 + 0.1 * np.hypot(0.9, 0.2), rel=0.01)
+
+
+def test_a_new_rock_errs_along_the_line_of_sight_as_its_height_does(sloped):
+    f = sloped.filter
+    i = f.state.head + 3 * np.arange(4)
+    eye = f.inertial.position
+    for k in range(4):
+        lean = (f.xyz[k, :2] - eye[:2]) / (f.xyz[k, 2] - eye[2])
+        x, y, z = i[k], i[k] + 1, i[k] + 2
+        per_metre = f.covariance[[x, y], z] / f.covariance[z, z]
+        assert per_metre == pytest.approx(lean, abs=1e-6)
+
+
+def test_flights_over_ground_that_rises_and_falls_are_consistent():
+    nees, lander = Consistency(), Consistency()
+    for k in range(30):
+        flight = Flight(np.random.default_rng(300 + k), rocks=8, ground=LevelGround(0.0, 3.0, 0.1))
+        flight.draw_heights(3.0, 0.1)
+        fly(flight, 8.0, ranges=False)
+        error, p = flight.error(), flight.filter.covariance
+        rocks = 16 + np.arange(24)
+        columns = np.concatenate((np.arange(15), rocks))
+        nees = nees.plus(normalised_square(error, p[np.ix_(columns, columns)]), 39)
+        lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
+    for found in (nees, lander):
+        assert found.holds(0.99), (found.ratio, found.bounds(0.99))
+
+
+@pytest.mark.parametrize("bad", ["pixel", "covariance", "singular"])
+def test_a_rock_whose_place_is_no_number_tells_nothing(bad):
+    one, other = (Flight(np.random.default_rng(12), rocks=5) for _ in range(2))
+    for flight in (one, other):
+        flight.advance()
+        flight.image()
+        flight.advance()
+    camera = one.camera()
+    pixel, covariance, radius, variance = one.look(camera)
+    left = np.array([0, 1, 3, 4])
+    other.filter.update_rocks(
+        left, other.filter.sight(camera), pixel[left], covariance[left], radius[left],
+        variance[left],
+    )  # fmt: skip
+    if bad == "pixel":
+        pixel[2, 1] = np.nan
+    elif bad == "covariance":
+        covariance[2, 0, 0] = np.inf
+    else:
+        covariance[2] = 0.0
+    found = one.filter.update_rocks(
+        np.arange(5), one.filter.sight(camera), pixel, covariance, radius, variance
+    )
+    assert found.degrees == 8
+    assert np.array_equal(one.filter.covariance, other.filter.covariance)
+    assert np.array_equal(one.filter.xyz, other.filter.xyz)
+
+
+@pytest.mark.parametrize(("radius", "variance"), [(np.nan, 0.04), (0.5, np.nan), (0.5, 0.0)])
+def test_a_radius_that_is_no_number_tells_nothing(radius, variance):
+    flight = Flight(np.random.default_rng(13), rocks=3)
+    flight.image()
+    f = flight.filter
+    before = f.radius.copy(), f.radius_variance.copy()
+    f.update_radii(np.array([1]), np.array([radius]), np.array([variance]))
+    assert np.array_equal(f.radius, before[0]) and np.array_equal(f.radius_variance, before[1])
+    f.update_radii(np.array([1]), np.array([0.5]), np.array([0.04]))
+    assert f.radius_variance[1] < before[1][1]
+
+
+def test_an_image_of_nothing_changes_nothing():
+    flight = Flight(np.random.default_rng(14), rocks=3)
+    flight.image()
+    f, p = flight.filter, flight.filter.covariance.copy()
+    none = np.empty(0)
+    found = f.update_rocks(
+        np.empty(0, int), f.sight(flight.camera()), np.empty((0, 2)), np.empty((0, 2, 2)), none,
+        none,
+    )  # fmt: skip
+    assert (found.nis, found.degrees, found.taken) == (0.0, 0, False)
+    assert np.array_equal(f.covariance, p)
+
+
+def test_an_image_that_is_off_as_a_whole_is_refused():
+    flight = Flight(np.random.default_rng(15), rocks=9)
+    flight.advance()
+    flight.image()
+    camera, f = flight.camera(), flight.filter
+    for _ in range(5):
+        flight.image()
+    p, xyz = f.covariance.copy(), f.xyz.copy()
+    pixel, covariance, radius, variance = flight.look(camera)
+    rng = np.random.default_rng(0)
+    wrong = pixel + 40.0 * rng.standard_normal(pixel.shape)
+    found = f.update_rocks(
+        np.arange(9), f.sight(camera), wrong, covariance, radius, variance, gate=3.0
+    )
+    assert not found.taken and found.nis > 54.0
+    assert np.array_equal(f.covariance, p) and np.array_equal(f.xyz, xyz)
+
+
+def test_centres_wander_along_the_sun_as_the_view_turns():
+    flight = Flight(np.random.default_rng(16), rocks=2)
+    flight.image()
+    f = flight.filter
+    sun = np.array([0.6, 0.0, 0.8])
+    f.turn(sun, 0.2)
+    p = f.covariance.copy()
+    before = f.inertial.position.copy()
+    # A small turn is kept until it has grown.
+    for move in ([0.5, 0.0, -1.0], [39.5, -25.0, -39.0]):
+        assert np.array_equal(p, f.covariance)
+        f.inertial.correct(np.concatenate((move, np.zeros(12))))
+        f.turn(sun, 0.2)
+    grown = f.covariance - p
+    angles = []
+    for rock in f.xyz:
+        a, b = rock - before, rock - f.inertial.position
+        angles.append(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+    step = 0.2 * np.sqrt(angles) * f.radius
+    assert grown[15, 15] == pytest.approx(2.0 * step[0] ** 2)
+    assert grown[18, 18] == pytest.approx(2.0 * step[1] ** 2)
+    assert grown[15, 18] == pytest.approx(step[0] * step[1])
+    grown[np.ix_([15, 18], [15, 18])] = 0.0
+    assert np.array_equal(grown, np.zeros_like(grown))
+
+
+def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
+    start = Flight(np.random.default_rng(17)).filter.inertial
+    level, events = LevelGround(0.0, 3.0, 0.1), []
+    state = ErrorState(start, blocks={**blocks_of({}, level), "scan": np.eye(6)})
+    f = RockFilter(state, Aids(state, {}, level, events))
+    shared = state.covariance.copy()
+    f.add_known(np.array([[1.0, 2.0], [5.0, -3.0]]), np.array([0.5, 0.4]), np.ones(2), np.ones(2))
+    assert np.array_equal(state.covariance[:22, :22], shared)
+    assert np.diag(state.covariance)[22:25] == pytest.approx([0.25, 0.25, 9.0], rel=2.0)
+    assert state.covariance[15, 24] == pytest.approx(9.0)  # the rock's height follows the ground
+    state.measure([[1.0]], [15], [2.0], [1.0])
+    assert f.ground == pytest.approx(1.8)
+    assert f.xyz[0, 2] == pytest.approx(1.8)
+    with pytest.raises(InputError, match=r"navigation\.rocks"):
+        RockFilter(state, Aids(state, {}, level, events))
+
+
+def test_a_doubt_widens_lander_and_rocks_alike():
+    flight = Flight(np.random.default_rng(18), rocks=3)
+    flight.advance()
+    flight.image()
+    f = flight.filter
+    before = np.diag(f.covariance).copy()
+    wrong = Outcome(900.0, 200, False)
+    remedies = [f.judge("places", 0.2 * k, wrong) for k in range(6)]
+    assert remedies[-1] is Remedy.DOUBT and [e.name for e in f.events] == ["doubted"]
+    after = np.diag(f.covariance)
+    assert after[3:6] == pytest.approx(4.5 * before[3:6])
+    assert after[15:17] == pytest.approx(4.5 * before[15:17])
+    assert np.array_equal(after[6:9], before[6:9])  # biases of the inertial unit stay
+    assert not f.lost

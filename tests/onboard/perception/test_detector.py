@@ -15,7 +15,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.detector import DetectorSettings, detect_rocks
-from lunarsim.onboard.perception.direction import mean_direction, shadow_directions
+from lunarsim.onboard.perception.direction import mean_direction, shadow_directions, turn_from_sun
 from lunarsim.onboard.perception.segmentation import segment
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockField, RockModel
@@ -293,6 +293,27 @@ def test_direction_of_shadows_is_read_from_the_image():
     shadow = np.arctan2(sun[1], -sun[0])
     assert number > 10
     assert abs(np.angle(np.exp(1j * (angle - shadow)))) < max(half, np.radians(8.0))
+
+
+@pytest.mark.parametrize("off", [0.0, 20.0, -45.0, 180.0])
+@pytest.mark.parametrize("place", [(0.0, 0.0, 50.0), (-40.0, 25.0, 40.0)])
+def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
+    """Seen from above an angle on the ground is one in the image; aslant nearly."""
+    terrain = rocks_on_a_plane("hemisphere", seed=8)
+    state, camera, counts = picture(terrain, place)
+    sun = direction_from_angles(1.2 + np.radians(off), np.radians(20.0))
+    seen = detect_rocks(counts, camera, state, sun)
+    points = np.column_stack((seen.ground, np.zeros(len(seen))))
+    angle, sigma, number = turn_from_sun(counts, seen, camera.view(state), points, sun)
+    assert number > 10
+    assert sigma < np.radians(5.0)
+    far = abs(np.degrees(angle))
+    if off == 0.0:
+        assert far < 5.0
+    elif off == 180.0:
+        assert far > 150.0
+    else:
+        assert far == pytest.approx(abs(off), rel=0.35)
 
 
 def test_real_image_gives_boulders():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import Picture
+from lunarsim.models.camera import CameraModel
+from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
 from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
+from lunarsim.onboard.navigation.aids import gate_of
+from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.navigation.rock_filter import RockFilter, RockNavigation
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
+from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.parts.quantity import quantity
 
@@ -25,6 +30,11 @@ Array = NDArray[np.float64]
 
 # Rocks are tracked so far beyond the map, m.
 _MARGIN = 3.0
+# Shadows are compared with the Sun so often, s, by so many rocks at least; they point elsewhere by
+# so much even where it is right, rad.
+_CHECKS = 0.5
+_LEAST_SHADOWS = 5
+_SHADOWS_OFF = float(np.deg2rad(2.5))
 
 
 @dataclass(frozen=True)
@@ -119,36 +129,87 @@ class ShadowMapper(HazardMapper):
         self._shown: tuple[HazardMap, np.float32, HazardMap] | None = None
         self._mapped = -np.inf
         self._time = -np.inf
+        self._checked = -np.inf
+        self._renewals = 0
 
     def update(self, measurement: Picture, estimate: Estimate) -> None:
-        """Take in one picture, seen from the estimated pose."""
+        """Take in one picture, seen from the estimated pose.
+
+        One that shows nothing, all black or white, tells nothing.
+
+        Raises
+        ------
+        InputError
+            If time runs backwards.
+        """
         picture, rocks = measurement, self.tracker.filter
+        if not picture.time >= self._time:
+            raise InputError(
+                "picture.time", picture.time,
+                f"at least {self._time} s: time does not run backwards",
+            )  # fmt: skip
+        self._time = picture.time
+        if _is_dead(picture.counts):
+            return
         # Rocks and their plane are the filter's: so is the pose that they are seen from.
         pose = replace(estimate, position=rocks.site_to_local.to_site(estimate.position))
         self.seen = detect_rocks(
             picture.counts, picture.camera, pose, self.sun,
-            ground=rocks.ground, model=self.tracker.model, settings=self.detector,
+            ground=self._plane(picture.camera), model=self.tracker.model, settings=self.detector,
         )  # fmt: skip
         view = picture.camera.view(pose)
+        self._check_sun(picture, view)
         self.tracker.update(self.seen, picture.camera, self.sun, picture.time)
+        if self.tracker.renewals > self._renewals:
+            # Rocks that were mapped are no longer tracked: their ground is not clear.
+            self._renewals = self.tracker.renewals
+            self.probability.forget()
+        self.probability.ground = self._plane(picture.camera)
         self.probability.see(picture.camera, view, self.sun, self.seen)
-        self._time = picture.time
+
+    def _plane(self, camera: CameraModel) -> float:
+        """Return the height of the ground in the middle of the image, as the rocks tell it, m."""
+        rocks = self.tracker.filter
+        middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
+        height = float(rocks.ground_points(camera, middle)[0, 2])
+        return height if np.isfinite(height) else rocks.ground
+
+    def _check_sun(self, picture: Picture, view: View) -> None:
+        """Compare where shadows fall with where the Sun is taken to be."""
+        rocks, seen = self.tracker.filter, self.seen
+        if seen is None or len(seen) < _LEAST_SHADOWS or picture.time < self._checked + _CHECKS:
+            return
+        self._checked = picture.time
+        points = rocks.ground_points(picture.camera, seen.pixel)
+        if not np.isfinite(points).all():
+            return
+        angle, sigma, number = turn_from_sun(picture.counts, seen, view, points, self.sun)
+        if number < _LEAST_SHADOWS:
+            return
+        nis = float(angle**2 / (sigma**2 + _SHADOWS_OFF**2))
+        rocks.judge("shadows", picture.time, Outcome(nis, 1, nis < gate_of(1)))
 
     def hazard_map(self) -> HazardMap:
-        """Return the map, at most `interval` seconds old."""
+        """Return the map, at most `interval` seconds old.
+
+        Where shadows do not fall away from the Sun nothing is known of any rock.
+        """
+        if self.tracker.filter.pictures.watches["shadows"].lost:
+            return self._level(HazardMap.unobserved(self.grid))
         if not self.blank and self._time >= self._mapped + self.interval - 1e-9:
             self._map = self.probability.hazard_map(self.tracker, self.footprint)
             self._mapped = self._time
         return self._level(self._map)
 
     def ground_height(self, xy: Array) -> float:
-        """Return the local height of the plane that rocks stand on, m."""
+        """Return the local height of the ground at a point (2,), as the rocks tell it, m."""
         rocks = self.tracker.filter
-        return float(rocks.ground + rocks.site_to_local.offset[2])
+        return float(rocks.ground_at(xy)[0] + rocks.site_to_local.offset[2])
 
     def _level(self, drawn: HazardMap) -> HazardMap:
-        """Return a map with the plane where it now lies in the local frame."""
-        height = np.float32(self.ground_height(np.zeros(2)))
+        """Return a map with level ground where its middle now lies in the local frame."""
+        middle = np.array([np.mean(self.grid.x), np.mean(self.grid.y)])
+        height = np.float32(self.ground_height(middle))
         if self._shown is None or self._shown[0] is not drawn or self._shown[1] != height:
             level = np.full(self.grid.shape, height, np.float32)
             self._shown = drawn, height, replace(drawn, elevation=level)
@@ -168,3 +229,9 @@ class ShadowMapper(HazardMapper):
                 "existence": self.tracker.existence.copy(),
             }
         }  # fmt: skip
+
+
+def _is_dead(counts: NDArray[np.unsignedinteger[Any]]) -> bool:
+    """Tell whether an image is all black or all white: read noise alone moves it by a count."""
+    low, high = np.nanpercentile(counts, [1.0, 99.0])
+    return bool(high - low <= 1.0)

@@ -76,7 +76,7 @@ class ProbabilityMap:
     model, rates
         What rocks look like, and how often they are missed.
     ground
-        Elevation of the plane, m.
+        Elevation of the plane that the next look is taken to show, m.
     form
         Of `cover_probability`.
     """
@@ -114,6 +114,10 @@ class ProbabilityMap:
         self._number = number[:-1] - number[1:]
 
     # --- what has been seen ---------------------------------------------------------------
+
+    def forget(self) -> None:
+        """Take back all that was seen: rocks that were mapped there are no longer tracked."""
+        self._sharpness[:] = 0.0
 
     def see(self, camera: CameraModel, view: View, sun: Array, seen: Detections) -> None:
         """Note with what sharpness each place is in view.
@@ -180,7 +184,7 @@ class ProbabilityMap:
         """
         clear = 1.0 - self._residual(footprint)
         f, vague = tracker.filter, tracker.tentative
-        own = np.sqrt(0.5 * np.trace(f.relative_covariance(), axis1=1, axis2=2))
+        own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
         self._paint(clear, footprint, f.xy, own, f.radius, f.radius_variance, tracker.existence)
         self._paint(
             clear, footprint, vague.xy, vague.sigma, vague.radius, vague.radius_variance,

@@ -11,6 +11,8 @@ from scipy.spatial import cKDTree
 from lunarsim.errors import InputError
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
+from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.planar import inverse, largest_eigenvalue, squared_distance
 from lunarsim.onboard.navigation.rock_filter import RockFilter, Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
@@ -24,6 +26,8 @@ Index = NDArray[np.int64]
 _MOST_EVIDENCE = 3.0
 _MISS = 0.6
 _GONE = 0.05
+# From this probability and number of images on a rock should be seen again.
+_SURE, _SURE_HITS = 0.9, 5
 # A rock that turns out smaller than this share of the least radius is let go.
 _SHRUNK = 0.85
 # Chi-squared with 2 degrees of freedom at 99.7 %.
@@ -53,6 +57,14 @@ class TrackerSettings:
         See `RockFilter.update_rocks`.
     common_pixels
         Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
+    view_wander
+        Of rocks' centres as the view turns, see `RockFilter.turn`.
+    most_off
+        Normalised innovation squared a degree of freedom, beyond which an image is refused.
+    least_expected
+        Rocks that should show in an image to tell whether they do.
+    least_found
+        Share of them that should be found.
     large
         With more rocks than that, time is saved: those out of view are left as they are, see
         `RockFilter.rest`, and one image corrects half of `most_updates`.
@@ -72,9 +84,13 @@ class TrackerSettings:
     radius_doubt: float = 0.15
     radius_floor: float = 0.25
     common_pixels: float = 0.2
+    view_wander: float = 0.22
+    most_off: float = 3.0
+    least_expected: float = 8.0
+    least_found: float = 0.55
     large: int = 1200
     most_rocks: int = 2000
-    most_updates: int = 120
+    most_updates: int = 60
 
     def __post_init__(self) -> None:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
@@ -122,6 +138,17 @@ class RockTracker:
         What rocks look like, and how often they are missed or made up.
     settings
         See `TrackerSettings`.
+
+    Attributes
+    ----------
+    existence
+        Probability that each rock is one (n,).
+    hits
+        Images in which each was found (n,).
+    tentative
+        What was seen in the last image and is not tracked.
+    renewals
+        How often all rocks were let go, since they could not be explained.
     """
 
     def __init__(
@@ -138,7 +165,9 @@ class RockTracker:
         self.existence = np.empty(0)
         self.hits = np.empty(0, np.int64)
         self.tentative = Tentative.none()
+        self.renewals = 0
         self._updated = np.empty(0)
+        self._established = np.empty(0, bool)
         self._time: float | None = None
 
     def add_known(
@@ -162,15 +191,28 @@ class RockTracker:
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
         self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
+        self._established = np.concatenate((self._established, np.zeros(n, bool)))
 
-    def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> float:
-        """Take in the detections of one image; return the filter's squared innovation."""
+    def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> Outcome:
+        """Take in the detections of one image; return what came of the rocks' places.
+
+        Raises
+        ------
+        InputError
+            If time runs backwards.
+        """
         s = self.settings
+        if not time >= (-np.inf if self._time is None else self._time):
+            raise InputError(
+                "picture.time", time, f"at least {self._time} s: time does not run backwards"
+            )
         if self._time is not None:
-            self.filter.widen(s.radius_wander, max(time - self._time, 0.0))
+            self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
+        self.filter.turn(sun, s.view_wander)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
-        self._split(seen, camera, radius_variance)
+        points = self.filter.ground_points(camera, seen.pixel)
+        self._split(seen, points, camera, radius_variance)
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
@@ -193,18 +235,35 @@ class RockTracker:
         )
         a, b = d[turn], rock[turn]
         self._updated[b] = time
-        nis = self.filter.update_rocks(
+        found = self.filter.update_rocks(
             b, sight, seen.pixel[a], seen.pixel_covariance[a], seen.radius[a], radius_variance[a],
-            s.common_pixels, s.radius_floor,
+            s.common_pixels, s.radius_floor, s.most_off,
         )  # fmt: skip
-        self._judge(rock, at, seen, d, camera, sun)
-        on_ground = _ground_covariance(seen, self.filter, camera)
-        born = self._birth(~close, seen, on_ground, camera, radius_variance)
-        self._keep_tentative(~close & ~born, seen, on_ground, radius_variance)
+        expected = self._judge(rock, at, seen, d, camera, sun)
+        if not self._explained(found, expected, time):
+            self.renew()
+        points = self.filter.ground_points(camera, seen.pixel)
+        on_ground = _ground_covariance(points, seen, self.filter, camera)
+        born = self._birth(~close, seen, points, on_ground, camera, radius_variance)
+        self._keep_tentative(~close & ~born, seen, points, on_ground, radius_variance)
         self._merge()
         small = self.filter.radius < _SHRUNK * s.least_radius
         self._drop(np.flatnonzero(small | (self.existence < _GONE)))
-        return nis
+        return found
+
+    def renew(self) -> None:
+        """Let all rocks go, to begin anew with those that are seen from where the lander is."""
+        self._drop(np.arange(self.filter.count))
+        self.tentative = Tentative.none()
+        self.renewals += 1
+
+    def _explained(self, found: Outcome, expected: Outcome, time: float) -> bool:
+        """Watch what came of an image; return whether the rocks can be kept."""
+        remedies = [
+            self.filter.judge("places", time, found),
+            self.filter.judge("expected", time, expected),
+        ]
+        return Remedy.RENEW not in remedies
 
     def _agreeing(self, seen: Detections, sight: Sight, d: Index, rock: Index) -> NDArray[np.bool_]:
         """Return which pairs (p,) are off by what most pairs are off by.
@@ -226,8 +285,15 @@ class RockTracker:
 
     def _judge(
         self, hit: Index, view: Index, seen: Detections, d: Index, camera: CameraModel, sun: Array
-    ) -> None:
-        """Change the odds that each rock in view is one, by Bayes."""
+    ) -> Outcome:
+        """Change the odds that each rock in view is one, by Bayes.
+
+        Returns
+        -------
+        expected
+            Whether as many were found as should have been, of those that were sure once: "taken"
+            if so; of no degrees of freedom if there were too few.
+        """
         odds = self.existence / (1.0 - self.existence)
         false = self.rates.false_positive(seen.q[d])
         odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MOST_EVIDENCE)
@@ -238,14 +304,20 @@ class RockTracker:
         )
         # A rock whose shadow runs into another's is no missing rock.
         miss[self._in_the_dark(lost, azimuth, depression, seen, camera, sun)] = 1.0
+        self._established |= (self.existence > _SURE) & (self.hits >= _SURE_HITS)
+        found = float(np.count_nonzero(self._established[hit]))
+        missed = float(((1.0 - miss) * self._established[lost]).sum())
         odds[lost] *= np.clip(miss, _MISS, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
+        if found + missed < self.settings.least_expected:
+            return Outcome(np.nan, 0, False)
+        return Outcome(1.0, 1, found > self.settings.least_found * (found + missed))
 
     def _aspect(self, index: Index, camera: CameraModel, sun: Array) -> tuple[Array, Array, Array]:
         """Return azimuth from the Sun's, depression (rad) and pixel (m) of rocks (n,)."""
         s = self.filter.inertial
         away = s.position[None, :2] - self.filter.xy[index]
-        height = s.position[2] - self.filter.ground
+        height = np.maximum(s.position[2] - self.filter.xyz[index, 2], 1e-3)
         level = np.hypot(away[:, 0], away[:, 1])
         azimuth = np.arctan2(away[:, 0], away[:, 1]) - np.arctan2(sun[0], sun[1])
         pixel = np.hypot(level, height) / np.sqrt(camera.fx * camera.fy)
@@ -264,19 +336,21 @@ class RockTracker:
         unit = self.model.patch(azimuth, depression)
         s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
         offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
-        middle = self.filter.xy[index] + self.filter.radius[index, None] * offset
+        middle = self.filter.xyz[index]
+        middle[:, :2] += self.filter.radius[index, None] * offset
         u, v = np.rint(self.filter.sight(camera, middle).pixel).T
         u = np.clip(u, 0, camera.width - 1).astype(int)
         v = np.clip(v, 0, camera.height - 1).astype(int)
         return np.asarray(seen.labels[v, u] > 0)
 
     def _keep_tentative(
-        self, vague: NDArray[np.bool_], seen: Detections, covariance: Array, variance: Array
-    ) -> None:
+        self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
+        variance: Array,
+    ) -> None:  # fmt: skip
         """Remember what was seen and not tracked: the map must not call it clear."""
         covariance = covariance[vague]
         self.tentative = Tentative(
-            seen.ground[vague],
+            points[vague, :2],
             np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
             seen.radius[vague],
             variance[vague],
@@ -284,21 +358,23 @@ class RockTracker:
         )
 
     def _birth(
-        self, fresh: NDArray[np.bool_], seen: Detections, covariance: Array, camera: CameraModel,
-        variance: Array,
+        self, fresh: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
+        camera: CameraModel, variance: Array,
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Add detections that belong to no rock; return which were added (d,).
 
-        `covariance` is that of their places on the ground (d, 2, 2), m^2.
+        `points` (d, 3) are their places on the ground, `covariance` (d, 2, 2) is that of east and
+        north, m^2.
         """
         s = self.settings
         # Where it is must be known to a fraction of the distance between rocks.
         spread = np.sqrt(largest_eigenvalue(covariance))
         sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
+        fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
         if s.region is not None:
             west, east, south, north = s.region
-            x, y = seen.ground.T
+            x, y = points[:, :2].T
             fresh = fresh & (x >= west) & (x <= east) & (y >= south) & (y <= north)
         new = np.flatnonzero(fresh)[: max(s.most_rocks - self.filter.count, 0)]
         born = np.zeros(len(seen), bool)
@@ -306,13 +382,14 @@ class RockTracker:
         if new.size == 0:
             return born
         self.filter.add(
-            camera, seen.ground[new], seen.pixel_covariance[new], seen.radius[new], variance[new]
+            camera, points[new], seen.pixel_covariance[new], seen.radius[new], variance[new]
         )
         real = 1.0 - self.rates.false_positive(seen.q[new])
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
         now = -np.inf if self._time is None else self._time
         self._updated = np.concatenate((self._updated, np.full(new.size, now)))
+        self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
         return born
 
     def _merge(self) -> None:
@@ -335,12 +412,13 @@ class RockTracker:
         dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
         self._drop(dropped)
 
-    def _split(self, seen: Detections, camera: CameraModel, variance: Array) -> None:
+    def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> None:
         """Replace a rock by the smaller ones into which a sharper image resolves it."""
         f = self.filter
         if f.count == 0 or len(seen) < 2:
             return
-        inside = cKDTree(seen.ground).query_ball_point(f.xy, np.maximum(f.radius, 1e-3))
+        where = np.nan_to_num(points[:, :2], nan=1e9)
+        inside = cKDTree(where).query_ball_point(f.xy, np.maximum(f.radius, 1e-3))
         parts = [
             (j, np.array(k)) for j, k in enumerate(inside)
             if len(k) >= 2 and (seen.radius[k] < 0.6 * f.radius[j]).all()
@@ -351,7 +429,8 @@ class RockTracker:
         self._drop(np.array([j for j, _ in parts]))
         fresh = np.zeros(len(seen), bool)
         fresh[born] = True
-        self._birth(fresh, seen, _ground_covariance(seen, self.filter, camera), camera, variance)
+        on_ground = _ground_covariance(points, seen, self.filter, camera)
+        self._birth(fresh, seen, points, on_ground, camera, variance)
 
     def _drop(self, index: Index) -> None:
         if len(index):
@@ -359,13 +438,16 @@ class RockTracker:
             self.existence = self.existence[keep]
             self.hits = self.hits[keep]
             self._updated = self._updated[keep]
+            self._established = self._established[keep]
 
 
-def _ground_covariance(seen: Detections, rocks: RockFilter, camera: CameraModel) -> Array:
-    """Return the covariances of detections on the ground (n, 2, 2), m^2."""
+def _ground_covariance(
+    points: Array, seen: Detections, rocks: RockFilter, camera: CameraModel
+) -> Array:
+    """Return the covariances of detections at points (n, 3) of the ground (n, 2, 2), m^2."""
     if len(seen) == 0:
         return np.empty((0, 2, 2))
-    back = inverse(rocks.sight(camera, seen.ground).by_rock)
+    back = inverse(rocks.sight(camera, points).by_rock[:, :, :2])
     return back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
 
 

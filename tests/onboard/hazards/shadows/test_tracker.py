@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -77,7 +79,7 @@ def test_rocks_out_of_view_rest_in_large_maps():
     for above in (0, 1000):
         tracker = follow(terrain, [high] * 6, tracker_at(high, large=above))
         before = tracker.filter.xy.copy()
-        follow(terrain, [low] * 2, tracker)
+        follow(terrain, [low] * 2, tracker, begins=1.0)
         away = np.array([(np.abs(tracker.filter.xy - xy).max(1) > 0.0).all() for xy in before])
         moved[above] = away.mean()
     assert moved[0] < 0.3
@@ -94,3 +96,62 @@ def test_radii_of_all_rocks_seen_are_corrected():
     assert few.filter.radius_variance == pytest.approx(all_of_them.filter.radius_variance, rel=0.05)
     own = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
     assert np.median(own[0]) > 2.0 * np.median(own[1])
+
+
+def test_pictures_do_not_run_backwards():
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=20, size=40.0)
+    tracker = follow(terrain, [(0.0, 0.0, 50.0)] * 3, tracker_at((0.0, 0.0, 50.0)))
+    _, camera, counts = picture(terrain, (0.0, 0.0, 50.0))
+    seen = detect_rocks(counts, camera, at((0.0, 0.0, 50.0))[0], SUN, model=MODEL)
+    for time in (0.1, np.nan):
+        with pytest.raises(InputError, match=r"picture\.time"):
+            tracker.update(seen, camera, SUN, time)
+
+
+def nothing_like(seen):
+    """Return detections of no rock in an image as large."""
+    none = np.zeros(len(seen), bool)
+    fields = {
+        f.name: getattr(seen, f.name)[none]
+        for f in dataclasses.fields(seen) if f.name not in {"labels", "extended"}
+    }  # fmt: skip
+    return dataclasses.replace(seen, **fields, labels=np.zeros_like(seen.labels))
+
+
+def test_an_image_without_rocks_moves_nothing_and_many_say_that_something_is_wrong():
+    place = (0.0, 0.0, 50.0)
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    tracker = follow(terrain, [place] * 5, tracker_at(place))
+    f, camera = tracker.filter, at(place)[1]
+    xyz, count = f.xyz.copy(), f.count
+    state, camera, counts = picture(terrain, place)
+    empty = nothing_like(detect_rocks(counts, camera, state, SUN, model=MODEL))
+    found = tracker.update(empty, camera, SUN, 0.5)
+    assert (found.degrees, f.count) == (0, count)
+    assert np.array_equal(f.xyz, xyz)
+    for k in range(12):
+        tracker.update(empty, camera, SUN, 0.7 + 0.2 * k)
+    names = [e.name for e in f.events]
+    assert names[0] == "doubted" and "rocks' expected" in f.events[0].details["measurement"]
+
+
+def test_rocks_that_cannot_be_explained_are_begun_anew():
+    """The lander believes to be 4 m beside where it is: no rock is where it should be."""
+    place = (0.0, 0.0, 50.0)
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    tracker = follow(terrain, [place] * 6, tracker_at(place))
+    f = tracker.filter
+    rows = f.state.p
+    rows[:15], rows[:, :15] = 0.0, 0.0  # sure of being where it is not
+    f.inertial.correct(np.eye(15)[0] * 4.0)
+    state, camera, counts = picture(terrain, place)
+    for k in range(20):
+        believed = dataclasses.replace(state, position=f.inertial.position.copy())
+        seen = detect_rocks(counts, camera, believed, SUN, model=MODEL)
+        tracker.update(seen, camera, SUN, 1.0 + 0.1 * k)
+    assert tracker.renewals >= 1
+    assert "renewed" in [e.name for e in f.events]
+    true = np.column_stack((terrain.rocks.x, terrain.rocks.y))
+    apart = cKDTree(true).query(f.xy + state.position[:2] - f.inertial.position[:2])[0]
+    assert f.count > 20
+    assert np.median(apart) < 0.3

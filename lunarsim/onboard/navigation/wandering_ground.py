@@ -1,0 +1,61 @@
+"""Heights of ground that rises and falls: what is known of one place from others.
+
+The difference of the heights of two places has a variance that grows with the distance between
+them, whatever the level: an intrinsic random field. Ordinary kriging (Matheron 1963) gives the
+height of a place as a weighted mean of those of its neighbours, and what that errs by.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Heights of rocks side by side differ by as much, m: how deep they lie, and what the ground does
+# within a metre.
+_OWN = 0.05
+# So many neighbours screen off the others.
+NEIGHBOURS = 5
+
+
+def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
+    """Return what heights at some places tell of the height elsewhere.
+
+    Parameters
+    ----------
+    places
+        Neighbours of each point (b, k, 2), m.
+    at
+        Points (b, 2), m.
+    growth
+        By how much the variance of the difference of two heights grows with a metre between them,
+        m^2/m.
+
+    Returns
+    -------
+    weights
+        Of the neighbours (b, k), their sum being 1.
+    variance
+        Of what the height is besides that mean (b,), m^2.
+    """
+    b, k = places.shape[:2]
+    gap = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+    away = np.linalg.norm(places - at[:, None], axis=-1)
+    system = np.ones((b, k + 1, k + 1))
+    system[:, :k, :k] = (0.5 * growth * gap + _OWN**2) * (1.0 - np.eye(k))
+    system[:, k, k] = 0.0
+    right = np.ones((b, k + 1))
+    right[:, :k] = 0.5 * growth * away + _OWN**2
+    found = np.linalg.solve(system, right[..., None])[..., 0]
+    return found[:, :k], np.einsum("bk,bk->b", found, right)
+
+
+def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
+    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2)."""
+    k = min(NEIGHBOURS, len(places))
+    nearest = np.asarray(cKDTree(places).query(at, k)[1]).reshape(len(at), k)
+    weights, _ = kriging(places[nearest], at, growth)
+    return np.asarray(np.einsum("bk,bk->b", weights, known[nearest]))

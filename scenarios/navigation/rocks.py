@@ -1,0 +1,270 @@
+"""Whether navigation by rocks says so when it is wrong: relief, cover, a wrong Sun, lost pictures.
+
+Flies `shadow_nominal.toml`, pictures at 2.5 Hz from 160 m on, over relief of 0 to 8 deg, with 2 to
+15 % of the ground under rocks and the Sun taken to stand up to 180 deg from where it does; then
+with pictures that fail from 28 s on. An error is too large where velocity, attitude, height above
+ground or place among the rocks is off by more than five of its standard deviations on an axis; a
+flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
+not told: landings show what a fault does.
+
+python scenarios/navigation/rocks.py --flights 1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import click
+import numpy as np
+from consistency import SCENARIOS, error_of
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial import cKDTree
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.messages.measurements import Picture
+from lunarsim.onboard.hazards.shadows import ShadowMapper
+from lunarsim.onboard.navigation.aids import GROUND
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.world.terrain import Terrain
+
+RELIEFS = (0.0, 2.0, 4.0, 8.0)  # rms slope, deg
+COVERS = (0.02, 0.08, 0.15)
+SUNS = (0.0, 5.0, 45.0, 180.0)  # azimuth off by, deg
+BEGINS, ENDS = 28.0, 32.0  # s
+FAR = 5.0  # standard deviations
+
+Tamper = Callable[[Picture, np.random.Generator], Picture | None]
+
+
+def black(picture: Picture, rng: np.random.Generator) -> Picture:
+    """Return a picture of nothing."""
+    return Picture(picture.time, np.zeros_like(picture.counts), picture.camera)
+
+
+FAULTS: dict[str, tuple[float, Tamper]] = {
+    "half of the pictures lost": (np.inf, lambda p, rng: p if rng.random() < 0.5 else None),
+    "no pictures for 4 s": (ENDS, lambda p, rng: None),
+    "black pictures for 4 s": (ENDS, black),
+    "no more pictures": (np.inf, lambda p, rng: None),
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One flight."""
+
+    relief: float
+    cover: float
+    sun: float
+    fault: str
+    flight: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What came of it.
+
+    Attributes
+    ----------
+    worst
+        Greatest errors at the end in standard deviations: velocity, attitude, height above the
+        ground, place among the rocks.
+    lost, ever
+        Whether navigation said so, at the end and at all.
+    doubted
+        How often rocks were doubted or begun anew.
+    safe
+        Whether the lander came down safely.
+    """
+
+    task: Task
+    worst: tuple[float, float, float, float]
+    lost: bool
+    ever: bool
+    doubted: int
+    safe: bool
+
+    @property
+    def far(self) -> bool:
+        """Whether it was too far off at the end."""
+        return max(self.worst) > FAR
+
+
+def fly(task: Task) -> Flown:
+    """Fly once."""
+    scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
+        terrain={"rms_slope_deg": task.relief},
+        rocks={"cover": task.cover},
+        expected_rocks={"cover": task.cover},
+        tasking={"camera": {"kind": "periodic", "rate_hz": 2.5, "first_altitude_m": 160.0}},
+    )
+    simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
+    mapper = simulation.computer.mapper
+    if not isinstance(mapper, ShadowMapper):
+        raise click.UsageError("shadow_nominal.toml: its mapper is not one of shadows")
+    mislead(mapper, task)
+    errors = Errors(simulation, mapper)
+    while not simulation.done:
+        # As long as the lander flies: nothing is measured at rest.
+        worst, lost = errors.now(), simulation.computer.estimate.lost
+        simulation.step()
+    events = [(name, d.get("measurement", "")) for _, name, d in simulation.computer.telemetry]
+    doubted = sum(name in {"doubted", "renewed"} and "rocks" in what for name, what in events)
+    ever = any(name == "lost" for name, _ in events)
+    return Flown(task, worst, lost, ever, doubted, simulation.verdict.safe)
+
+
+def mislead(mapper: ShadowMapper, task: Task) -> None:
+    """Turn the Sun that the mapper believes in, and let pictures fail."""
+    c, s = np.cos(np.deg2rad(task.sun)), np.sin(np.deg2rad(task.sun))
+    mapper.sun = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ mapper.sun
+    if not task.fault:
+        return
+    rng = np.random.default_rng([task.seed, task.flight])
+    honest, (end, tamper) = mapper.update, FAULTS[task.fault]
+
+    def tampered(picture: Picture, estimate: Any) -> None:
+        left = tamper(picture, rng) if BEGINS <= picture.time < end else picture
+        if left is not None:
+            honest(left, estimate)
+
+    mapper.update = tampered  # type: ignore[method-assign]
+
+
+class Errors:
+    """Errors of a flight in standard deviations, as `Flown.worst` has them."""
+
+    def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:
+        self.simulation, self.mapper = simulation, mapper
+        terrain = simulation.world.terrain
+        self.rough, self.bare = terrain, Terrain(terrain.relief)
+        self.rocks = cKDTree(np.column_stack((terrain.rocks.x, terrain.rocks.y)))
+
+    def now(self) -> tuple[float, float, float, float]:
+        """Return what they are now."""
+        state, rocks = self.simulation.state, self.simulation.computer.navigation
+        error, p = error_of(self.simulation), rocks.covariance
+        sigma = np.sqrt(np.diag(p))
+        velocity, attitude = np.abs(error[3:6]) / sigma[3:6], np.abs(error[6:9]) / sigma[9:12]
+        ground = rocks.state.block(GROUND).start
+        # The altimeter may see the ground or the top of a rock that stands there.
+        below = [float(t.elevation(state.position[:2])) for t in (self.bare, self.rough)]
+        above = state.position[2] - np.array(below)
+        height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.ground)))
+        spread = np.sqrt(max(p[2, 2] + p[ground, ground] - 2.0 * p[2, ground], 1e-12))
+        off_height = height / spread if np.isfinite(height) else 0.0
+        return float(velocity.max()), float(attitude.max()), float(off_height), self.among_rocks()
+
+    def among_rocks(self) -> float:
+        """Return by how many deviations the place among the rocks near the lander is off."""
+        tracker, rocks = self.mapper.tracker, self.simulation.computer.navigation
+        away = np.hypot(*(rocks.xy - rocks.inertial.position[:2]).T)
+        at = np.flatnonzero((tracker.existence > 0.9) & (rocks.radius > 0.25) & (away < 30.0))
+        if len(at) < 5:
+            return 0.0
+        here = self.simulation.state.position[:2]
+        found = rocks.xy[at] - rocks.inertial.position[:2] + here
+        off = np.median(found - self.rocks.data[self.rocks.query(found)[1]], axis=0)
+        own = rocks.relative_covariance()[at][:, [0, 1], [0, 1]]
+        shape = (tracker.model.centre_sigma * rocks.radius[at, None]) ** 2
+        return float((np.abs(off) / np.sqrt(np.median(own + shape, axis=0))).max())
+
+
+def tasks_of(
+    flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...]
+) -> list[Task]:
+    """Return all flights of the study."""
+    matrix = [(r, c, s, "") for s in SUNS for r in reliefs for c in covers]
+    failing = [(r, 0.08, 0.0, fault) for fault in FAULTS for r in reliefs]
+    # No two cells fly over the same ground.
+    return [
+        Task(*cell, flight=n * len(matrix + failing) + k, seed=seed)
+        for n in range(flights) for k, cell in enumerate(matrix + failing)
+    ]  # fmt: skip
+
+
+def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
+    """Return the rows of the table: what they are of, and their flights."""
+    right = [f for f in flown if f.task.sun == 0.0 and not f.task.fault]
+    reliefs, covers = ({getattr(f.task, k) for f in right} for k in ("relief", "cover"))
+    rows = [
+        (f"relief of {r:g} deg", [f for f in right if f.task.relief == r]) for r in sorted(reliefs)
+    ]
+    rows += [(f"cover of {c:.0%}", [f for f in right if f.task.cover == c]) for c in sorted(covers)]
+    rows += [(f"Sun {s:g} deg off", [f for f in flown if f.task.sun == s]) for s in SUNS if s > 0.0]
+    rows += [(fault, [f for f in flown if f.task.fault == fault]) for fault in FAULTS]
+    return [row for row in (*rows, ("all", flown)) if row[1]]
+
+
+@click.command()
+@click.option(
+    "--flights",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="In each cell of the matrix, which has 64.",
+)
+@click.option(
+    "--relief",
+    "reliefs",
+    type=click.FloatRange(0.0, 30.0),
+    multiple=True,
+    default=RELIEFS,
+    show_default=True,
+    help="Rms slope, deg; may be given again.",
+)
+@click.option(
+    "--cover",
+    "covers",
+    type=click.FloatRange(0.001, 0.3),
+    multiple=True,
+    default=COVERS,
+    show_default=True,
+    help="Share of the ground under rocks; may be given again.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Processes; results do not depend on it.",
+)
+@click.option("--cells", is_flag=True, help="Print every flight as well.")
+def main(
+    flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
+    cells: bool,
+) -> None:  # fmt: skip
+    """Fly by rocks where it is hard, and see whether navigation says so when it is wrong."""
+    console = Console(width=120)
+    tasks = tasks_of(flights, seed, reliefs, covers)
+    flown = gathered(fly, tasks, jobs, console, "flights")
+    if cells:
+        for f in flown:
+            t, off = f.task, ", ".join(f"{w:.1f}" for w in f.worst)
+            console.print(
+                f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun:g} {t.fault or 'no fault'}: "
+                f"{off} sigma, lost {f.lost} (ever {f.ever}), doubted {f.doubted}, safe {f.safe}"
+            )
+    table = Table(title="Flights by rocks; rows of relief and cover with the Sun right, no fault")
+    for heading in ("flights with", "flights", "over 5 sigma\nat the end",
+                    "of these not\ncalled lost", "called lost\nat the end",
+                    "rocks doubted\nat times", "landed safe"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading == "flights with" else "right")
+    for name, mine in rows_of(flown):
+        table.add_row(
+            name, str(len(mine)), str(sum(f.far for f in mine)),
+            str(sum(f.far and not f.lost for f in mine)), str(sum(f.lost for f in mine)),
+            str(sum(f.doubted > 0 for f in mine)), str(sum(f.safe for f in mine)),
+        )  # fmt: skip
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
