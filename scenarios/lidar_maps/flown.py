@@ -163,7 +163,7 @@ class Clock:
 
     def __init__(self, mapper: HazardMapper) -> None:
         self.seconds = 0.0
-        for name in ("update", "refresh", "hazard_map", "scoreboard", "correct"):
+        for name in ("update", "refresh", "hazard_map", "scoreboard"):
             setattr(mapper, name, self._timed(getattr(mapper, name)))
 
     def _timed(self, method: Any) -> Any:

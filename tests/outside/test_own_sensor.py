@@ -13,7 +13,9 @@ OWN = "own_sensor:LaserAltimeter"
 def lander(small, **more):
     data = small.to_dict()
     sensors = {name: part for name, part in data["sensors"].items() if name != "fix"}
-    return small.from_dict(data | {"navigation": {"kind": "rocks"}, "sensors": sensors | more})
+    # The ground is level and its height known: what the altimeter says is the lander's height.
+    level = {"kind": "rocks", "ground_sigma_m": 0.1, "relief_deg": 0.1}
+    return small.from_dict(data | {"navigation": level, "sensors": sensors | more})
 
 
 def height_error(simulation):

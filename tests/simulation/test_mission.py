@@ -8,6 +8,7 @@ import pytest
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.aids import GROUND
+from lunarsim.onboard.navigation.error_state import MAP
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -159,8 +160,9 @@ def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to)
             navigation = scenario.navigation.make().build(briefing)
             height = navigation.inertial.position[2] - briefing.target[2]
             ground = float(made.terrain.elevation(state.position[:2]))
-            at = np.array([2, navigation.state.block(GROUND).start])
-            over = np.array([1.0, -1.0])
+            # Height in the site frame is that in the local one, less where the site lies in it.
+            blocks = [navigation.state.block(name).start for name in (MAP, GROUND)]
+            at, over = np.array([2, *blocks]) + [0, 2, 0], np.array([1.0, -1.0, -1.0])
             sigma = np.sqrt(over @ navigation.covariance[np.ix_(at, at)] @ over)
             scaled.append((height - (state.position[2] - ground)) / sigma)
     # As good as 200 draws make it, or twenty where relief counts most.

@@ -66,18 +66,26 @@ class MapMatcher:
 
     def __init__(self, shared: Shared, prior: PriorMap, settings: RegistrationSettings) -> None:
         self.shared = shared
-        self.prior = prior
         self.settings = settings
         self.locked = False
-        self._uses = np.zeros(prior.grid.shape, np.int32)
-        self._variance = self._of_uses(prior, self._uses)
-        self._features = MapFeatures(prior)
-        self._places = PlaceSearch(self._features)
-        self._laid: _Laid | None = None
+        self.prior = prior
         self._gathering = Gathering(prior.grid.posting, settings.least_squares, settings.gather_s)
         self._agreed = -np.inf
         self._searched = -np.inf
         self._before = np.zeros(3)
+
+    @property
+    def prior(self) -> PriorMap:
+        """The map, site frame; another one begins without a search or a post's use."""
+        return self._features.prior
+
+    @prior.setter
+    def prior(self, prior: PriorMap) -> None:
+        self._features = MapFeatures(prior)
+        self._places = PlaceSearch(self._features)
+        self._laid: _Laid | None = None
+        self._uses = np.zeros(prior.grid.shape, np.int32)
+        self._variance = self._of_uses(prior, self._uses)
 
     @property
     def found(self) -> bool:

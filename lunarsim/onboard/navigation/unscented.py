@@ -72,7 +72,7 @@ _MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
 
 @dataclass(frozen=True)
 class UnscentedNavigation:
-    """filterpy's unscented filter on position, velocity, accelerometer bias and mass."""
+    """Unscented filter (filterpy) on position, velocity, accelerometer bias and mass."""
 
     relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
     mass_sigma: float = quantity(1.0, "kg", gt=0, help="of the mass at the start, 1 sigma")
