@@ -24,7 +24,7 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
     knots = [np.sort(rng.normal(0.0, 1.0, k)) for k in (2, 3, 7)]
     terms = [Term(rng.normal(0.0, 1.5, n), x, bool(rng.random() < 0.5)) for x in knots]
     # At a knot, and where all sites share a value.
-    terms[1].values[:2] = knots[1][:2]
+    terms[1].values[:3] = knots[1]
     terms.insert(1, Term(np.array(rng.normal()), np.array([-1.0, 0.0, 1.0])))
     free = rng.normal(0.0, 1.0, (n, 2) if each else 2)
     x = np.column_stack((np.broadcast_to(free, (n, 2)), columns(terms, n)))
