@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.map_quality import map_quality
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from tests.conftest import SCENARIOS
@@ -100,6 +102,45 @@ def test_the_site_keeps_the_height_that_is_mapped_there():
             mapped += 1
             assert computer.site[2] == pytest.approx(height, abs=1e-6), simulation.time
     assert mapped > 100
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_rocks_and_scans_are_taken_into_one_filter(seed):
+    """Velocities are better known with both than with either, and err as is said."""
+    sigma, nees = {}, Consistency()
+    scans = {"kind": "periodic", "rate_hz": 5.0}
+    for eyes in (("camera", "flash"), ("camera",), ("flash",)):
+        never = {
+            name: {"kind": "at-altitudes", "altitudes_m": [1.0]} for name in ("camera", "flash")
+        }
+        tasks = {"flash": scans, "camera": {}}
+        tasks = {name: tasks[name] if name in eyes else never[name] for name in tasks}
+        simulation = Simulation(
+            scenario("dem").changed(sensors={"flash": {"rows": 64, "cols": 64}}, tasking=tasks),
+            seed, "no-divert",
+        )  # fmt: skip
+        while simulation.time < 12.0:
+            simulation.step()
+        p = simulation.estimate.covariance
+        sigma[eyes] = float(np.sqrt(np.trace(p[3:6, 3:6])))
+        nees = nees.plus(normalised_square(error_of(simulation), p), 9)
+        navigation = simulation.computer.navigation
+        assert not navigation.lost
+        kinds = {key.split()[-1] for key, w in navigation.watches.items() if w.total > 0.0}
+        assert ("scans" in kinds) == ("flash" in eyes)
+        assert ("places" in kinds) == ("camera" in eyes)
+    assert sigma["camera", "flash"] < 0.8 * min(sigma[("camera",)], sigma[("flash",)])
+    assert nees.ratio < nees.bounds(0.999)[1]
+
+
+def error_of(simulation: Simulation) -> np.ndarray:
+    state = simulation.state
+    found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
+    turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
+    return np.concatenate((
+        state.position - found.position, state.velocity - found.velocity,
+        quat_to_rotation_vector(turn),
+    ))  # fmt: skip
 
 
 def test_the_other_map_can_decide(flown):

@@ -14,6 +14,7 @@ from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.gathering import Gathering
 from lunarsim.onboard.navigation.inertial import VELOCITY
+from lunarsim.onboard.navigation.local_frame import LocalFrame
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.parts import Shared
 from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
@@ -21,6 +22,7 @@ from lunarsim.onboard.navigation.registration import register
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 # The local frame may turn by so much before a search begins anew, rad.
 _TURNED = 0.01
@@ -53,6 +55,8 @@ class MapMatcher:
     ----------
     shared
         What the parts share.
+    frame
+        Where the site frame lies in the local one.
     prior
         The map, site frame.
     settings
@@ -64,8 +68,11 @@ class MapMatcher:
         Whether scans agree with the map.
     """
 
-    def __init__(self, shared: Shared, prior: PriorMap, settings: RegistrationSettings) -> None:
+    def __init__(
+        self, shared: Shared, frame: LocalFrame, prior: PriorMap, settings: RegistrationSettings
+    ) -> None:
         self.shared = shared
+        self.frame = frame
         self.settings = settings
         self.locked = False
         self.prior = prior
@@ -95,13 +102,13 @@ class MapMatcher:
     @property
     def position_sigma(self) -> float:
         """Greatest standard deviation of the position on the map on an axis, m."""
-        return float(np.sqrt(np.diag(self.shared.frame.covariance_in_site())[:3].max()))
+        return float(np.sqrt(np.diag(self.frame.covariance_in_site())[:3].max()))
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
         """Find a scan's place on the map; return whether it agreed with it."""
         if used or not isinstance(measurement, LidarScan):
             return False
-        self._before = self.shared.frame.shift.offset
+        self._before = self.frame.shift.offset
         if not self.locked and self._search(sensor, measurement, time):
             self._lock(time)
         agreed = self._register(sensor, measurement, time)
@@ -115,7 +122,7 @@ class MapMatcher:
         name = "relock" if self.found else "lock"
         self.locked = True
         self._agreed = time
-        moved = float(np.linalg.norm(self.shared.frame.shift.offset - self._before))
+        moved = float(np.linalg.norm(self.frame.shift.offset - self._before))
         self.shared.events.append(NavigationEvent(time, name, {"moved": moved}))
 
     # --- fit ------------------------------------------------------------------------------
@@ -132,10 +139,10 @@ class MapMatcher:
             if self.locked and near:
                 self._agreed = time
             return False
-        columns, jacobian = self.shared.site_errors(sensor)
+        columns, jacobian = self._errors(sensor)
         own = self.shared.state.covariance[np.ix_(columns, columns)]
         result, posts = register(
-            self.shared.frame.in_site(seen), self._features, jacobian @ own @ jacobian.T,
+            self.frame.in_site(seen), self._features, jacobian @ own @ jacobian.T,
             self._variance,
         )  # fmt: skip
         if not s.believes(result):
@@ -152,9 +159,17 @@ class MapMatcher:
         self._agreed = time
         return True
 
+    def _errors(self, sensor: str) -> tuple[Index, Array]:
+        """Return on what of the state (k,) a scan's errors depend, and how (11, k), site frame."""
+        own = self.shared.scanner(sensor)
+        out = np.zeros((11, 10 + len(own)))
+        out[:6, :10] = self.frame.pose_jacobian()
+        out[6:, 10:] = np.eye(5, len(own))
+        return np.concatenate((self.frame.pose_columns(), own)), out
+
     def _inform(self, sensor: str, information: Array, vector: Array, chance: float) -> Outcome:
         """Take in information (11, 11) on a scan's errors in the site frame."""
-        columns, jacobian = self.shared.site_errors(sensor)
+        columns, jacobian = self._errors(sensor)
         return self.shared.state.inform(
             columns, jacobian.T @ information @ jacobian, jacobian.T @ vector, chance=chance
         )
@@ -172,7 +187,7 @@ class MapMatcher:
 
     def _lay(self) -> _Laid:
         """Return how the local frame is laid on the map for the search, afresh if it has turned."""
-        frame = self.shared.frame
+        frame = self.frame
         if self._laid is not None and abs(frame.azimuth - self._laid.azimuth) > _TURNED:
             self._restart()
         if self._laid is None:
@@ -181,7 +196,7 @@ class MapMatcher:
 
     def _search(self, sensor: str, scan: LidarScan, time: float) -> bool:
         """Look for what was scanned on the map; return whether it was found."""
-        s, frame = self.settings, self.shared.frame
+        s, frame = self.settings, self.frame
         seen, laid = self.shared.seen(sensor, scan), self._lay()
         local = seen.points()
         self._places.add(local @ laid.rotation.T + laid.position)
@@ -193,7 +208,7 @@ class MapMatcher:
         # What the rest of navigation has learnt of the place since the frame was laid on the map.
         known = at - (laid.rotation @ middle + laid.position)
         jacobian = frame.in_site(seen).point_jacobian(at)
-        columns, of_state = self.shared.site_errors(sensor)
+        columns, of_state = self._errors(sensor)
         over = jacobian @ of_state
         p = over @ self.shared.state.covariance[np.ix_(columns, columns)] @ over.T
         speed = float(np.sqrt(self.shared.state.covariance.diagonal()[VELOCITY][:2].max()))

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.frames import Shift, quat_to_matrix
 from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import ErrorState
@@ -20,16 +19,17 @@ from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
-from lunarsim.onboard.navigation.parts import KEY, Part, Shared, most_of
+from lunarsim.onboard.navigation.parts import KEY, Part, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.scan_odometry import ScanOdometry, key_block, width_of
-from lunarsim.onboard.navigation.seen_scan import scanner_block, scanner_covariance
+from lunarsim.onboard.navigation.scan_odometry import (
+    ScanOdometry,
+    key_block,
+    plausible,
+    width_of,
+)
 from lunarsim.onboard.navigation.watch import Watch
 
 Array = NDArray[np.float64]
-
-# No return comes from farther, m.
-_FARTHEST = 20_000.0
 
 
 class Navigator:
@@ -84,10 +84,7 @@ class Navigator:
     ) -> None:
         level, known, limits = ground or LevelGround(), instruments or {}, settings
         limits = limits or RegistrationSettings()
-        blocks = key_block() | blocks_of(known, level) | blank_block()
-        for name, instrument in known.items():
-            if isinstance(instrument, LidarInstrument):
-                blocks[scanner_block(name)] = scanner_covariance(instrument)
+        blocks = key_block() | blocks_of(known, level) | blank_block() | scanner_blocks(known)
         self.state = ErrorState(inertial, errors, blocks=blocks)
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
@@ -95,8 +92,8 @@ class Navigator:
         self._arrivals = Arrivals(
             inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
         )
-        shared = Shared(self.state, self.frame, self._aids, self.events, most_of(self.state))
-        self.matcher = None if prior is None else MapMatcher(shared, prior, limits)
+        shared = Shared(self.state, self._aids, self.events, most_of(self.state))
+        self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
         self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
         self.parts += [ScanOdometry(shared, limits), self._aids]
         self._shared = shared
@@ -162,7 +159,7 @@ class Navigator:
             self.propagate(measurement.angle, measurement.velocity)
             return
         if isinstance(measurement, LidarScan):
-            measurement = _plausible(measurement)
+            measurement = plausible(measurement)
             if not np.isfinite(width_of(measurement)):
                 return
             self._hang(sensor, measurement)
@@ -194,10 +191,3 @@ class Navigator:
         self.frame.hang(
             seen.point_jacobian(middle) @ jacobian, columns, [slice(key.start, key.start + 3)]
         )
-
-
-def _plausible(scan: LidarScan) -> LidarScan:
-    """Return a scan without ranges that no LiDAR could give."""
-    with np.errstate(invalid="ignore"):
-        good = (scan.range > 0.0) & (scan.range < _FARTHEST)
-    return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))

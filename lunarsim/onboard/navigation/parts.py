@@ -1,19 +1,25 @@
-"""What a navigator is made of: parts that share one error state."""
+"""What filters are made of: parts that share one error state."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aids import Aids
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
-from lunarsim.onboard.navigation.local_frame import LocalFrame
-from lunarsim.onboard.navigation.seen_scan import LET_GO, SeenScan, scanner_block
+from lunarsim.onboard.navigation.seen_scan import (
+    LET_GO,
+    SeenScan,
+    scanner_block,
+    scanner_covariance,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -24,14 +30,12 @@ KEY = "key"
 
 @dataclass(frozen=True)
 class Shared:
-    """What the parts of a navigator share.
+    """What the parts of a filter share.
 
     Attributes
     ----------
     state
         All that errs.
-    frame
-        Where the site frame lies in the local one.
     aids
         Takes in ranges, speeds and attitudes, and watches over every kind of measurement.
     events
@@ -41,7 +45,6 @@ class Shared:
     """
 
     state: ErrorState
-    frame: LocalFrame
     aids: Aids
     events: list[NavigationEvent]
     most: Array
@@ -55,23 +58,15 @@ class Shared:
         return np.arange(place.start, place.stop)
 
     def seen(self, sensor: str, scan: Any) -> SeenScan:
-        """Return a scan as it is seen from where the lander is thought to be, local frame."""
+        """Return a scan as it is seen from where the lander is thought to be, the state's frame."""
         name = scanner_block(sensor)
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
         return SeenScan.of(scan, self.state.inertial, value)
 
     def local_errors(self, sensor: str) -> tuple[Index, Array]:
-        """Return on what of the state (k,) a scan's errors depend, and how (11, k), local frame."""
+        """Return on what of the state (k,) a scan's errors depend, and how (11, k), its frame."""
         own = self.scanner(sensor)
         return np.concatenate((POSE, own)), np.eye(11, 6 + len(own))
-
-    def site_errors(self, sensor: str) -> tuple[Index, Array]:
-        """Return on what of the state (k,) a scan's errors depend, and how (11, k), site frame."""
-        own = self.scanner(sensor)
-        out = np.zeros((11, 10 + len(own)))
-        out[:6, :10] = self.frame.pose_jacobian()
-        out[6:, 10:] = np.eye(5, len(own))
-        return np.concatenate((self.frame.pose_columns(), own)), out
 
     def judge(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
         """Watch what came of a scan.
@@ -84,6 +79,15 @@ class Shared:
         self.aids.judge(
             sensor, kind, outcome, every, self.most, time, drifting=(own, LET_GO[: len(own)])
         )
+
+
+def scanner_blocks(instruments: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the blocks of what the LiDARs among instruments, by name, err by."""
+    return {
+        scanner_block(name): scanner_covariance(instrument)
+        for name, instrument in instruments.items()
+        if isinstance(instrument, LidarInstrument)
+    }
 
 
 def most_of(state: ErrorState) -> Array:

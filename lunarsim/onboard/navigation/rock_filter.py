@@ -30,6 +30,7 @@ from lunarsim.messages.measurements import (
     AttitudeReading,
     DopplerReading,
     InertialSamples,
+    LidarScan,
 )
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
@@ -37,8 +38,11 @@ from lunarsim.onboard.navigation.aids import GROUND, Aids, LevelGround, blocks_o
 from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.parts import KEY, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.scan_odometry import ScanOdometry, key_block, plausible, width_of
 from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
 from lunarsim.onboard.navigation.watch import Watch
 from lunarsim.parts.quantity import check_bounds, quantity
@@ -82,7 +86,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class RockNavigation:
-    """Inertial unit, the rocks that a camera sees by their shadows, ranges, speeds and stars."""
+    """Inertial unit, rocks by their shadows, scans against each other, ranges, speeds, stars."""
 
     ground_sigma: float = quantity(
         10.0, "m", gt=0, le=1000, help="of the ground's height under the start, 1 sigma"
@@ -90,7 +94,9 @@ class RockNavigation:
     relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
-    takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    takes: ClassVar[tuple[type, ...]] = (
+        LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
+    )  # fmt: skip
     uses_prior_map: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -137,6 +143,9 @@ class RockFilter:
         self.events = aids.events
         self.pictures = PictureWatch(self.events)
         self._aids = aids
+        self._shared = Shared(state, aids, self.events, most_of(state))
+        # Scans are compared where the state has room for the pose at an earlier one.
+        self._scans = ScanOdometry(self._shared, RegistrationSettings()) if state.has(KEY) else None
         self._raised = 0.0
         self._eye: Array | None = None
         self.count = 0
@@ -167,11 +176,13 @@ class RockFilter:
         capacity
             Rocks for which room is made at first.
         instruments
-            Calibrations of altimeters, velocimeters and star trackers, by name.
+            Calibrations of LiDARs, altimeters, velocimeters and star trackers, by name.
         """
         known = instruments or {}
         level = ground or LevelGround(0.0, None)
-        state = ErrorState(inertial, errors, blocks=blocks_of(known, level))
+        scanners = scanner_blocks(known)
+        blocks = blocks_of(known, level) | scanners | (key_block() if scanners else {})
+        state = ErrorState(inertial, errors, blocks=blocks)
         return cls(state, Aids(state, known, level, []), capacity=capacity)
 
     @property
@@ -307,8 +318,20 @@ class RockFilter:
         """Take in a measurement; pictures come through the tracker."""
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
+        elif isinstance(measurement, LidarScan):
+            scan = plausible(measurement)
+            if self._scans is not None and np.isfinite(width_of(scan)):
+                self._scans.take(sensor, scan, time, used=False)
         else:
             self._aids.take(sensor, measurement, time)
+
+    def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
+        """Return a measurement and where it was taken, less what its sensor is known to err by."""
+        if not isinstance(measurement, LidarScan):
+            return measurement, now
+        seen = self._shared.seen(sensor, measurement)
+        position = self.site_to_local.to_local(seen.position)
+        return seen.scan, replace(now, position=position, attitude=seen.attitude)
 
     # --- time -----------------------------------------------------------------------------
 

@@ -19,6 +19,9 @@ from lunarsim.onboard.navigation.surface import Surface
 
 Array = NDArray[np.float64]
 
+# No return comes from farther, m.
+_FARTHEST = 20_000.0
+
 
 def key_block() -> dict[str, Array]:
     """Return the block for an error state."""
@@ -121,6 +124,13 @@ class ScanOdometry:
         self._key = replace(
             key, surface=replace(key.surface, position=position), seen=key.seen.moved(change)
         )
+
+
+def plausible(scan: LidarScan) -> LidarScan:
+    """Return a scan without ranges that no LiDAR could give."""
+    with np.errstate(invalid="ignore"):
+        good = (scan.range > 0.0) & (scan.range < _FARTHEST)
+    return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))
 
 
 def width_of(scan: LidarScan) -> float:
