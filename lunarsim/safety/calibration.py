@@ -221,7 +221,7 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
 @lru_cache(maxsize=1)
 def measured() -> Ensemble:
     """Return the weights measured by `scenarios/lidar_maps/calibration.py`."""
-    return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT)
+    return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT, RISING)
 
 
 def calibrated_safety(

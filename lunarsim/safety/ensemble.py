@@ -29,6 +29,8 @@ BoolArray = NDArray[np.bool_]
 
 # Fits agree on a site where their probabilities lie no farther apart.
 MOST_APART = 0.05
+# No fit gives a feature, which is about 1, more log odds than this.
+_HEAVIEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -129,29 +131,55 @@ class Ensemble:
         path.write_text(f'{{\n {head},\n "weights": [\n{rows}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
-    def load(cls, path: Path, features: int) -> Ensemble:
-        """Read what `save` wrote, for so many features."""
-        return cls._parsed(path.read_text(encoding="utf-8"), str(path), features)
+    def load(cls, path: Path, features: int, rising: int = 0) -> Ensemble:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path
+            The file.
+        features, rising
+            Number of weights of a fit, and of the last of them that are not negative.
+
+        Raises
+        ------
+        InputError
+            If it is missing, is another file, or its numbers will not do.
+        """
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError("calibration", str(path), f"a calibration file ({error})") from None
+        return cls._parsed(text, str(path), features, rising)
 
     @classmethod
-    def packaged(cls, package: str, name: str, features: int) -> Ensemble:
-        """Read a file that comes with a package."""
+    def packaged(cls, package: str, name: str, features: int, rising: int = 0) -> Ensemble:
+        """Read a file that comes with a package; see `load`."""
         text = (resources.files(package) / name).read_text(encoding="utf-8")
-        return cls._parsed(text, name, features)
+        return cls._parsed(text, name, features, rising)
 
     @classmethod
-    def _parsed(cls, text: str, name: str, features: int) -> Ensemble:
+    def _parsed(cls, text: str, name: str, features: int, rising: int) -> Ensemble:
         try:
             data = json.loads(text)
-            rows = [list(row) for row in data["weights"]]
-            numbers = [w for row in rows for w in row]
-            if not all(isinstance(w, float | int) and np.isfinite(w) for w in numbers):
-                raise ValueError("weights are finite numbers")
-            without = tuple(str(world) for world in data.get("without", ()))
-            weights = tuple(tuple(float(w) for w in row) for row in rows)
+            weights = tuple(tuple(_weight(w) for w in row) for row in data["weights"])
+            worlds = data["without"]
+            if not (isinstance(worlds, list) and all(isinstance(w, str) for w in worlds)):
+                raise ValueError("without is a list of names")
             note = str(data.get("note", ""))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise InputError("calibration", name, f"a calibration file ({error})") from None
-        if not weights or any(len(row) != features for row in weights):
+        if len(weights) < 2 or len(weights) != len(worlds) + 1:
+            raise InputError("calibration", name, "a fit to all worlds, and one without each named")
+        if any(len(row) != features for row in weights):
             raise InputError("calibration", name, f"rows of {features} weights, one a feature")
-        return cls(weights, without, note)
+        if rising and min(min(row[-rising:]) for row in weights) < 0.0:
+            raise InputError("calibration", name, f"a last {rising} of weights of at least 0")
+        return cls(weights, tuple(worlds), note)
+
+
+def _weight(value: object) -> float:
+    """Return a weight of a file: a number that no sum of features makes overflow."""
+    if isinstance(value, bool) or not isinstance(value, float | int) or not abs(value) <= _HEAVIEST:
+        raise ValueError(f"weights are numbers of at most {_HEAVIEST:g}")
+    return float(value)

@@ -17,6 +17,7 @@ from lunarsim.safety.calibration import (
     FREE,
     MOST_HAZARDS,
     calibrated_safety,
+    ceiling,
     in_domain,
     measured,
 )
@@ -107,6 +108,15 @@ def test_the_domain_ends_where_samples_grow_sparse():
     assert known[0].all()
     assert not known[-1].any()
     assert (np.diff(known.astype(int), axis=0) <= 0).all()
+
+
+def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
+    e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
+    for name in ("p_slope", "p_roughness"):
+        some = np.full(e.level.grid.shape, 0.01, np.float32)
+        doubtful = replace(e, planes=replace(e.planes, **{name: some}))
+        assert ceiling(doubtful) == pytest.approx(0.04, rel=1e-5)
+        assert (calibrated_safety(doubtful)[0] <= 0.0401).all()
 
 
 def test_unobserved_ground_is_not_safe():

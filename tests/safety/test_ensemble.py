@@ -78,9 +78,22 @@ def test_files_are_checked(tmp_path):
     row = [0.0] * quadtree.COUNT
     for wrong in (
         "", "{}", "[]", "1", '{"weights": [1, 2]}', '{"weights": "x"}', '{"weights": []}',
-        json.dumps({"weights": [row, row[1:]]}), json.dumps({"weights": [[*row[1:], "a"]]}),
-        json.dumps({"weights": [[*row[1:], float("nan")]]}),
+        *(file_of(row, [*row[1:], w]) for w in ("a", float("nan"), 1e308, True, -0.1)),
+        file_of(row, row[1:]), file_of(row), file_of(row, row, without="a"),
+        file_of(row, row, without=[]),
     ):  # fmt: skip
         (tmp_path / "bad.json").write_text(wrong)
         with pytest.raises(InputError, match="calibration"):
-            Ensemble.load(tmp_path / "bad.json", quadtree.COUNT)
+            Ensemble.load(tmp_path / "bad.json", quadtree.COUNT, quadtree.RISING)
+    (tmp_path / "bad.json").write_bytes(b"\xff\xfe\x00")
+    for name in ("bad.json", "missing.json"):
+        with pytest.raises(InputError, match="calibration"):
+            Ensemble.load(tmp_path / name, quadtree.COUNT)
+    (tmp_path / "good.json").write_text(file_of(row, row))
+    Ensemble.load(tmp_path / "good.json", quadtree.COUNT, quadtree.RISING)
+
+
+def file_of(*weights, without=None):
+    """Return the text of a file of fits, those but the first without a world each."""
+    named = [f"world {n}" for n in range(len(weights) - 1)] if without is None else without
+    return json.dumps({"weights": weights, "without": named})

@@ -15,6 +15,7 @@ from scipy.special import expit
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety.calibration import (
+    COUNT,
     bound,
     calibrated_safety,
     ceiling,
@@ -105,6 +106,24 @@ def test_outside_the_domain_of_the_fit_it_is_a_bound():
         # Never above what it says where it knows.
         low, _ = calibrated_safety(e, refit=refit((-40.0, 1.0), (3.0, 1.0), narrow))
         assert (low < 0.01).all()
+
+
+def test_its_domain_is_its_own_whether_the_fits_agree_or_not():
+    rows = np.zeros((2, COUNT))
+    rows[:, 0] = 1.0, 2.0
+    apart = Ensemble(tuple(map(tuple, rows)))
+    e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
+    assert not calibrated_safety(e, apart)[1].any()
+    p, known = calibrated_safety(e, apart, refit(regression=apart.digest))
+    assert known.all()
+    # The lowest of the fits is what it stretches.
+    assert p == pytest.approx(expit(0.3 + 0.8 * 1.0), rel=1e-5)
+    # Outside of it the plain regression is a bound too, lower here than all else.
+    low = Ensemble((tuple(-9.0 * (rows[0] > 0.0)),) * 2)
+    narrow = replace(WIDE, noise=(0.5, 1.0))
+    p, known = calibrated_safety(e, low, refit((20.0, 1.0), domain=narrow, regression=low.digest))
+    assert not known.any()
+    assert p == pytest.approx(expit(-9.0), rel=1e-4)
 
 
 def test_the_ceiling_holds_after_it():

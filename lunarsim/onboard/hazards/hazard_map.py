@@ -39,8 +39,8 @@ class HazardMap:
     value
         How much the mission wants to land there (rows, cols), in [0, 1]. None: 1 everywhere.
     in_domain
-        Where `p_safe` is how often such sites are safe (rows, cols); elsewhere it is a bound from
-        below only. None: the mapper does not say.
+        Where `p_safe` is how often such sites are safe (rows, cols); elsewhere it is cautious, and
+        how often is not known. None: the mapper does not say.
 
     Raises
     ------

@@ -173,6 +173,16 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
         assert known[0] == claims
 
 
+@pytest.mark.parametrize("name", [*SITE, "density", "thinnest"])
+def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
+    for value in (np.nan, np.inf):
+        own = site(0.02, **{name: value})
+        assert not own.judged.any()
+        p, known = site_safety(own)
+        assert p[0] == 0.0
+        assert not known[0]
+
+
 def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
     assert site_safety(site(0.02))[0][0] > 0.95
     fatal = {"slope": 1.3, "mesh_slope": 1.15, "fitted_slope": 1.15, "roughness": 1.6, "top": 4.0}

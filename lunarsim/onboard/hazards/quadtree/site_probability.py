@@ -113,7 +113,11 @@ class SiteEvidence:
     @property
     def judged(self) -> BoolArray:
         """Where the whole zone and footprint were seen (n,)."""
-        needed = (self.slope, self.mesh_slope, self.mesh_spread, self.ratio, self.near)
+        needed = (
+            self.slope, self.roughness, self.mesh_slope, self.fitted_slope, self.mesh_spread,
+            self.fitted_spread, self.ratio, self.near, self.relief, self.top, self.density,
+            self.thinnest,
+        )  # fmt: skip
         return np.asarray(np.logical_and.reduce([np.isfinite(a) for a in needed]))
 
     @property
@@ -267,7 +271,7 @@ def _free(e: SiteEvidence, where: BoolArray) -> Array:
 @lru_cache(maxsize=1)
 def measured() -> Ensemble:
     """Return the weights measured by `scenarios/lidar_maps/quadtree_calibration.py`."""
-    return Ensemble.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT)
+    return Ensemble.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT, RISING)
 
 
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
