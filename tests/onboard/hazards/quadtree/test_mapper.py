@@ -169,7 +169,7 @@ def test_a_map_laid_anew_takes_interest_along_and_forgets_sites():
     assert (value[:, grid.x > 5.5] == np.float32(0.25)).all()
     assert m.map.centre[2] == 2.0
     # Sites ranked before belong to the map before.
-    m.recentre(np.zeros(3))
+    m = mapper()
     m.update(scan(), estimate())
     assert m.scoreboard(np.zeros(3)).score.size > 0
     m.recentre(np.array([5.0, -3.0, 0.0]))
