@@ -168,13 +168,16 @@ def test_a_map_laid_anew_takes_interest_along_and_forgets_sites():
     assert (value[:, grid.x < 4.5] == 0.0).all()
     assert (value[:, grid.x > 5.5] == np.float32(0.25)).all()
     assert m.map.centre[2] == 2.0
-    # Sites ranked before belong to the map before.
+    # Sites ranked before belong to the map before: what is kept are the points.
     m = mapper()
     m.update(scan(), estimate())
-    assert m.scoreboard(np.zeros(3)).score.size > 0
-    m.recentre(np.array([5.0, -3.0, 0.0]))
-    assert m.scoreboard(np.zeros(3)).score.size == 0
-    assert not m.hazard_map().observed.any()
+    before = m.scoreboard(np.zeros(3)).position
+    m.recentre(np.array([8.0, -6.0, 0.0]))
+    after = m.scoreboard(np.zeros(3)).position
+    west, _, _, north = m.grid.extent
+    # The quadtree's side is a power of two of its least cells, and a little wider than the map.
+    assert ((before[:, 0] < west - 1.0) | (before[:, 1] > north + 1.0)).any()
+    assert ((after[:, 0] > west - 1.0) & (after[:, 1] < north + 1.0)).all()
 
 
 def test_returns_that_never_came_are_no_points():
