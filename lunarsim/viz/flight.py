@@ -230,7 +230,7 @@ def _legend() -> list[Any]:
         Line2D([], [], ls="", marker="x", color="black", mew=2, label="first aim"),
         Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
         Line2D([], [], ls="", marker="o", mfc="#440154", mec="white", ms=7, label="candidate site"),
-        Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="a bound, no frequency"),
+        Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="no frequency, cautious"),
         Patch(color="#56B4E9", label="truly safe at every heading"),
         Patch(color="#D55E00", label="true hazard"),
         Patch(color="#bbbbbb", label="edge of the terrain"),
