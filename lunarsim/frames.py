@@ -33,6 +33,12 @@ from lunarsim._frame_kernels import along_thrust
 Array = NDArray[np.float64]
 
 
+def turned_about_up(angle: float) -> Array:
+    """Return the rotation (3, 3) by an angle about up, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 @dataclass(frozen=True)
 class Shift:
     """From the site frame to the local frame; both have the same up.
@@ -49,21 +55,17 @@ class Shift:
     offset: Array = field(default_factory=lambda: np.zeros(3))
     turn: float = 0.0
 
-    def _rotation(self) -> Array:
-        c, s = np.cos(self.turn), np.sin(self.turn)
-        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
     def to_local(self, points: ArrayLike) -> Array:
         """Return local coordinates of points (..., 3) of the site frame."""
         given = np.asarray(points, dtype=np.float64)
         if self.turn:
-            given = given @ self._rotation().T
+            given = given @ turned_about_up(self.turn).T
         return np.asarray(given + self.offset)
 
     def to_site(self, points: ArrayLike) -> Array:
         """Return site coordinates of points (..., 3) of the local frame."""
         out = np.asarray(points, dtype=np.float64) - self.offset
-        return np.asarray(out @ self._rotation()) if self.turn else out
+        return np.asarray(out @ turned_about_up(self.turn)) if self.turn else out
 
 
 def normalised(v: ArrayLike) -> Array:

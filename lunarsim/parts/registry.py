@@ -81,7 +81,7 @@ CONTRACTS: dict[str, Contract] = {
         {
             "inertial": "lunarsim.onboard.navigation.kinds:InertialNavigation",
             "fixes": "lunarsim.onboard.navigation.fixes:Fixes",
-            "rocks": "lunarsim.onboard.navigation.rock_filter:RockNavigation",
+            "rocks": "lunarsim.onboard.navigation.kinds:RockNavigation",
             "prior-map": "lunarsim.onboard.navigation.kinds:PriorMapNavigation",
             "ukf": "lunarsim.onboard.navigation.unscented:UnscentedNavigation",
         },

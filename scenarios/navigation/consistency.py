@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
+from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.evaluation.consistency import Consistency, normalised_square
@@ -226,14 +227,7 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     "scenario's.",
 )
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Processes; results do not depend on it.",
-)
+@seed_and_jobs
 def main(
     scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...], policy: str,
     seed: int, jobs: int,

@@ -18,7 +18,7 @@ import click
 import numpy as np
 from consistency import SCENARIOS, error_of
 from rich.console import Console
-from rich.table import Table
+from study import declared_table, seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
@@ -156,14 +156,7 @@ def fly(task: Task) -> Flown:
     multiple=True,
     help="Fault; may be given again. Left out: every one.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Processes; results do not depend on it.",
-)
+@seed_and_jobs
 def main(flights: int, only: tuple[str, ...], seed: int, jobs: int) -> None:
     """Let instruments fail, and see whether navigation says so."""
     console = Console(width=120)
@@ -173,18 +166,9 @@ def main(flights: int, only: tuple[str, ...], seed: int, jobs: int) -> None:
         for fault in faults for relief in RELIEFS for n in range(flights)
     ]  # fmt: skip
     flown = gathered(fly, tasks, jobs, console, "flights")
-    table = Table(title="Flights with a failing instrument; relief of 0.1, 4 and 8 deg together")
-    for heading in ("fault", "flights", "over 5 sigma\nat the end", "of these not\ncalled lost",
-                    "called lost", "doubted\nat times", "landed safe"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading == "fault" else "right")
-    for fault in faults:
-        mine = [f for f in flown if f.fault == fault]
-        table.add_row(
-            fault, str(len(mine)), str(sum(f.far for f in mine)),
-            str(sum(f.far and not f.lost for f in mine)), str(sum(f.lost for f in mine)),
-            str(sum(f.doubted > 0 for f in mine)), str(sum(f.safe for f in mine)),
-        )  # fmt: skip
-    console.print(table)
+    rows = [(fault, [f for f in flown if f.fault == fault]) for fault in faults]
+    title = "Flights with a failing instrument; relief of 0.1, 4 and 8 deg together"
+    console.print(declared_table(title, "fault", rows))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
+from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.evaluation.statistics import Proportion
@@ -175,9 +176,7 @@ def summary(flown: dict[str, list[Flown]]) -> Table:
               help="Error of position at the start, 1 sigma an axis, m; may be given again. "
               "Left out: the scenario's.")  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+@seed_and_jobs
 def main(
     scenario: str, flights: int, lates: tuple[float, ...], starts: tuple[float, ...], policy: str,
     seed: int, jobs: int,

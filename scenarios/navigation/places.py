@@ -21,6 +21,7 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
@@ -237,9 +238,7 @@ def forecasts(found: list[Found]) -> str:
 @click.option("--only", default="", help="Rows whose name holds this text.")
 @click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
               help="Of the sweep, after which a search has failed.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+@seed_and_jobs
 def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
     """Search for the place of sweeps on maps, and print how it went."""
     console = Console(width=150)

@@ -20,10 +20,11 @@ import click
 import numpy as np
 from consistency import SCENARIOS, error_of
 from rich.console import Console
-from rich.table import Table
 from scipy.spatial import cKDTree
+from study import declared_table, seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.frames import turned_about_up
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import ShadowMapper
 from lunarsim.onboard.navigation.aids import GROUND
@@ -122,8 +123,7 @@ def fly(task: Task) -> Flown:
 
 def mislead(mapper: ShadowMapper, task: Task) -> None:
     """Turn the Sun that the mapper believes in, and let pictures fail."""
-    c, s = np.cos(np.deg2rad(task.sun)), np.sin(np.deg2rad(task.sun))
-    mapper.sun = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ mapper.sun
+    mapper.sun = turned_about_up(np.deg2rad(task.sun)) @ mapper.sun
     if not task.fault:
         return
     rng = np.random.default_rng([task.seed, task.flight])
@@ -228,14 +228,7 @@ def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
     show_default=True,
     help="Share of the ground under rocks; may be given again.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Processes; results do not depend on it.",
-)
+@seed_and_jobs
 @click.option("--cells", is_flag=True, help="Print every flight as well.")
 def main(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
@@ -252,18 +245,8 @@ def main(
                 f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun:g} {t.fault or 'no fault'}: "
                 f"{off} sigma, lost {f.lost} (ever {f.ever}), doubted {f.doubted}, safe {f.safe}"
             )
-    table = Table(title="Flights by rocks; rows of relief and cover with the Sun right, no fault")
-    for heading in ("flights with", "flights", "over 5 sigma\nat the end",
-                    "of these not\ncalled lost", "called lost\nat the end",
-                    "rocks doubted\nat times", "landed safe"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading == "flights with" else "right")
-    for name, mine in rows_of(flown):
-        table.add_row(
-            name, str(len(mine)), str(sum(f.far for f in mine)),
-            str(sum(f.far and not f.lost for f in mine)), str(sum(f.lost for f in mine)),
-            str(sum(f.doubted > 0 for f in mine)), str(sum(f.safe for f in mine)),
-        )  # fmt: skip
-    console.print(table)
+    title = "Flights by rocks; rows of relief and cover with the Sun right, no fault"
+    console.print(declared_table(title, "flights with", rows_of(flown)))
 
 
 if __name__ == "__main__":

@@ -10,10 +10,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import (
-    quat_conjugate,
-    quat_multiply,
     quat_to_matrix,
-    quat_to_rotation_vector,
 )
 from lunarsim.messages.measurements import (
     AltimeterReading,
@@ -24,6 +21,7 @@ from lunarsim.messages.measurements import (
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.conftest import SCENARIOS
+from tests.navigation_errors import error_of
 
 
 @pytest.fixture(scope="module")
@@ -35,16 +33,6 @@ def scenario() -> Scenario:
         tasking={"flash": {"kind": "periodic", "rate_hz": 1.0}},
         sensors={"flash": {"rows": 32, "cols": 32}},
     )  # fmt: skip
-
-
-def error_of(simulation: Simulation) -> np.ndarray:
-    state = simulation.state
-    found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
-    turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
-    return np.concatenate((
-        state.position - found.position, state.velocity - found.velocity,
-        quat_to_rotation_vector(turn),
-    ))  # fmt: skip
 
 
 def tampered(simulation: Simulation, kind: type, change, begins: float = 8.0) -> None:

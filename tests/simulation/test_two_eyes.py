@@ -7,10 +7,10 @@ import pytest
 
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.map_quality import map_quality
-from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from tests.conftest import SCENARIOS
+from tests.navigation_errors import error_of
 
 
 def scenario(decides: str) -> Scenario:
@@ -131,16 +131,6 @@ def test_rocks_and_scans_are_taken_into_one_filter(seed):
         assert ("places" in kinds) == ("camera" in eyes)
     assert sigma["camera", "flash"] < 0.8 * min(sigma[("camera",)], sigma[("flash",)])
     assert nees.ratio < nees.bounds(0.999)[1]
-
-
-def error_of(simulation: Simulation) -> np.ndarray:
-    state = simulation.state
-    found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
-    turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
-    return np.concatenate((
-        state.position - found.position, state.velocity - found.velocity,
-        quat_to_rotation_vector(turn),
-    ))  # fmt: skip
 
 
 def test_the_other_map_can_decide(flown):

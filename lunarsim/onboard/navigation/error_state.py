@@ -264,20 +264,10 @@ class ErrorState:
 
         `expected` (m, m) is the innovation's covariance. Overwrites `hp`.
         """
-        m = len(innovation)
-        if not np.isfinite(innovation).all():
-            return Outcome(np.nan, m, False)
-        if not np.isfinite(expected).all():
-            return Outcome(np.inf, m, False)
-        try:
-            lower = np.linalg.cholesky(0.5 * (expected + expected.T))
-        except np.linalg.LinAlgError:
-            # Rounding has eaten the covariance: nothing can be told from it any more.
-            return Outcome(np.inf, m, False)
-        white = solve_triangular(lower, innovation, lower=True, check_finite=False)
-        nis = float(white @ white)
-        if not nis <= gate:
-            return Outcome(nis, m, False)
+        outcome, lower = compared(innovation, expected, gate)
+        if not outcome.taken:
+            return outcome
+        white = outcome.white
         states = self._awake()
         if states is None:
             # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
@@ -290,7 +280,7 @@ class ErrorState:
             error = np.zeros(self.size)
             error[states] = gain @ innovation
             self.correct(error)
-        return Outcome(nis, m, True, white)
+        return outcome
 
     def inform(
         self,
@@ -330,6 +320,29 @@ class ErrorState:
             self._values[name] += error[place]
         for listener in self.listeners:
             listener(error)
+
+
+def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
+    """Return what an innovation (m,) is against its covariance, and that one's Cholesky factor.
+
+    It is taken if its normalised square is at most `gate`. One that is not finite tells nothing
+    (`nis` is NaN); a covariance (m, m) that is no longer good refuses all, `nis` being infinite.
+    """
+    m = len(innovation)
+    if not np.isfinite(innovation).all():
+        return Outcome(np.nan, m, False), expected
+    if not np.isfinite(expected).all():
+        return Outcome(np.inf, m, False), expected
+    try:
+        lower: Array = np.asarray(np.linalg.cholesky(0.5 * (expected + expected.T)))
+    except np.linalg.LinAlgError:
+        # Rounding has eaten the covariance: nothing can be told from it any more.
+        return Outcome(np.inf, m, False), expected
+    white = solve_triangular(lower, innovation, lower=True, check_finite=False)
+    nis = float(white @ white)
+    if not nis <= gate:
+        return Outcome(nis, m, False), lower
+    return Outcome(nis, m, True, white), lower
 
 
 def _whitened(own: Array, information: Array, vector: Array) -> tuple[Array, int]:

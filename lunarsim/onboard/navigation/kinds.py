@@ -1,4 +1,4 @@
-"""The kinds of navigation that the filter of inertial unit and scans serves."""
+"""The kinds of navigation that stand on one error state."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from lunarsim.messages.measurements import (
 from lunarsim.onboard.navigation.aids import LevelGround
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.parts.quantity import check_bounds, quantity
 
 
@@ -67,3 +68,30 @@ class PriorMapNavigation:
             state, sigmas, briefing.prior_map, instruments=briefing.instruments,
             ground=LevelGround.of(briefing, LevelGround().relief),
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RockNavigation:
+    """Inertial unit, rocks by their shadows, scans against each other, ranges, speeds, stars."""
+
+    ground_sigma: float = quantity(
+        10.0, "m", gt=0, le=1000, help="of the ground's height under the start, 1 sigma"
+    )
+    relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
+
+    needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
+    takes: ClassVar[tuple[type, ...]] = (
+        LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
+    )  # fmt: skip
+    uses_prior_map: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "navigation")
+
+    def build(self, briefing: Briefing) -> RockFilter:
+        """Return the filter of one flight."""
+        state, sigmas = StrapdownState.of(briefing)
+        ground = LevelGround(
+            float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
+        )
+        return RockFilter.of(state, sigmas, ground=ground, instruments=briefing.instruments)

@@ -15,7 +15,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import Shift, quat_from_rotation_vector, quat_multiply, quat_to_matrix
+from lunarsim.frames import (
+    Shift,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_to_matrix,
+    turned_about_up,
+)
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.navigation.inertial import (
@@ -35,12 +41,6 @@ _UP = np.array([0.0, 0.0, 1.0])
 def blank_block() -> dict[str, Array]:
     """Return the block for an error state; `LocalFrame` gives it its covariance."""
     return {MAP: np.zeros((4, 4))}
-
-
-def turned_about_up(angle: float) -> Array:
-    """Return the rotation (3, 3) by an angle about up, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 class LocalFrame:

@@ -1,40 +1,30 @@
 """The augmented multiplicative EKF: the lander and every rock it tracks (Eqs. 1-11).
 
-Rocks do not move and their radius is measured directly, in metres and with errors of its own
-(paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
-apart as scalar filters, which is exact. What is left is the error state of the lander, of what
-other measurements need, and three coordinates a rock. A measured rock depends on position, attitude
-and its own coordinates, so products with its Jacobian cost a few rows of the covariance; all rocks
-of one image are taken in one update, which equals the sequential one.
-
-The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
-its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
-their errors, so that what a height is off by counts once, however often the rock is seen.
+Its error state holds the lander, what other measurements need, and three coordinates a rock
+(`rock_states.py`). A measured rock depends on position, attitude and its own coordinates, so
+products with its Jacobian cost a few rows of the covariance; all rocks of one image are taken in
+one update, which equals the sequential one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
-from lunarsim.frames import Shift, quat_to_matrix
-from lunarsim.messages.briefing import Briefing
+from lunarsim.frames import Shift
 from lunarsim.messages.measurements import (
-    AltimeterReading,
-    AttitudeReading,
-    DopplerReading,
     InertialSamples,
     LidarScan,
 )
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
-from lunarsim.onboard.navigation.aids import GROUND, Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
@@ -42,16 +32,14 @@ from lunarsim.onboard.navigation.parts import KEY, Shared, most_of, scanner_bloc
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.rock_sight import Sight, sight_of
+from lunarsim.onboard.navigation.rock_states import AXES, RockStates
 from lunarsim.onboard.navigation.scan_odometry import ScanOdometry, key_block, plausible, width_of
-from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
 from lunarsim.onboard.navigation.watch import Watch
-from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# East, north and height.
-_AXES = 3
 # Turns of the view are taken together up to this angle, rad.
 _LEAST_TURN = 0.02
 # Passes that find where a line of sight meets ground that is not level.
@@ -62,56 +50,7 @@ _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
 _MOST_PLACE, _MOST_SPEED, _MOST_TURN = 100.0, 10.0, 0.1
 
 
-@dataclass(frozen=True)
-class Sight:
-    """Where rocks should be seen, and how that depends on the state.
-
-    Attributes
-    ----------
-    pixel
-        Predicted pixels (n, 2), distortion left out (Eq. 10).
-    depth
-        Along the boresight (n,), m; not positive behind the camera.
-    by_pose
-        Derivatives by position and attitude error (n, 2, 6).
-    by_rock
-        Derivatives by the rock's east, north and height (n, 2, 3).
-    """
-
-    pixel: Array
-    depth: Array
-    by_pose: Array
-    by_rock: Array
-
-
-@dataclass(frozen=True)
-class RockNavigation:
-    """Inertial unit, rocks by their shadows, scans against each other, ranges, speeds, stars."""
-
-    ground_sigma: float = quantity(
-        10.0, "m", gt=0, le=1000, help="of the ground's height under the start, 1 sigma"
-    )
-    relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
-
-    needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
-    takes: ClassVar[tuple[type, ...]] = (
-        LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
-    )  # fmt: skip
-    uses_prior_map: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        check_bounds(self, "navigation")
-
-    def build(self, briefing: Briefing) -> RockFilter:
-        """Return the filter of one flight."""
-        state, sigmas = StrapdownState.of(briefing)
-        ground = LevelGround(
-            float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
-        )
-        return RockFilter.of(state, sigmas, ground=ground, instruments=briefing.instruments)
-
-
-class RockFilter:
+class RockFilter(RockStates):
     """Lander and rocks in one filter.
 
     Parameters
@@ -125,8 +64,6 @@ class RockFilter:
 
     Attributes
     ----------
-    state
-        The error state.
     pictures
         Whether what pictures show can be believed.
     events
@@ -134,12 +71,8 @@ class RockFilter:
     """
 
     def __init__(self, state: ErrorState, aids: Aids, *, capacity: int = 128) -> None:
-        if state.tail:
-            raise InputError("navigation.rocks", state.tail, "no errors behind the state's blocks")
-        self.state = state
-        self.state.reserve(_AXES * capacity)
+        super().__init__(state, aids.ground, capacity)
         self.state.listeners.append(self._corrected)
-        self._first = self.state.head
         self.events = aids.events
         self.pictures = PictureWatch(self.events)
         self._aids = aids
@@ -148,10 +81,6 @@ class RockFilter:
         self._scans = ScanOdometry(self._shared, RegistrationSettings()) if state.has(KEY) else None
         self._raised = 0.0
         self._eye: Array | None = None
-        self.count = 0
-        self._xyz = np.zeros((capacity, _AXES))
-        self._r = np.zeros((capacity, 2))
-        self._rests = np.zeros(capacity, bool)
 
     @classmethod
     def of(
@@ -190,22 +119,6 @@ class RockFilter:
         """The lander's state."""
         return self.state.inertial
 
-    def rest(self, rocks: NDArray[np.bool_]) -> None:
-        """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
-
-        See `ErrorState.rest`.
-        """
-        self._rests[: self.count] = rocks
-        self._note_rests()
-
-    def _note_rests(self) -> None:
-        self.state.rest(np.repeat(self._rests[: self.count], _AXES))
-
-    def _places(self, index: Index | None = None) -> Index:
-        """Return where rocks' coordinates lie in the error state (n, 3)."""
-        rocks = np.arange(self.count) if index is None else np.asarray(index)
-        return np.asarray(self._first + _AXES * rocks[:, None] + np.arange(_AXES))
-
     # --- the state ------------------------------------------------------------------------
 
     @property
@@ -213,65 +126,13 @@ class RockFilter:
         """Of the lander's error state (15), what aids need, and the rocks' coordinates (3 n)."""
         return self.state.covariance
 
-    @property
-    def xyz(self) -> Array:
-        """Rocks' centres on the ground (n, 3), ENU, m."""
-        return self._xyz[: self.count]
-
-    @property
-    def xy(self) -> Array:
-        """Rocks' centres (n, 2), east and north, m."""
-        return self._xyz[: self.count, :2]
-
-    @property
-    def radius(self) -> Array:
-        """Rocks' radii (n,), m."""
-        return self._r[: self.count, 0]
-
-    @property
-    def radius_variance(self) -> Array:
-        """Variance of the radii (n,), m^2."""
-        return self._r[: self.count, 1]
-
-    def rock_covariance(self) -> Array:
-        """Return the covariance of each rock's coordinates (n, 3, 3), m^2."""
-        i = self._places()
-        return np.asarray(self.state.p[i[:, :, None], i[:, None, :]])
-
-    def relative_covariance(self) -> Array:
-        """Return the covariance of each rock's place less the lander's position (n, 3, 3), m^2.
-
-        An error that lander and rocks share moves the map with the lander and misplaces nothing
-        on it.
-        """
-        own = self.rock_covariance()
-        if self.count == 0:
-            return own
-        p = self.state.p
-        cross = np.moveaxis(p[np.arange(_AXES)[:, None, None], self._places()[None]], 0, 1)
-        return np.asarray(own + p[:_AXES, :_AXES] - cross - np.swapaxes(cross, 1, 2))
-
-    @property
-    def ground(self) -> float:
-        """Height of the ground under the lander, m."""
-        below = self.state.value(GROUND)[0] if self.state.has(GROUND) else 0.0
-        return float(self._aids.ground.elevation + below)
-
-    def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
-        at = np.atleast_2d(np.asarray(xy, np.float64))
-        if self.count == 0 or not self.state.has(GROUND):
-            return np.full(len(at), self.ground)
-        places = np.vstack((self.inertial.position[:2], self.xy))
-        return heights(places, np.append(self.ground, self.xyz[:, 2]), at, self._aids.ground.growth)
-
     def ground_points(self, camera: CameraModel, pixel: Array) -> Array:
         """Return where lines of sight through pixels (n, 2), undistorted, meet the ground (n, 3).
 
         NaN where they do not.
         """
         if len(pixel) == 0:
-            return np.empty((0, _AXES))
+            return np.empty((0, AXES))
         view = camera.view(self.inertial)
         tangent = (pixel - [view.cx, view.cy]) / [view.fx, view.fy]
         ray = np.column_stack((tangent, np.ones(len(tangent)))) @ view.axes.T
@@ -344,26 +205,13 @@ class RockFilter:
 
     def sight(self, camera: CameraModel, points: Array | None = None) -> Sight:
         """Return where rocks at points (n, 3), or those tracked, should be seen (Eqs. 10-11)."""
-        points = self.xyz if points is None else points
-        s = self.inertial
-        rotation = quat_to_matrix(s.attitude)
-        body = (points - s.position) @ rotation
-        seen = (body - np.asarray(camera.offset)) @ camera.mount
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixel = camera.pinhole.project(seen)
-            by_seen = camera.pinhole.jacobian(seen)
-        by_body = by_seen @ camera.mount.T
-        by_point = by_body @ rotation.T
-        # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
-        by_attitude = np.cross(by_body, body[:, None, :])
-        by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
-        return Sight(pixel, seen[:, 2], by_pose, by_point)
+        return sight_of(self.inertial, camera, self.xyz if points is None else points)
 
     def innovation_covariance(self, sight: Sight) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
         p = self.state.p
         pose = p[np.ix_(POSE, POSE)]
-        cross = np.moveaxis(p[POSE[:, None, None], self._places()[None]], 0, 1)  # (n, 6, 3)
+        cross = np.moveaxis(p[POSE[:, None, None], self.places()[None]], 0, 1)  # (n, 6, 3)
         own = self.rock_covariance()
         a, b = sight.by_pose, sight.by_rock
         mixed = a @ cross @ np.swapaxes(b, 1, 2)
@@ -425,18 +273,6 @@ class RockFilter:
                 index[good], sight, pixel[good], pixel_covariance[good], common, gate
             )
 
-    def update_radii(
-        self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
-    ) -> None:
-        """Take in the radii alone of rocks seen, as `update_rocks` does."""
-        radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
-        good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
-        index, radius, radius_variance = index[good], radius[good], radius_variance[good]
-        r = self._r[index]
-        gain = r[:, 1] / (r[:, 1] + radius_variance)
-        self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
-        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
-
     def _update_places(
         self,
         index: Index,
@@ -449,11 +285,11 @@ class RockFilter:
         """Correct lander and rocks."""
         m = len(index)
         a, b = sight.by_pose[index], sight.by_rock[index]
-        columns = self._places(index)
+        columns = self.places(index)
         with threads_for(1e-2 * m * self.state.size):
             hp = measured_rows(self.state.p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
-        own = hp[:, columns.ravel()].reshape(2 * m, m, _AXES)
+        own = hp[:, columns.ravel()].reshape(2 * m, m, AXES)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
@@ -463,9 +299,8 @@ class RockFilter:
         return self.state.absorb(hp, s, innovation, 2 * m * gate)
 
     def _corrected(self, error: Array) -> None:
-        """Move the rocks by a correction of the whole error state, and note the height's."""
+        """Note by how much a correction raises the lander."""
         self._raised += float(error[2])
-        self.xyz[:] += error[self._first :].reshape(-1, _AXES)
 
     def turn(self, sun: Array, wander: float) -> None:
         """Let what shadows tell of rocks' centres wander as the view turns.
@@ -494,8 +329,8 @@ class RockFilter:
         along = np.append(sun[:2] / np.hypot(sun[0], sun[1]), 0.0)
         move = (wander * np.sqrt(angle) * self.radius)[:, None] * along
         size = self.state.size
-        self.state.p[self._first : size, self._first : size] += np.outer(move, move)
-        i = self._places()
+        self.state.p[self.first : size, self.first : size] += np.outer(move, move)
+        i = self.places()
         self.state.p[i[:, :, None], i[:, None, :]] += move[:, :, None] * move[:, None, :]
 
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
@@ -510,7 +345,12 @@ class RockFilter:
             size = self.state.size
             most = np.full(size, _MOST_PLACE)
             most[VELOCITY], most[ATTITUDE] = _MOST_SPEED, _MOST_TURN
-            columns = np.r_[0:6, 9:12, self._first : size]
+            columns = np.r_[0:6, 9:12, self.first : size]
+            if self.state.has(KEY):
+                # Had only the pose grown, scans would draw it back to the pose that is kept.
+                key = self.state.block(KEY)
+                most[key.start + 3 : key.stop] = _MOST_TURN
+                columns = np.r_[columns, key]
             self.state.inflate(columns, growth, most[columns])
         return remedy
 
@@ -542,10 +382,10 @@ class RockFilter:
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
             raise InputError("rocks", points.tolist(), "points on ground in front of the camera")
-        index = self._append(points, radius, radius_variance)
+        index = self.append(points, radius, radius_variance)
         for rock in index:
-            self._follow_ground(rock)
-        p, size, i = self.state.p, self.state.size, self._places(index)
+            self.follow_ground(rock)
+        p, size, i = self.state.p, self.state.size, self.places(index)
         level = i[:, :2].ravel()
         rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
         rows += (by_height[:, :, None] * p[i[:, 2], :size][:, None, :]).reshape(2 * b, size)
@@ -556,89 +396,6 @@ class RockFilter:
         block[at[:, :, None], at[:, None, :]] += own
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
         return index
-
-    def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
-        """Begin to track rocks known beforehand (n,), with errors of their own."""
-        index = self._append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
-        level = self._places(index)[:, :2].ravel()
-        for rock in index:
-            self._follow_ground(rock)
-        self.state.p[level, level] = np.repeat(np.square(sigma), 2)
-
-    def _append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
-        """Make room for rocks (b,) that err by nothing yet; return their numbers."""
-        index = np.arange(self.count, self.count + len(points))
-        self._reserve(self.count + len(points))
-        old = self.state.size
-        self._counted(self.count + len(points))
-        p, size = self.state.p, self.state.size
-        p[old:size, :size] = 0.0
-        p[:size, old:size] = 0.0
-        self._xyz[index] = points
-        self._r[index] = np.column_stack((radius, radius_variance))
-        self._rests[index] = False
-        self._note_rests()
-        return index
-
-    def _follow_ground(self, rock: int) -> None:
-        """Let a rock's height err as those of its neighbours and the ground under the lander."""
-        if not self.state.has(GROUND):
-            return
-        at = self._xyz[rock, :2]
-        away = np.hypot(*(self._xyz[:rock, :2] - at).T)
-        near = np.argsort(away, kind="stable")[:NEIGHBOURS]
-        places = np.vstack((self.inertial.position[:2], self._xyz[near, :2]))
-        weights, variance = kriging(places[None], at[None], self._aids.ground.growth)
-        below = [self.state.block(GROUND).start]
-        sources = np.concatenate((below, self._places(near)[:, 2]))
-        self.state.follow(
-            int(self._places(np.array([rock]))[0, 2]), sources, weights[0], float(variance[0])
-        )
-
-    def remove(self, index: Index) -> Index:
-        """Stop tracking rocks; those from the end take their places.
-
-        Returns
-        -------
-        old
-            Old numbers of the rocks left (n,), in their new order.
-        """
-        gone = np.zeros(self.count, bool)
-        gone[index] = True
-        left = self.count - int(gone.sum())
-        holes = np.flatnonzero(gone[:left])
-        movers = left + np.flatnonzero(~gone[left:])
-        old = np.arange(left)
-        old[holes] = movers
-        to, source = self._places(holes).ravel(), self._places(movers).ravel()
-        p, size = self.state.p, self.state.size
-        p[to, :size] = p[source, :size]
-        p[:size, to] = p[:size, source]
-        self._xyz[holes] = self._xyz[movers]
-        self._r[holes] = self._r[movers]
-        self._rests[holes] = self._rests[movers]
-        self._counted(left)
-        self._note_rests()
-        return old
-
-    def widen(self, radius_rate: float, seconds: float) -> None:
-        """Let radii wander by a share `radius_rate` in a second: rocks differ from side to side."""
-        self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
-
-    def _reserve(self, count: int) -> None:
-        capacity = len(self._r)
-        if count <= capacity:
-            return
-        capacity = max(count, 2 * capacity)
-        self.state.reserve(_AXES * capacity)
-        for name in ("_xyz", "_r", "_rests"):
-            old = getattr(self, name)
-            more = np.zeros((capacity, *old.shape[1:]), old.dtype)
-            more[: self.count] = old[: self.count]
-            setattr(self, name, more)
-
-    def _counted(self, count: int) -> None:
-        self.count, self.state.tail = count, _AXES * count
 
 
 def _positive(covariance: Array) -> NDArray[np.bool_]:

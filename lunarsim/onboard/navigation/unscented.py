@@ -20,7 +20,6 @@ from filterpy.kalman import (
     unscented_transform,
 )
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
 
 from lunarsim.errors import InputError
 from lunarsim.frames import (
@@ -42,7 +41,7 @@ from lunarsim.messages.measurements import (
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
     ACCELEROMETER,
@@ -354,7 +353,7 @@ class UnscentedFilter:
             return Outcome(np.nan, 3, False)
         between = quat_multiply(quat_conjugate(self.inertial.attitude), normalised(q))
         turn = quat_to_rotation_vector(between)
-        outcome = _compared(turn, self._turn[:3, :3] + own, gate_of(3))
+        outcome, _ = compared(turn, self._turn[:3, :3] + own, gate_of(3))
         if outcome.taken:
             error = np.zeros(INERTIAL)
             error[ATTITUDE] = turn
@@ -374,7 +373,7 @@ class UnscentedFilter:
         k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
         through = np.array([expected(x) for x in k.sigmas_f])
         mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
-        outcome = _compared(z - mean, spread, gate)
+        outcome, _ = compared(z - mean, spread, gate)
         if outcome.taken:
             k.update(z, R=noise, hx=expected)
             k.P = 0.5 * (k.P + k.P.T)
@@ -418,18 +417,3 @@ class UnscentedFilter:
         times = np.minimum(np.sqrt(factor), room)
         p[at] *= times[:, None]
         p[:, at] *= times
-
-
-def _compared(innovation: Array, spread: Array, gate: float) -> Outcome:
-    """Return what an innovation (m,) is against its covariance (m, m)."""
-    if not np.isfinite(spread).all():
-        return Outcome(np.inf, len(innovation), False)
-    try:
-        lower = np.linalg.cholesky(0.5 * (spread + spread.T))
-    except np.linalg.LinAlgError:
-        return Outcome(np.inf, len(innovation), False)
-    white = solve_triangular(lower, innovation, lower=True)
-    nis = float(white @ white)
-    if not nis <= gate:
-        return Outcome(nis, len(white), False)
-    return Outcome(nis, len(white), True, white)

@@ -11,11 +11,13 @@ from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AltimeterReading
+from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
-from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.parts import KEY
 from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.reference.shadows import consider_update
@@ -459,6 +461,24 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     assert f.xyz[0, 2] == pytest.approx(1.8)
     with pytest.raises(InputError, match=r"navigation\.rocks"):
         RockFilter(state, Aids(state, {}, level, events))
+
+
+def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
+    """Else the next scan would draw the lander back to where rocks say that it is not."""
+    f = RockFilter.of(
+        StrapdownState([0.0, 0.0, 100.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0, 1.0], GRAVITY),
+        instruments={"flash": LidarInstrument(np.pi)},
+    )
+    f.state.clone(KEY, POSE)
+    key = f.state.block(KEY)
+    before, between = f.covariance.copy(), np.s_[key, POSE]
+    for k in range(6):
+        f.judge("places", 0.2 * k, Outcome(900.0, 10, False))
+    growth = np.diag(f.covariance)[key] / np.diag(before)[key]
+    assert growth == pytest.approx(np.diag(f.covariance)[POSE] / np.diag(before)[POSE])
+    assert (growth[:3] > 3.0).all()
+    # Lander and scan stay where they are to each other.
+    assert f.covariance[between] == pytest.approx(f.covariance[key, key])
 
 
 def test_a_doubt_widens_lander_and_rocks_alike():

@@ -20,7 +20,8 @@ from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSetting
 from lunarsim.onboard.navigation.aids import gate_of
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
-from lunarsim.onboard.navigation.rock_filter import RockFilter, RockNavigation
+from lunarsim.onboard.navigation.kinds import RockNavigation
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.shadow_model import ShadowModel

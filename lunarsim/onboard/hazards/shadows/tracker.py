@@ -14,7 +14,8 @@ from lunarsim.onboard.hazards.shadows.association import associate
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.planar import inverse, largest_eigenvalue, squared_distance
-from lunarsim.onboard.navigation.rock_filter import RockFilter, Sight
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.rock_sight import Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel

@@ -1,0 +1,52 @@
+"""Where rocks should be seen by a camera (Eqs. 10-11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.navigation.inertial import StrapdownState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where rocks should be seen, and how that depends on the state.
+
+    Attributes
+    ----------
+    pixel
+        Predicted pixels (n, 2), distortion left out (Eq. 10).
+    depth
+        Along the boresight (n,), m; not positive behind the camera.
+    by_pose
+        Derivatives by position and attitude error (n, 2, 6).
+    by_rock
+        Derivatives by the rock's east, north and height (n, 2, 3).
+    """
+
+    pixel: Array
+    depth: Array
+    by_pose: Array
+    by_rock: Array
+
+
+def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
+    """Return where rocks at points (n, 3) should be seen from where the lander is (Eqs. 10-11)."""
+    rotation = quat_to_matrix(inertial.attitude)
+    body = (points - inertial.position) @ rotation
+    seen = (body - np.asarray(camera.offset)) @ camera.mount
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixel = camera.pinhole.project(seen)
+        by_seen = camera.pinhole.jacobian(seen)
+    by_body = by_seen @ camera.mount.T
+    by_point = by_body @ rotation.T
+    # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
+    by_attitude = np.cross(by_body, body[:, None, :])
+    by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
+    return Sight(pixel, seen[:, 2], by_pose, by_point)

@@ -1,0 +1,231 @@
+"""Rocks behind the blocks of an error state: where they are, how large, and how both err.
+
+Rocks do not move and their radius is measured directly, in metres and with errors of its own
+(paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
+apart as scalar filters, which is exact.
+
+The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
+its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
+their errors, so that what a height is off by counts once, however often the rock is seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.navigation.aids import GROUND, LevelGround
+from lunarsim.onboard.navigation.error_state import ErrorState
+from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# East, north and height.
+AXES = 3
+
+
+class RockStates:
+    """Rocks as the tail of an error state.
+
+    Parameters
+    ----------
+    state
+        Error state of the lander; what stands behind its blocks is the rocks'.
+    level
+        What is known of the ground besides.
+    capacity
+        Rocks for which room is made at first; it grows as needed.
+
+    Attributes
+    ----------
+    state
+        The error state.
+    count
+        Number of rocks.
+    first
+        Place of the first rock's east in the error state.
+    """
+
+    def __init__(self, state: ErrorState, level: LevelGround, capacity: int) -> None:
+        if state.tail:
+            raise InputError("navigation.rocks", state.tail, "no errors behind the state's blocks")
+        self.state = state
+        self.state.reserve(AXES * capacity)
+        self.state.listeners.append(self._moved)
+        self.first = self.state.head
+        self.count = 0
+        self._level = level
+        self._xyz = np.zeros((capacity, AXES))
+        self._r = np.zeros((capacity, 2))
+        self._rests = np.zeros(capacity, bool)
+
+    def _moved(self, error: Array) -> None:
+        """Move the rocks by a correction of the whole error state."""
+        self.xyz[:] += error[self.first :].reshape(-1, AXES)
+
+    def rest(self, rocks: NDArray[np.bool_]) -> None:
+        """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
+
+        See `ErrorState.rest`.
+        """
+        self._rests[: self.count] = rocks
+        self._note_rests()
+
+    def _note_rests(self) -> None:
+        self.state.rest(np.repeat(self._rests[: self.count], AXES))
+
+    def places(self, index: Index | None = None) -> Index:
+        """Return where rocks' coordinates lie in the error state (n, 3)."""
+        rocks = np.arange(self.count) if index is None else np.asarray(index)
+        return np.asarray(self.first + AXES * rocks[:, None] + np.arange(AXES))
+
+    @property
+    def xyz(self) -> Array:
+        """Rocks' centres on the ground (n, 3), ENU, m."""
+        return self._xyz[: self.count]
+
+    @property
+    def xy(self) -> Array:
+        """Rocks' centres (n, 2), east and north, m."""
+        return self._xyz[: self.count, :2]
+
+    @property
+    def radius(self) -> Array:
+        """Rocks' radii (n,), m."""
+        return self._r[: self.count, 0]
+
+    @property
+    def radius_variance(self) -> Array:
+        """Variance of the radii (n,), m^2."""
+        return self._r[: self.count, 1]
+
+    def rock_covariance(self) -> Array:
+        """Return the covariance of each rock's coordinates (n, 3, 3), m^2."""
+        i = self.places()
+        return np.asarray(self.state.p[i[:, :, None], i[:, None, :]])
+
+    def relative_covariance(self) -> Array:
+        """Return the covariance of each rock's place less the lander's position (n, 3, 3), m^2.
+
+        An error that lander and rocks share moves the map with the lander and misplaces nothing
+        on it.
+        """
+        own = self.rock_covariance()
+        if self.count == 0:
+            return own
+        p = self.state.p
+        cross = np.moveaxis(p[np.arange(AXES)[:, None, None], self.places()[None]], 0, 1)
+        return np.asarray(own + p[:AXES, :AXES] - cross - np.swapaxes(cross, 1, 2))
+
+    @property
+    def ground(self) -> float:
+        """Height of the ground under the lander, m."""
+        below = self.state.value(GROUND)[0] if self.state.has(GROUND) else 0.0
+        return float(self._level.elevation + below)
+
+    def ground_at(self, xy: ArrayLike) -> Array:
+        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
+        at = np.atleast_2d(np.asarray(xy, np.float64))
+        if self.count == 0 or not self.state.has(GROUND):
+            return np.full(len(at), self.ground)
+        places = np.vstack((self.state.inertial.position[:2], self.xy))
+        return heights(places, np.append(self.ground, self.xyz[:, 2]), at, self._level.growth)
+
+    def update_radii(
+        self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
+    ) -> None:
+        """Take in the radii alone of rocks seen, as `update_rocks` does."""
+        radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
+        good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
+        index, radius, radius_variance = index[good], radius[good], radius_variance[good]
+        r = self._r[index]
+        gain = r[:, 1] / (r[:, 1] + radius_variance)
+        self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
+        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
+
+    # --- coming and going -----------------------------------------------------------------
+
+    def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
+        """Begin to track rocks known beforehand (n,), with errors of their own."""
+        index = self.append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
+        level = self.places(index)[:, :2].ravel()
+        for rock in index:
+            self.follow_ground(rock)
+        self.state.p[level, level] = np.repeat(np.square(sigma), 2)
+
+    def append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
+        """Make room for rocks (b,) that err by nothing yet; return their numbers."""
+        index = np.arange(self.count, self.count + len(points))
+        self._reserve(self.count + len(points))
+        old = self.state.size
+        self._counted(self.count + len(points))
+        p, size = self.state.p, self.state.size
+        p[old:size, :size] = 0.0
+        p[:size, old:size] = 0.0
+        self._xyz[index] = points
+        self._r[index] = np.column_stack((radius, radius_variance))
+        self._rests[index] = False
+        self._note_rests()
+        return index
+
+    def follow_ground(self, rock: int) -> None:
+        """Let a rock's height err as those of its neighbours and the ground under the lander."""
+        if not self.state.has(GROUND):
+            return
+        at = self._xyz[rock, :2]
+        away = np.hypot(*(self._xyz[:rock, :2] - at).T)
+        near = np.argsort(away, kind="stable")[:NEIGHBOURS]
+        places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
+        weights, variance = kriging(places[None], at[None], self._level.growth)
+        below = [self.state.block(GROUND).start]
+        sources = np.concatenate((below, self.places(near)[:, 2]))
+        self.state.follow(
+            int(self.places(np.array([rock]))[0, 2]), sources, weights[0], float(variance[0])
+        )
+
+    def remove(self, index: Index) -> Index:
+        """Stop tracking rocks; those from the end take their places.
+
+        Returns
+        -------
+        old
+            Old numbers of the rocks left (n,), in their new order.
+        """
+        gone = np.zeros(self.count, bool)
+        gone[index] = True
+        left = self.count - int(gone.sum())
+        holes = np.flatnonzero(gone[:left])
+        movers = left + np.flatnonzero(~gone[left:])
+        old = np.arange(left)
+        old[holes] = movers
+        to, source = self.places(holes).ravel(), self.places(movers).ravel()
+        p, size = self.state.p, self.state.size
+        p[to, :size] = p[source, :size]
+        p[:size, to] = p[:size, source]
+        self._xyz[holes] = self._xyz[movers]
+        self._r[holes] = self._r[movers]
+        self._rests[holes] = self._rests[movers]
+        self._counted(left)
+        self._note_rests()
+        return old
+
+    def widen(self, radius_rate: float, seconds: float) -> None:
+        """Let radii wander by a share `radius_rate` in a second: rocks differ from side to side."""
+        self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
+
+    def _reserve(self, count: int) -> None:
+        capacity = len(self._r)
+        if count <= capacity:
+            return
+        capacity = max(count, 2 * capacity)
+        self.state.reserve(AXES * capacity)
+        for name in ("_xyz", "_r", "_rests"):
+            old = getattr(self, name)
+            more = np.zeros((capacity, *old.shape[1:]), old.dtype)
+            more[: self.count] = old[: self.count]
+            setattr(self, name, more)
+
+    def _counted(self, count: int) -> None:
+        self.count, self.state.tail = count, AXES * count

@@ -1,0 +1,67 @@
+"""What the studies of navigation share: options, and the table of who said that it was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol, TypeVar
+
+import click
+from rich.table import Table
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Declared(Protocol):
+    """A flight with something wrong."""
+
+    @property
+    def far(self) -> bool:
+        """Whether it was too far off at the end."""
+        ...
+
+    @property
+    def lost(self) -> bool:
+        """Whether navigation said so at the end."""
+        ...
+
+    @property
+    def doubted(self) -> int:
+        """How often it doubted a measurement."""
+        ...
+
+    @property
+    def safe(self) -> bool:
+        """Whether the lander came down safely."""
+        ...
+
+
+def seed_and_jobs(function: F) -> F:
+    """Add the options `--seed` and `--jobs`."""
+    jobs = click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+                        help="Processes; results do not depend on it.")  # fmt: skip
+    seed = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
+                        help="Root seed.")  # fmt: skip
+    return seed(jobs(function))
+
+
+def declared_table(title: str, first: str, rows: Iterable[tuple[str, Sequence[Declared]]]) -> Table:
+    """Return how many flights ended too far off, and how many of these were not called lost.
+
+    Parameters
+    ----------
+    title, first
+        Of the table and of its first column.
+    rows
+        Name and flights of each row.
+    """
+    table = Table(title=title)
+    for heading in (first, "flights", "over 5 sigma\nat the end", "of these not\ncalled lost",
+                    "called lost\nat the end", "doubted\nat times", "landed safe"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading == first else "right")
+    for name, mine in rows:
+        table.add_row(
+            name, str(len(mine)), str(sum(f.far for f in mine)),
+            str(sum(f.far and not f.lost for f in mine)), str(sum(f.lost for f in mine)),
+            str(sum(f.doubted > 0 for f in mine)), str(sum(f.safe for f in mine)),
+        )  # fmt: skip
+    return table
