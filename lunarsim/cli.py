@@ -65,21 +65,32 @@ _FLIGHT = click.option(
     "--policy", default=None, show_default="the scenario's",
     help="A name that `lunarsim parts policy` lists, or module:Class.",
 )  # fmt: skip
+@click.option(
+    "--guidance", default=None, show_default="the scenario's",
+    help="A law that `lunarsim parts guidance` lists, with its defaults, or module:Class.",
+)  # fmt: skip
 @_SEED
 @_FLIGHT
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None,
     help="New folder for the record and figures.",
 )  # fmt: skip
-def fly(scenario: Path, policy: str | None, seed: int, flight: int, out: Path | None) -> None:
+def fly(
+    scenario: Path, policy: str | None, guidance: str | None, seed: int, flight: int,
+    out: Path | None,
+) -> None:  # fmt: skip
     """Fly one descent of SCENARIO (a TOML file) and print how it ended."""
     from lunarsim.campaign.compare import check_folder, check_request
+    from lunarsim.parts import resolve
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
     from lunarsim.simulation.lock_forecast import lock_forecast
 
     loaded = Scenario.load(scenario)
+    if guidance is not None and guidance != loaded.guidance.kind:
+        resolve("guidance", guidance, "--guidance")
+        loaded = loaded.changed(guidance={"kind": guidance})
     chosen = policy or loaded.policy.kind
     check_request([chosen], 1, 1)
     if out is not None:

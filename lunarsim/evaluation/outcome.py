@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
-from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.world.truth import Truth
@@ -89,7 +88,7 @@ def safe_site_in_reach(flight: Flight, truth: Truth) -> bool:
     scenario = Scenario.from_toml(flight.scenario)
     approach, lander = scenario.approach.make(), scenario.vehicle.make()
     sites = np.column_stack((spots, np.full(len(spots), flight.sites[-1, 2])))
-    cost = divert_cost(
-        first, approach.end(sites, lander), lander, scenario.gravity_m_s2, limits=approach.limits
+    cost = scenario.guidance.make().cost(
+        first, approach.end(sites, lander), lander, scenario.gravity_m_s2, approach.limits
     )
     return bool(cost.feasible.any())

@@ -22,7 +22,7 @@ from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import DivertCost, divert_cost
+from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
@@ -167,13 +167,14 @@ class OnboardComputer:
 
     def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
         """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
-        return divert_cost(
+        cost: DivertCost = self.briefing.software.guidance.cost(
             estimate or self.estimate,
             self.approach.end(sites, self.lander),
             self.lander,
             self.briefing.weight,
-            limits=self.approach.limits,
+            self.approach.limits,
         )
+        return cost
 
     def observe(self) -> Observation:
         """Return what a policy is shown now."""

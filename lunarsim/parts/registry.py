@@ -110,8 +110,17 @@ CONTRACTS: dict[str, Contract] = {
     ),
     "guidance": Contract(
         "how to fly to the end of the approach",
-        {"apollo": "lunarsim.onboard.guidance.apollo:ApolloLaw"},
-        ("build",),
+        {
+            "apollo": "lunarsim.onboard.guidance.apollo:ApolloLaw",
+            "modified-apollo": "lunarsim.onboard.guidance.modified_apollo:ModifiedApolloLaw",
+            "e-guidance": "lunarsim.onboard.guidance.e_guidance:EGuidanceLaw",
+            "zem-zev": "lunarsim.onboard.guidance.zem_zev:ZemZevLaw",
+            "augmented-apollo": "lunarsim.onboard.guidance.augmented_apollo:AugmentedApolloLaw",
+            "fractional-polynomial": (
+                "lunarsim.onboard.guidance.fractional:FractionalPolynomialLaw"
+            ),
+        },
+        ("build", "cost"),
     ),
     "control": Contract(
         "how the attitude follows guidance",

@@ -17,7 +17,6 @@ from lunarsim.models.gravity import UniformGravity
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
-from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
@@ -88,7 +87,7 @@ def draw_start(start: Start, world: World, lander: Lander, streams: Streams, sit
 
 
 def plan_time_to_go(
-    state: State, target: Array, approach: Approach, lander: Lander, gravity: float
+    state: State, target: Array, software: Software, lander: Lander, gravity: float
 ) -> float:
     """Return the duration of the approach from the planned start, s.
 
@@ -97,11 +96,12 @@ def plan_time_to_go(
     InputError
         If the target cannot be reached.
     """
+    approach: Approach = software.approach
     if approach.time_to_go is not None:
         return approach.time_to_go
     here = _as_estimate(state)
     end = approach.end(target[None, :], lander)
-    time_to_go = divert_cost(here, end, lander, gravity, limits=approach.limits).time_to_go[0]
+    time_to_go = software.guidance.cost(here, end, lander, gravity, approach.limits).time_to_go[0]
     if not np.isfinite(time_to_go):
         raise InputError(
             "start.position_m",
@@ -170,7 +170,7 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         velocity=np.asarray(start.velocity, dtype=np.float64),
     )
     software: Software = scenario.software()
-    time_to_go = plan_time_to_go(planned, target, software.approach, lander, world.gravity)
+    time_to_go = plan_time_to_go(planned, target, software, lander, world.gravity)
     prior = None
     if scenario.prior_map is not None:
         middle = scenario.target.make().position

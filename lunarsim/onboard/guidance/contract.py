@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,4 +71,27 @@ class GuidancePart(Protocol):
 
     def build(self, briefing: Briefing, lag: float) -> GuidanceLaw:
         """Return the law of one flight; `lag` is that of attitude and engine, s."""
+        ...
+
+    def cost(
+        self, estimate: Estimate, end: PhaseEnd, lander: Any, gravity: float, limits: Any = None
+    ) -> Any:
+        """Return what it takes to reach each of n ends of an approach under this law.
+
+        Parameters
+        ----------
+        estimate
+            Where the lander is.
+        end
+            Of the approach, for n sites.
+        lander, gravity
+            `lunarsim.models.lander.Lander`, and downward acceleration, m/s^2.
+        limits
+            `lunarsim.onboard.guidance.divert.PathLimits`; None for its defaults.
+
+        Returns
+        -------
+        DivertCost
+            Of `lunarsim.onboard.guidance.divert`.
+        """
         ...

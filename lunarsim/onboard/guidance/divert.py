@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._jit import threads_for
+from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance import _kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 24  # Simpson intervals along a trajectory: fuel to better than 0.1 %
-_TIMES = 48  # candidate times-to-go
+_SAMPLES = 24  # Simpson intervals along a path: fuel to better than 0.1 %
+_TIMES = 14  # first looked at, with fewer samples
+_ROUGH = 8
+# Nothing admissible was seen to take longer than this over the time at the present speed.
+_SLOWNESS = 8.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +73,33 @@ class DivertCost:
         return np.isfinite(self.propellant)
 
 
+@lru_cache(maxsize=32)
+def _table(shape: PathShape, samples: int) -> Array:
+    """Return share of the time that is left and its powers along a path, as the kernel takes it."""
+    left = 1.0 - np.arange(samples + 1) / samples
+    return np.column_stack((left, left**shape.low, left**shape.high))
+
+
+def admissible_times(
+    estimate: Estimate, end: PhaseEnd, targets: Array, lander: Lander, gravity: float
+) -> tuple[Array, Array]:
+    """Return bounds of the time-to-go to each target (n,), s: no path is faster or slower.
+
+    Faster is none than the one that thrusts straight there all the time; slower none than what
+    hovering leaves of the velocity increment that the tanks hold. Each target has bounds of its
+    own: its answer does not depend on what else is asked for.
+    """
+    gap = np.linalg.norm(targets - estimate.position, axis=1)
+    speed = float(np.linalg.norm(estimate.velocity))
+    most = lander.thrust_max / lander.dry_mass + gravity
+    fastest = 2.0 * gap / (speed + np.sqrt(speed**2 + 2.0 * most * gap) + 1e-12)
+    held = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
+    slowest = (held + speed + float(np.linalg.norm(end.velocity))) / gravity
+    first = np.maximum(fastest, 1.0)
+    last = np.minimum(slowest, _SLOWNESS * np.maximum(gap / max(speed, 5.0), first))
+    return first, np.maximum(last, first)
+
+
 def divert_cost(
     estimate: Estimate,
     end: PhaseEnd,
@@ -73,8 +107,10 @@ def divert_cost(
     gravity: float,
     *,
     limits: PathLimits | None = None,
+    shape: PathShape = APOLLO,
+    times: Array | None = None,
 ) -> DivertCost:
-    """Find the cheapest admissible polynomial trajectory to each end of an approach.
+    """Find the cheapest admissible path of a law to each end of an approach.
 
     The integral of the thrust acceleration (Eq. 10 of the quadtree paper) is minimised over a
     range of times-to-go.
@@ -89,33 +125,51 @@ def divert_cost(
         Thrust range, propellant, weight.
     limits
         What the trajectory must respect.
+    shape
+        Of the law's paths.
+    times
+        The one time-to-go to be tried for each site (n,), s; NaN for none. Left out: the cheapest.
+
+    Raises
+    ------
+    InputError
+        If the estimate or an end is not finite, or gravity is not positive.
     """
     limits = limits or PathLimits()
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
-    gap = np.linalg.norm(targets - estimate.position, axis=1)
-    speed = float(np.linalg.norm(estimate.velocity))
-    # Each target has times of its own: its answer does not depend on what else is asked for.
-    slowest = np.maximum(20.0, 3.0 * gap / max(speed, 5.0))
-    times = 3.0 * (slowest[:, None] / 3.0) ** np.linspace(0.0, 1.0, _TIMES)
+    _check(estimate, end, gravity)
+    if times is None:
+        first, last = admissible_times(estimate, end, targets, lander, gravity)
+    else:
+        first = last = np.ascontiguousarray(times, dtype=np.float64)
     found = np.empty((len(targets), 4))
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
-    k.survey(
-        np.ascontiguousarray(estimate.position),
-        np.ascontiguousarray(estimate.velocity),
-        targets,
-        np.asarray(end.velocity, dtype=np.float64),
-        np.asarray(end.acceleration, dtype=np.float64),
-        times,
-        _SAMPLES,
-        gravity,
-        estimate.mass,
-        lander.exhaust_velocity,
-        lander.thrust_min + margin,
-        lander.thrust_max - margin,
-        np.tan(limits.max_tilt),
-        np.tan(limits.glideslope),
-        found,
-    )
+    with threads_for(5.0 * len(targets)):
+        k.survey(
+            np.ascontiguousarray(estimate.position, dtype=np.float64),
+            np.ascontiguousarray(estimate.velocity, dtype=np.float64),
+            targets,
+            np.asarray(end.velocity, dtype=np.float64),
+            np.asarray(end.acceleration, dtype=np.float64),
+            first,
+            last,
+            _TIMES if times is None else 1,
+            _table(shape, _ROUGH),
+            _table(shape, _SAMPLES),
+            np.array(shape.powers),
+            gravity,
+            estimate.mass,
+            np.array(
+                [
+                    lander.exhaust_velocity,
+                    lander.thrust_min + margin,
+                    lander.thrust_max - margin,
+                    np.tan(limits.max_tilt),
+                    np.tan(limits.glideslope),
+                ]
+            ),
+            found,
+        )
     propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
     left = estimate.mass - lander.dry_mass - limits.reserve
     good = propellant <= left
@@ -125,3 +179,38 @@ def divert_cost(
         np.where(good, found[:, 2], np.nan),
         np.where(good, np.arctan(found[:, 3]), np.nan),
     )
+
+
+def _check(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
+    for name, value in (
+        ("estimate.position", estimate.position),
+        ("estimate.velocity", estimate.velocity),
+        ("estimate.mass", np.asarray(estimate.mass)),
+        ("end.position", end.position),
+        ("end.velocity", end.velocity),
+        ("end.acceleration", end.acceleration),
+    ):
+        if not np.isfinite(value).all():
+            raise InputError(f"guidance.{name}", np.asarray(value).tolist(), "finite figures")
+    if not (np.isfinite(gravity) and gravity > 0.0):
+        raise InputError("guidance.gravity", gravity, "a positive number in m/s^2")
+
+
+class PathLaw:
+    """What laws share whose paths are of one shape: their cost is that of the paths they fly."""
+
+    @property
+    def shape(self) -> PathShape:
+        """Of its paths under perfect actuation."""
+        raise NotImplementedError
+
+    def cost(
+        self,
+        estimate: Estimate,
+        end: PhaseEnd,
+        lander: Lander,
+        gravity: float,
+        limits: PathLimits | None = None,
+    ) -> DivertCost:
+        """Return what it takes to reach each end of an approach; see `divert_cost`."""
+        return divert_cost(estimate, end, lander, gravity, limits=limits, shape=self.shape)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
+from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
-from lunarsim.onboard.guidance.apollo import PolynomialTrajectory, terminal_polynomial
+from lunarsim.onboard.guidance import _kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.paths import APOLLO, Path
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -40,50 +41,67 @@ class SiteCost:
     time_to_go: Array
 
 
-def steepest(trajectory: PolynomialTrajectory) -> tuple[float, float]:
-    """Return the greatest jerk (m/s^3) and snap (m/s^4) along a trajectory.
+def steepest(path: Path) -> tuple[float, float]:
+    """Return the greatest jerk (m/s^3) and snap (m/s^4) along a quartic path.
 
     Jerk is linear in time, so it is greatest at an end; snap is constant.
+
+    Raises
+    ------
+    InputError
+        If the path is of another shape.
     """
-    _, c1, c2 = trajectory.c
-    ends = (c1, c1 + 2.0 * c2 * trajectory.time_to_go)
-    return max(float(np.linalg.norm(j)) for j in ends), 2.0 * float(np.linalg.norm(c2))
+    if path.powers != APOLLO.powers:
+        raise InputError("guidance.powers", path.powers, f"{APOLLO.powers}, a quartic path")
+    first, second = path.terms
+    ends = (first, first + 2.0 * second)
+    most = max(float(np.linalg.norm(j)) for j in ends) / path.time_to_go
+    return most, 2.0 * float(np.linalg.norm(second)) / path.time_to_go**2
 
 
-def limited_time_to_go(
-    position: ArrayLike, velocity: ArrayLike, target: PhaseEnd, *, jerk: float, snap: float
-) -> float:
-    """Return the least time-to-go (s) whose polynomial keeps both limits; NaN above 1000 s.
+def limited_times(
+    position: ArrayLike, velocity: ArrayLike, ends: PhaseEnd, *, jerk: float, snap: float
+) -> Array:
+    """Return the least times-to-go (n,), s, whose quartics keep both limits; NaN above 1000 s.
 
     Parameters
     ----------
     position, velocity
         Now (3,), m and m/s.
-    target
-        Boundary conditions at the end.
+    ends
+        Where paths end, for one site or for n.
     jerk, snap
         Limits, m/s^3 and m/s^4.
+
+    Raises
+    ------
+    InputError
+        If a limit is not positive.
     """
     for name, value in (("jerk", jerk), ("snap", snap)):
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"guidance.{name}", value, "a positive limit")
+    targets = np.ascontiguousarray(np.atleast_2d(ends.position), dtype=np.float64)
+    out = np.empty(len(targets))
+    with threads_for(10.0 * len(targets)):
+        k.limited_times(
+            np.ascontiguousarray(position, dtype=np.float64),
+            np.ascontiguousarray(velocity, dtype=np.float64),
+            targets,
+            np.asarray(ends.velocity, dtype=np.float64),
+            np.asarray(ends.acceleration, dtype=np.float64),
+            _TIMES,
+            jerk,
+            snap,
+            out,
+        )
+    return out
 
-    def excess(time: float) -> float:
-        j, s = steepest(terminal_polynomial(position, velocity, target, time))
-        return max(j / jerk, s / snap) - 1.0
 
-    previous = None
-    for time in _TIMES:
-        if excess(time) <= 0.0:
-            return float(time if previous is None else brentq(excess, previous, time, xtol=1e-6))
-        previous = time
-    return float("nan")
-
-
-def increment(trajectory: PolynomialTrajectory, gravity: float) -> float:
-    """Return the integral of the thrust acceleration along a trajectory (Eq. 10), m/s."""
-    half = 0.5 * trajectory.time_to_go
-    acceleration = trajectory.at(half * (_NODES + 1.0))[2] + np.array([0.0, 0.0, gravity])
+def increment(path: Path, gravity: float) -> float:
+    """Return the integral of the thrust acceleration along a path (Eq. 10), m/s."""
+    half = 0.5 * path.time_to_go
+    acceleration = path.at(half * (_NODES + 1.0))[2] + np.array([0.0, 0.0, gravity])
     return float(half * _WEIGHTS @ np.linalg.norm(acceleration, axis=-1))
 
 
@@ -133,13 +151,11 @@ def site_cost(
     ):  # fmt: skip
         if not (np.isfinite(number) and number > 0.0):
             raise InputError(f"guidance.{name}", number, "a positive number")
-    times, totals = np.full(len(sites), np.nan), np.full(len(sites), np.inf)
-    for n, site in enumerate(sites):
-        target = PhaseEnd(site, np.asarray(arrival_velocity, dtype=np.float64))
-        times[n] = limited_time_to_go(
-            estimate.position, estimate.velocity, target, jerk=jerk, snap=snap
-        )
-        if np.isfinite(times[n]):
-            path = terminal_polynomial(estimate.position, estimate.velocity, target, times[n])
-            totals[n] = increment(path, gravity)
+    ends = PhaseEnd(sites, np.asarray(arrival_velocity, dtype=np.float64))
+    times = limited_times(estimate.position, estimate.velocity, ends, jerk=jerk, snap=snap)
+    totals = np.full(len(sites), np.inf)
+    for n in np.flatnonzero(np.isfinite(times)):
+        end = PhaseEnd(sites[n], ends.velocity)
+        path = APOLLO.path(estimate.position, estimate.velocity, end, times[n])
+        totals[n] = increment(path, gravity)
     return SiteCost(totals, estimate.mass * -np.expm1(-totals / exhaust_velocity), times)

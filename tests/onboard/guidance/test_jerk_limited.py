@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.guidance.apollo import terminal_polynomial
+from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.jerk_limited import (
     increment,
-    limited_time_to_go,
+    limited_times,
     site_cost,
     steepest,
 )
@@ -24,7 +24,7 @@ END = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.0]))
 
 
 def test_jerk_and_snap_are_the_derivatives_of_the_acceleration():
-    path = terminal_polynomial(R, V, END, 30.0)
+    path = APOLLO.path(R, V, END, 30.0)
     t = np.linspace(0.0, 30.0, 30_001)
     jerk = np.gradient(path.at(t)[2], t, axis=0)
     snap = np.gradient(jerk, t, axis=0)[2:-2]
@@ -35,22 +35,22 @@ def test_jerk_and_snap_are_the_derivatives_of_the_acceleration():
 
 @pytest.mark.parametrize(("jerk", "snap"), [(0.25, 9.0), (9.0, 0.05), (0.25, 0.05), (0.01, 0.01)])
 def test_the_least_time_that_keeps_both_limits(jerk, snap):
-    time = limited_time_to_go(R, V, END, jerk=jerk, snap=snap)
-    j, s = steepest(terminal_polynomial(R, V, END, time))
+    time = limited_times(R, V, END, jerk=jerk, snap=snap)[0]
+    j, s = steepest(APOLLO.path(R, V, END, time))
     assert max(j / jerk, s / snap) == pytest.approx(1.0, abs=1e-4)
     for sooner in np.linspace(1.0, 0.999 * time, 50):
-        j, s = steepest(terminal_polynomial(R, V, END, sooner))
+        j, s = steepest(APOLLO.path(R, V, END, sooner))
         assert max(j / jerk, s / snap) > 1.0
 
 
 def test_increment_is_the_integral_of_equation_10():
-    path = terminal_polynomial(R, V, END, 30.0)
+    path = APOLLO.path(R, V, END, 30.0)
     whole = quad(
         lambda t: np.linalg.norm(path.at(t)[2] + [0.0, 0.0, 9.81]), 0.0, 30.0, epsabs=1e-9
     )[0]
     assert increment(path, 9.81) == pytest.approx(whole, rel=1e-9)
     # Hovering costs g times the time.
-    still = terminal_polynomial(np.zeros(3), np.zeros(3), PhaseEnd(np.zeros(3)), 12.0)
+    still = APOLLO.path(np.zeros(3), np.zeros(3), PhaseEnd(np.zeros(3)), 12.0)
     assert increment(still, 1.622) == pytest.approx(12.0 * 1.622, rel=1e-12)
 
 
@@ -97,4 +97,4 @@ def test_costs_of_what_is_no_number_are_refused(changes, field):
 @pytest.mark.parametrize(("jerk", "snap"), [(0.0, 1.0), (1.0, -1.0), (np.nan, 1.0)])
 def test_limits_must_be_positive(jerk, snap):
     with pytest.raises(InputError, match="guidance"):
-        limited_time_to_go(R, V, END, jerk=jerk, snap=snap)
+        limited_times(R, V, END, jerk=jerk, snap=snap)[0]

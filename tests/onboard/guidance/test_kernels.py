@@ -7,7 +7,15 @@ from lunarsim.onboard.guidance import _kernels as kernels
 from tests.reference import divert as plain
 
 
-@pytest.mark.parametrize("seed", range(3))
+POWERS = [(1.0, 2.0), (0.0, 1.0), (0.5, 1.3), (1.0, 4.0)]
+
+
+def table_of(powers, samples):
+    left = np.linspace(1.0, 0.0, samples + 1)
+    return np.stack((left, left ** powers[0], left ** powers[1]), axis=1)
+
+
+@pytest.mark.parametrize("powers", POWERS)
 @pytest.mark.parametrize(
     ("least", "most", "tan_tilt", "glide"),
     [
@@ -18,19 +26,44 @@ from tests.reference import divert as plain
         (1500.0, 5500.0, 0.7, 0.3),
     ],
 )
-def test_cheapest_admissible_time(seed, least, most, tan_tilt, glide):
-    rng = np.random.default_rng(seed)
+def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
+    rng = np.random.default_rng(5)
     count, samples = 30, 12
     r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
     targets = np.column_stack((rng.uniform(-80.0, 80.0, (count, 2)), rng.normal(0.0, 5.0, count)))
     v_f, a_f = np.array([0.3, -0.2, -2.0]), np.array([0.1, 0.05, 0.2])
-    times = rng.uniform(15.0, 60.0, (count, 9))
+    times = rng.uniform(15.0, 60.0, (9, count))
+    times[3, 4] = np.nan
     figures = (samples, 1.62, 1480.0, 3050.0, least, most, tan_tilt, glide)
-    out = np.empty((count, 4))
-    kernels.survey(r, v, targets, v_f, a_f, times, *figures, out)
-    wanted = np.array([
-        plain.best(r, v, target, v_f, a_f, row, *figures)
-        for target, row in zip(targets, times, strict=True)
-    ])  # fmt: skip
-    assert out == pytest.approx(wanted, rel=1e-9, nan_ok=True)
-    assert np.isfinite(wanted[:, 0]).sum() >= 3
+    table, limits = table_of(powers, samples), np.array([3050.0, least, most, tan_tilt, glide])
+    reached = 0
+    for row in times:
+        out = np.empty((count, 4))
+        kernels.survey(
+            r, v, targets, v_f, a_f, row, row, 1, table, table, np.array(powers), 1.62, 1480.0,
+            limits, out,
+        )  # fmt: skip
+        wanted = np.array([
+            plain.best(r, v, target, v_f, a_f, [time], *figures, powers)
+            for target, time in zip(targets, row, strict=True)
+        ])  # fmt: skip
+        assert out == pytest.approx(wanted, rel=1e-9, nan_ok=True)
+        reached += np.isfinite(wanted[:, 0]).sum()
+    assert reached >= 1
+
+
+def test_search_ends_at_the_edge_of_what_is_admissible():
+    """Longer is cheaper here until the path sinks below the glideslope; nothing better is near."""
+    powers, samples = (1.0, 2.0), 24
+    r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
+    target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
+    table, limits = table_of(powers, samples), np.array([3050.0, 1500.0, 5500.0, 0.7, 0.2])
+    figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2)
+    out = np.empty((1, 4))
+    kernels.survey(
+        r, v, target, v_f, a_f, np.array([5.0]), np.array([200.0]), 14, table_of(powers, 8), table,
+        np.array(powers), 1.62, 1480.0, limits, out,
+    )  # fmt: skip
+    fine = plain.best(r, v, target[0], v_f, a_f, np.geomspace(5.0, 200.0, 4000), *figures, powers)
+    assert out[0, 0] == pytest.approx(fine[0], rel=5e-3)
+    assert out[0, 0] >= fine[0] * (1.0 - 1e-9)

@@ -1,0 +1,98 @@
+"""A law in flight: lag made up for, the end flown out, and an answer to whatever it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.paths import Path, PathShape
+from lunarsim.onboard.navigation.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+# From position, velocity, end and time-to-go to the acceleration wanted now, gravity included.
+Feedback = Callable[[Array, Array, PhaseEnd, float], Array]
+
+
+class PathGuidance:
+    """A law whose paths are of one shape, in flight.
+
+    The vehicle answers a command with a lag, so the boundary value problem is solved from where
+    the lander will be a `lead` from now. The acceleration until then is that of the commands so
+    far through a first-order lag. Near the target the gains would grow without bound; below
+    `least_time_to_go` the last path is flown out open loop.
+
+    Parameters
+    ----------
+    shape
+        Of its paths.
+    gravity
+        Downward acceleration, m/s^2.
+    lead
+        Lag of attitude and engine that is made up for, s.
+    least_time_to_go
+        Below this time-to-go the loop is open, s.
+    feedback
+        The law's own formula; None: the start of the path.
+
+    Raises
+    ------
+    InputError
+        From `command`, if the estimate or the end is not finite.
+    """
+
+    def __init__(
+        self,
+        shape: PathShape,
+        gravity: float,
+        *,
+        lead: float = 0.0,
+        least_time_to_go: float = 1.5,
+        feedback: Feedback | None = None,
+    ) -> None:
+        self.shape = shape
+        self.gravity = np.array([0.0, 0.0, -gravity])
+        self.lead = lead
+        self.least_time_to_go = least_time_to_go
+        self.feedback = feedback
+        self._lagged = np.zeros(3)
+        self._command = np.zeros(3)
+        self._time: float | None = None
+        self._last: tuple[float, Path] | None = None
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        While there is no path to fly out, a time-to-go under the least one is taken for that.
+        """
+        self._follow(time)
+        left = time_to_go - self.lead
+        if not np.isfinite(left):
+            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+        if left >= self.least_time_to_go or self._last is None:
+            a, lead = self._lagged, self.lead
+            position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
+            velocity = estimate.velocity + lead * a
+            left = max(left, self.least_time_to_go)
+            path = self.shape.path(position, velocity, end, left)
+            self._last = (time, path)
+            self._command = (
+                path.command
+                if self.feedback is None
+                else np.asarray(self.feedback(position, velocity, end, left))
+            )
+        else:
+            since, path = self._last
+            self._command = path.at(min(time - since, path.time_to_go))[2]
+        return np.asarray(self._command - self.gravity)
+
+    def _follow(self, time: float) -> None:
+        """Let the modelled acceleration follow the last command up to `time`."""
+        if self.lead > 0.0 and self._time is not None:
+            keep = np.exp(-(time - self._time) / self.lead)
+            self._lagged = self._command + keep * (self._lagged - self._command)
+        self._time = time

@@ -1,0 +1,133 @@
+"""Fractional-polynomial powered descent guidance (Lu, JGCD 43(3), 2020), and the augmented Apollo
+law (Lu, "Augmented Apollo powered descent guidance", JGCD 42(3), 2019) as its case gamma = 1.
+
+Two parameters shape the path between E-guidance, which thrusts hard late, and laws that have come
+close to their end acceleration early: `gamma`, the lower power of the time that is left, and the
+gain `k_r >= 2 (gamma + 2)`, which makes the higher one ``k_r / (gamma + 2) - 2``. With gamma = 1 and
+k_r = 12 it is the Apollo law, with k_r = 6 E-guidance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert import PathLaw
+from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.paths import PathShape
+from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
+
+
+def shape_of(gamma: float, gain: float) -> PathShape:
+    """Return the powers of the time that is left, `gamma` and ``gain / (gamma + 2) - 2``.
+
+    They may come in either order; where they meet the family has a logarithm, which is refused.
+
+    Raises
+    ------
+    InputError
+        If gamma is negative, or the gain is too small or makes both powers equal.
+    """
+    least = 2.0 * (gamma + 2.0)
+    if not gamma >= 0.0:
+        raise InputError("guidance.gamma", gamma, "0 or more")
+    if not least <= gain < np.inf:
+        raise InputError("guidance.gain", gain, f"at least 2 (gamma + 2) = {least:g}")
+    other = gain / (gamma + 2.0) - 2.0
+    if abs(other - gamma) < 1e-6:
+        raise InputError(
+            "guidance.gain", gain, f"not (gamma + 2)^2 = {(gamma + 2.0) ** 2:g}: equal powers"
+        )
+    return PathShape(min(gamma, other), max(gamma, other))
+
+
+def feedback_of(
+    position: Array,
+    velocity: Array,
+    end: PhaseEnd,
+    time_to_go: float,
+    gravity: float,
+    *,
+    gamma: float,
+    gain: float,
+) -> Array:
+    """Return the thrust acceleration (3,), m/s^2, by Lu's feedback law.
+
+    ``a_T = gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) - gamma - 1) g
+    + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the thrust
+    acceleration at the end.
+
+    Parameters
+    ----------
+    position, velocity
+        Now (3,), m and m/s.
+    end
+        Where it ends; its acceleration includes gravity.
+    time_to_go
+        T, s.
+    gravity
+        Downward acceleration, m/s^2.
+    gamma, gain
+        The law's.
+    """
+    g = np.array([0.0, 0.0, -gravity])
+    half = 0.5 * gain / (gamma + 2.0)
+    slip = (gamma + 1.0) / time_to_go * (1.0 - 2.0 * half) * (end.velocity - velocity)
+    miss = gain / time_to_go**2 * (end.position - position - time_to_go * velocity)
+    thrust = gamma * (half - 1.0) * (end.acceleration - g)
+    return np.asarray(thrust + (gamma * half - gamma - 1.0) * g + slip + miss)
+
+
+@dataclass(frozen=True)
+class FractionalPolynomialLaw(PathLaw):
+    """Fractional-polynomial powered descent guidance (Lu 2020).
+
+    Attributes
+    ----------
+    gamma
+        Lower power of the time that is left.
+    gain
+        k_r.
+    least_time_to_go
+        Below this time-to-go the loop is open, s.
+    """
+
+    gamma: float = quantity(0.5, ge=0, le=10, help="a power of the time that is left")
+    gain: float = quantity(
+        8.0, gt=0, le=200, help="k_r, at least 2 (gamma + 2); the other power is k_r / (gamma + 2) - 2"
+    )
+    least_time_to_go: float = quantity(
+        1.5, "s", gt=0, help="below it the last path is flown out open loop"
+    )
+
+    def __post_init__(self) -> None:
+        try:
+            shape_of(self.gamma, self.gain)
+        except InputError as error:
+            raise InputError(error.field.rpartition(".")[2], error.value, error.expected) from None
+
+    @property
+    def shape(self) -> PathShape:
+        """Of its paths under perfect actuation."""
+        return shape_of(self.gamma, self.gain)
+
+    def build(self, briefing: Briefing, lag: float) -> PathGuidance:
+        """Return the law of one flight."""
+        gravity, gamma, gain = briefing.weight, self.gamma, self.gain
+        down = np.array([0.0, 0.0, -gravity])
+
+        def feedback(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
+            thrust = feedback_of(position, velocity, end, left, gravity, gamma=gamma, gain=gain)
+            return thrust + down
+
+        return PathGuidance(
+            self.shape, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
+            feedback=feedback,
+        )  # fmt: skip

@@ -1,0 +1,50 @@
+"""The modified Apollo law: the time-to-go is the least whose path keeps limits on jerk and snap.
+
+The paths are Klumpp's. The quadtree paper ranks sites by their increments (its Eq. 10); here the
+law flies them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.apollo import ApolloLaw
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
+from lunarsim.onboard.guidance.jerk_limited import limited_times
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.quantity import quantity
+
+
+@dataclass(frozen=True)
+class ModifiedApolloLaw(ApolloLaw):
+    """The Apollo law with its time-to-go by limits on jerk and snap.
+
+    Attributes
+    ----------
+    jerk, snap
+        Limits, m/s^3 and m/s^4.
+    """
+
+    jerk: float = quantity(0.25, "m/s^3", gt=0, help="greatest along the path")
+    snap: float = quantity(0.05, "m/s^4", gt=0, help="greatest along the path")
+
+    def cost(
+        self,
+        estimate: Estimate,
+        end: PhaseEnd,
+        lander: Lander,
+        gravity: float,
+        limits: PathLimits | None = None,
+    ) -> DivertCost:
+        """Return what it takes to reach each end at the least time that keeps both limits.
+
+        A site whose path breaks another limit at that time counts as out of reach.
+        """
+        times = limited_times(
+            estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap
+        )
+        return divert_cost(
+            estimate, end, lander, gravity, limits=limits, shape=self.shape, times=times
+        )

@@ -1,0 +1,79 @@
+"""Zero-effort miss and zero-effort velocity (Ebrahimi, Bahrami and Roshanian, "Optimal
+sliding-mode guidance with terminal velocity constraint for fixed-interval propulsive maneuvers",
+Acta Astronautica 62, 2008; Guo, Hawkins and Wie, "Applications of generalized zero-effort-miss/
+zero-effort-velocity feedback guidance algorithm", JGCD 36(3), 2013).
+
+What miss and what velocity error would be left at the end without thrust is fed back with the gains
+of least effort. Under constant gravity that is E-guidance, written as feedback.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert import PathLaw
+from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
+from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
+
+
+def zem_zev(
+    position: Array, velocity: Array, end: PhaseEnd, time_to_go: float, gravity: float
+) -> Array:
+    """Return the thrust acceleration ``6 ZEM / T^2 - 2 ZEV / T`` (3,), m/s^2.
+
+    Parameters
+    ----------
+    position, velocity
+        Now (3,), m and m/s.
+    end
+        Position and velocity wanted; its acceleration does not count.
+    time_to_go
+        T, s.
+    gravity
+        Downward acceleration, m/s^2.
+    """
+    g = np.array([0.0, 0.0, -gravity])
+    miss = end.position - (position + time_to_go * velocity + 0.5 * time_to_go**2 * g)
+    slip = end.velocity - (velocity + time_to_go * g)
+    return np.asarray(6.0 * miss / time_to_go**2 - 2.0 * slip / time_to_go)
+
+
+@dataclass(frozen=True)
+class ZemZevLaw(PathLaw):
+    """Zero-effort miss and zero-effort velocity feedback (Ebrahimi 2008, Guo 2013).
+
+    Attributes
+    ----------
+    least_time_to_go
+        Below this time-to-go the loop is open, s.
+    """
+
+    least_time_to_go: float = quantity(
+        1.5, "s", gt=0, help="below it the last path is flown out open loop"
+    )
+
+    @property
+    def shape(self) -> PathShape:
+        """Its paths under perfect actuation are those of E-guidance."""
+        return E_GUIDANCE
+
+    def build(self, briefing: Briefing, lag: float) -> PathGuidance:
+        """Return the law of one flight."""
+        gravity = briefing.weight
+        down = np.array([0.0, 0.0, -gravity])
+
+        def feedback(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
+            return zem_zev(position, velocity, end, left, gravity) + down
+
+        return PathGuidance(
+            E_GUIDANCE, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
+            feedback=feedback,
+        )  # fmt: skip

@@ -1,0 +1,220 @@
+"""Every law against its boundary values, against each other and on whatever it may be asked."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.apollo import ApolloLaw, jerk_time_to_go
+from lunarsim.onboard.guidance.augmented_apollo import AugmentedApolloLaw
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
+from lunarsim.onboard.guidance.fractional import FractionalPolynomialLaw, feedback_of, shape_of
+from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
+from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape
+from lunarsim.onboard.guidance.zem_zev import ZemZevLaw, zem_zev
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.registry import kinds, resolve
+
+G = 1.622
+UP = np.array([0.0, 0.0, G])
+LAWS = [
+    ApolloLaw(), ModifiedApolloLaw(), EGuidanceLaw(), ZemZevLaw(), AugmentedApolloLaw(),
+    AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(), FractionalPolynomialLaw(0.2, 5.0),
+]  # fmt: skip
+BRIEFING = SimpleNamespace(weight=G)
+R, V = np.array([-600.0, 50.0, 500.0]), np.array([28.0, 1.0, -18.0])
+END = PhaseEnd(
+    np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.5, -2.0]), np.array([0.05, 0.0, 0.1])
+)  # fmt: skip
+
+
+def estimate(position, velocity) -> Estimate:
+    return Estimate(
+        0.0, np.asarray(position, float), np.asarray(velocity, float),
+        np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1500.0, np.eye(9),
+    )  # fmt: skip
+
+
+def test_the_registry_knows_every_law_that_is_tried_here():
+    tried = {f"{type(law).__module__}:{type(law).__name__}" for law in LAWS}
+    assert set(kinds("guidance").values()) == tried
+    assert all(resolve("guidance", kind) for kind in kinds("guidance"))
+
+
+lengths = arrays(np.float64, 3, elements=st.floats(-1000.0, 1000.0))
+speeds = arrays(np.float64, 3, elements=st.floats(-50.0, 50.0))
+powers = st.tuples(st.floats(0.0, 3.0), st.floats(0.1, 3.0)).map(lambda p: (p[0], p[0] + p[1]))
+
+
+@given(lengths, speeds, lengths, speeds, speeds, st.floats(5.0, 200.0), powers)
+def test_paths_meet_all_boundary_values(r, v, rf, vf, af, time_to_go, powers):
+    path = PathShape(*powers).path(r, v, PhaseEnd(rf, vf, af / 50.0), time_to_go)
+    start, end = path.at(0.0), path.at(time_to_go)
+    scale = 1e-10 * (1.0 + 1000.0 + 50.0 * time_to_go)
+    assert np.allclose(start[0], r, atol=scale)
+    assert np.allclose(start[1], v, atol=scale)
+    assert np.allclose(start[2], path.command, atol=1e-12 * scale + 1e-12)
+    assert np.array_equal(end[0], rf)
+    assert np.array_equal(end[1], vf)
+    if powers[0] > 0.0:
+        assert np.array_equal(end[2], af / 50.0)
+
+
+def test_velocity_and_acceleration_are_the_derivatives_of_position():
+    path = PathShape(0.5, 1.7).path(R, V, END, 40.0)
+    t = np.linspace(0.0, 39.0, 40_001)
+    r, v, a = path.at(t)
+    assert np.allclose(np.gradient(r, t, axis=0)[1:-1], v[1:-1], atol=1e-5)
+    assert np.allclose(np.gradient(v, t, axis=0)[1:-1], a[1:-1], atol=1e-5)
+
+
+@given(lengths, speeds, lengths, speeds, speeds, st.floats(5.0, 200.0), powers)
+def test_lu_s_feedback_is_the_start_of_the_path(r, v, rf, vf, af, time_to_go, powers):
+    """Apollo and E-guidance are cases of it: gains 12 and 6 at gamma = 1."""
+    end = PhaseEnd(rf, vf, af / 50.0)
+    low, high = powers
+    gain = (low + 2.0) * (high + 2.0)
+    for gamma in powers:
+        thrust = feedback_of(r, v, end, time_to_go, G, gamma=gamma, gain=gain)
+        path = PathShape(low, high).path(r, v, end, time_to_go)
+        assert np.allclose(thrust, path.command + UP, rtol=1e-6, atol=1e-6)
+    for shape, gain in ((E_GUIDANCE, 6.0), (APOLLO, 12.0)):
+        thrust = feedback_of(r, v, end, time_to_go, G, gamma=1.0, gain=gain)
+        assert np.allclose(thrust, shape.path(r, v, end, time_to_go).command + UP, atol=1e-8)
+    assert np.allclose(
+        zem_zev(r, v, end, time_to_go, G),
+        E_GUIDANCE.path(r, v, end, time_to_go).command + UP, atol=1e-8,
+    )  # fmt: skip
+
+
+def test_e_guidance_has_the_least_effort():
+    """Against a numerical optimum over accelerations in 40 steps."""
+    steps, total = 40, 40.0
+    h = total / steps
+    left = total - h * (np.arange(steps) + 0.5)  # of the middle of each step
+    for axis in (0, 2):
+        rows = np.stack((np.full(steps, h), h * left))
+        v0, r0 = V[axis], R[axis]
+        asked = np.array(
+            [END.velocity[axis] - v0 + UP[axis] * total,
+             END.position[axis] - r0 - v0 * total + 0.5 * UP[axis] * total**2]
+        )  # fmt: skip
+        best = minimize(
+            lambda u: h * np.sum(u**2), np.zeros(steps), jac=lambda u: 2.0 * h * u,
+            constraints={"type": "eq", "fun": lambda u: rows @ u - asked, "jac": lambda _: rows},
+            method="SLSQP", options={"ftol": 1e-12, "maxiter": 200},
+        )  # fmt: skip
+        mid = E_GUIDANCE.path(R, V, END, total).at(h * (np.arange(steps) + 0.5))[2][:, axis]
+        assert np.allclose(mid + UP[axis], best.x, atol=2e-3)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_fed_continuously_the_end_is_met(law):
+    """Perfect actuation: the terminal error is 1e-9 of the range."""
+    total, stop = 40.0, 0.01
+    flown = law.build(BRIEFING, 0.0)
+
+    def motion(t, y):
+        fresh = law.build(BRIEFING, 0.0)
+        fresh.least_time_to_go = 0.0
+        wanted = fresh.command(estimate(y[:3], y[3:]), END, t, total - t)
+        return np.concatenate((y[3:], wanted - UP))
+
+    y = solve_ivp(
+        motion, (0.0, total - stop), np.concatenate((R, V)), rtol=1e-12, atol=1e-10,
+        method="DOP853",
+    ).y[:, -1]  # fmt: skip
+    path = flown.shape.path(R, V, END, total)
+    reach = np.linalg.norm(R - END.position)
+    r, v, _ = path.at(total - stop)
+    assert np.linalg.norm(y[:3] - r) < 1e-9 * reach
+    assert np.linalg.norm(y[3:] - v) < 1e-7 * reach
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_with_held_commands_the_error_falls_with_the_cycle(law):
+    """Held commands err by order one in the cycle; the loop takes most of it out.
+
+    Where the loop opens, `least_time_to_go` before the end, what is left is of second order.
+    """
+
+    def miss(cycle):
+        total = 40.0
+        flown = law.build(BRIEFING, 0.0)
+        r, v = R.copy(), V.copy()
+        for n in range(round((total - 2.0) / cycle)):
+            a = flown.command(estimate(r, v), END, n * cycle, total - n * cycle) - UP
+            r, v = r + cycle * v + 0.5 * cycle**2 * a, v + cycle * a
+        path = flown.shape.path(R, V, END, total)
+        return np.linalg.norm(r - path.at(total - 2.0)[0])
+
+    errors = np.array([miss(cycle) for cycle in (0.2, 0.1, 0.05)])
+    order = np.log2(errors[:-1] / errors[1:])
+    assert np.all((order > 0.85) & (order < 1.3)), (errors, order)
+    assert errors[-1] < 0.5
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_ten_thousand_states_never_give_a_command_that_is_not_finite(law):
+    rng = np.random.default_rng(8)
+    n = 10_000
+    scale = 10.0 ** rng.uniform(-3.0, 6.0, (n, 1))
+    r, v = scale * rng.normal(size=(n, 3)), 0.1 * scale * rng.normal(size=(n, 3))
+    times = rng.choice([-1e3, -1.0, 0.0, 1e-9, 0.05, 1.0, 1e4], n) * rng.uniform(0.5, 1.0, n)
+    for k in range(0, n, 1 if type(law) is ApolloLaw else 5):
+        flown = law.build(BRIEFING, rng.choice([0.0, 0.4]))
+        for t in (0.0, 0.1, 5.0):
+            got = flown.command(estimate(r[k], v[k]), END, t, times[k] - t)
+            assert got.shape == (3,)
+            assert np.isfinite(got).all()
+
+
+bad = st.sampled_from([np.nan, np.inf, -np.inf])
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(LAWS), bad, st.integers(0, 6))
+def test_what_is_not_finite_is_refused(law, value, which):
+    state = [*R, *V, 20.0]
+    state[which] = value
+    flown = law.build(BRIEFING, 0.3)
+    with pytest.raises(InputError, match="guidance"):
+        flown.command(estimate(state[:3], state[3:6]), END, 0.0, state[6])
+
+
+def test_time_to_go_by_the_jerk_at_the_end():
+    """Klumpp's cubic: the quartic of that time ends with that jerk."""
+    path = APOLLO.path(R, V, END, 37.0)
+    jerk = -path.terms[0] / path.time_to_go
+    found = jerk_time_to_go(
+        R[0], V[0], (END.position[0], END.velocity[0], END.acceleration[0]), jerk[0], guess=30.0
+    )
+    assert found == pytest.approx(37.0, rel=1e-9)
+    assert np.isnan(jerk_time_to_go(0.0, 1.0, (-10.0, 5.0, 0.0), 1.0, guess=3.0))
+    with pytest.raises(InputError, match="time_to_go"):
+        jerk_time_to_go(np.nan, 1.0, (-10.0, 5.0, 0.0), 1.0, guess=3.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"gamma": 1.0, "gain": 9.0}, "gain"),
+        ({"gamma": 2.0, "gain": 7.0}, "gain"),
+        ({"gamma": -0.1, "gain": 9.0}, "gamma"),
+    ],
+)
+def test_impossible_parameters_are_refused(given, field):
+    with pytest.raises(InputError, match=field):
+        FractionalPolynomialLaw(**given)
+    with pytest.raises(InputError, match="powers"):
+        PathShape(2.0, 1.0)
+    assert shape_of(2.0, 12.0).powers == (1.0, 2.0)
