@@ -108,7 +108,7 @@ def divert_cost(
     *,
     limits: PathLimits | None = None,
     shape: PathShape = APOLLO,
-    times: Array | None = None,
+    least_times: Array | None = None,
 ) -> DivertCost:
     """Find the cheapest admissible path of a law to each end of an approach.
 
@@ -127,8 +127,8 @@ def divert_cost(
         What the trajectory must respect.
     shape
         Of the law's paths.
-    times
-        The one time-to-go to be tried for each site (n,), s; NaN for none. Left out: the cheapest.
+    least_times
+        Below which no time-to-go is tried for a site (n,), s; NaN: the site is out of reach.
 
     Raises
     ------
@@ -138,10 +138,9 @@ def divert_cost(
     limits = limits or PathLimits()
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
     _check(estimate, end, gravity)
-    if times is None:
-        first, last = admissible_times(estimate, end, targets, lander, gravity)
-    else:
-        first = last = np.ascontiguousarray(times, dtype=np.float64)
+    first, last = admissible_times(estimate, end, targets, lander, gravity)
+    if least_times is not None:
+        first = np.maximum(first, least_times)
     found = np.empty((len(targets), 4))
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     with threads_for(5.0 * len(targets)):
@@ -153,7 +152,7 @@ def divert_cost(
             np.asarray(end.acceleration, dtype=np.float64),
             first,
             last,
-            _TIMES if times is None else 1,
+            _TIMES,
             _table(shape, _ROUGH),
             _table(shape, _SAMPLES),
             np.array(shape.powers),

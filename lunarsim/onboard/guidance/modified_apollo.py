@@ -1,7 +1,8 @@
-"""The modified Apollo law: the time-to-go is the least whose path keeps limits on jerk and snap.
+"""The modified Apollo law: the time-to-go respects limits on jerk and snap.
 
-The paths are Klumpp's. The quadtree paper ranks sites by their increments (its Eq. 10); here the
-law flies them.
+The paths are Klumpp's. The quadtree paper ranks sites by their increments at the least such time
+(its Eq. 10). A lander that flies them has limits of thrust and tilt besides, which may ask for more
+time.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ class ModifiedApolloLaw(ApolloLaw):
         gravity: float,
         limits: PathLimits | None = None,
     ) -> DivertCost:
-        """Return what it takes to reach each end at the least time that keeps both limits.
+        """Return what it takes to reach each end without breaking either limit.
 
-        A site whose path breaks another limit at that time counts as out of reach.
+        The time-to-go is the cheapest that is admissible from the least one on that keeps both.
         """
         times = limited_times(
             estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap
         )
         return divert_cost(
-            estimate, end, lander, gravity, limits=limits, shape=self.shape, times=times
+            estimate, end, lander, gravity, limits=limits, shape=self.shape, least_times=times
         )

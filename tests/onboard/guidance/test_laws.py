@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,11 +14,13 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw, jerk_time_to_go
 from lunarsim.onboard.guidance.augmented_apollo import AugmentedApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
 from lunarsim.onboard.guidance.fractional import FractionalPolynomialLaw, feedback_of, shape_of
+from lunarsim.onboard.guidance.jerk_limited import steepest
 from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape
 from lunarsim.onboard.guidance.zem_zev import ZemZevLaw, zem_zev
@@ -218,3 +221,23 @@ def test_impossible_parameters_are_refused(given, field):
     with pytest.raises(InputError, match="powers"):
         PathShape(2.0, 1.0)
     assert shape_of(2.0, 12.0).powers == (1.0, 2.0)
+
+
+def test_modified_apollo_keeps_its_limits():
+    lander = Lander()
+    here = replace(estimate(R, V), mass=1480.0)
+    law = ModifiedApolloLaw(jerk=0.06, snap=0.01)
+    sites = np.array([[x, y, 12.0] for x in (-60.0, 0.0, 90.0) for y in (-40.0, 30.0)])
+    cost = law.cost(here, PhaseEnd(sites, END.velocity), lander, G)
+    free = ApolloLaw().cost(here, PhaseEnd(sites, END.velocity), lander, G)
+    assert cost.feasible.all()
+    assert np.all(cost.propellant >= free.propellant * (1.0 - 5e-3))
+    broken = 0
+    for n, site in enumerate(sites):
+        for law_cost, keeps in ((cost, True), (free, False)):
+            path = APOLLO.path(R, V, PhaseEnd(site, END.velocity), law_cost.time_to_go[n])
+            jerk, snap = steepest(path)
+            ok = jerk <= 0.06 * (1.0 + 1e-6) and snap <= 0.01 * (1.0 + 1e-6)
+            assert ok or not keeps
+            broken += not ok
+    assert broken > 0
