@@ -167,9 +167,9 @@ def compare(
 
     Every policy meets the same worlds, starts and noise. The table gives, a row a policy: the
     share that landed safe with its 95 % Wilson interval; the same among flights whose scanned
-    ground held an exactly safe site within reach; propellant; divert distance; the largest
-    touchdown speeds and tilt; precision and recall of the hazard map (cells with p > 0.5 against
-    the exact map); and wall-clock time a flight.
+    ground held an exactly safe site within reach; how many climbed away; propellant; divert
+    distance; the largest touchdown speeds and tilt; precision and recall of the hazard map (cells
+    with p > 0.5 against the exact map); and wall-clock time a flight.
     """
     from lunarsim.campaign.compare import compare as run
     from lunarsim.scenario import Scenario
@@ -455,7 +455,8 @@ def _table(result: Any) -> Table:
 
     table = Table(title=None)
     headings = (
-        "policy", "landed safe [95 %]", "safe, site in reach", "propellant kg\nmedian / 95 %",
+        "policy", "landed safe [95 %]", "safe, site in reach", "aborted",
+        "propellant kg\nmedian / 95 %",
         "divert m\nmedian", "touchdown m/s\ndown / side max", "tilt deg\nmax",
         "map\nprecision", "map\nrecall", "s a flight",
     )  # fmt: skip
@@ -468,6 +469,7 @@ def _table(result: Any) -> Table:
             policy,
             str(row["safe"]),
             f"{reach.value:.3f} ({reach.count}/{reach.total})",
+            str(row["aborted"]),
             f"{row['propellant_median_kg']:.1f} / {row['propellant_p95_kg']:.1f}",
             f"{row['divert_median_m']:.1f}",
             f"{row['vertical_speed_max_m_s']:.2f} / {row['horizontal_speed_max_m_s']:.2f}",

@@ -17,6 +17,7 @@ import numba
 from bench_parts.closed_loop import flight
 from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
+from bench_parts.guidance import guidance
 from bench_parts.navigation import navigation
 from bench_parts.quadtree import lidar_inertial, quadtree
 from bench_parts.sensing import lidar, render, terrain
@@ -34,6 +35,7 @@ PARTS: dict[str, Callable[[], None]] = {
         quadtree,
         lidar_inertial,
         navigation,
+        guidance,
     )
 }
 

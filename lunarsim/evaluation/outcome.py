@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
+from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "policy": flight.policy,
         "safe": flight.verdict.safe,
         "failed": ",".join(flight.verdict.failed),
+        "aborted": flight.verdict.failed == (ABORTED,),
         "navigation_lost": flight.lost,
         "propellant_kg": flight.propellant_used,
         "duration_s": flight.duration,

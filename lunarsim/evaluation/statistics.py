@@ -96,6 +96,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
         summary[policy] = {
             "flights": len(own),
+            "aborted": sum(row["aborted"] for row in own),
             "safe": Proportion(sum(row["safe"] for row in own), len(own)),
             "safe_in_reach": Proportion(sum(row["safe"] for row in reach), len(reach)),
             "propellant_median_kg": float(np.median(column("propellant_kg"))),

@@ -36,8 +36,11 @@ class Command:
         Wanted attitude, quaternion, body to ENU (4,).
     tasks
         Measurements to make at the end of the cycle.
+    abort
+        Whether the lander has given up its landing and climbs away.
     """
 
     thrust: float
     attitude: NDArray[np.float64]
     tasks: tuple[SensorTask, ...] = ()
+    abort: bool = False

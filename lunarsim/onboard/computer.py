@@ -21,6 +21,7 @@ from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.onboard.control.thrust import thrust_to_command
+from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
@@ -39,7 +40,7 @@ from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
 
-APPROACH, VERTICAL = 0, 1
+APPROACH, VERTICAL, ABORT = 0, 1, 2
 _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expected_rocks"}
 
 
@@ -333,6 +334,12 @@ class OnboardComputer:
         if not isinstance(decision, Decision):
             raise InputError("policy", decision, "a policy whose decide returns a Decision")
         self._next_decision = self.time + self.decisions.interval
+        if decision.abort:
+            self.phase = ABORT
+            self.telemetry.append(
+                (self.time, "abort", {"altitude": self.altitude, "reason": decision.reason})
+            )
+            return True
         first, self._decided = not self._decided, True
         if decision.site is None:
             if first and self.approach.time_to_go is None:
@@ -376,12 +383,15 @@ class OnboardComputer:
             end = self.approach.end(self.site, self.lander)
             wanted = self.guidance.command(self.estimate, end, self.time, self.time_to_go)
             tilt = self.approach.max_tilt
-        else:
+        elif self.phase == VERTICAL:
             end = self.approach.ground(self.site, self.lander)
             wanted = self.vertical.command(self.estimate, end, self.time)
             tilt = self.vertical.lean
+        else:
+            wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
+            tilt = self.approach.max_tilt
         asked = thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
-        command = replace(asked, tasks=self._tasks())
+        command = replace(asked, tasks=self._tasks(), abort=self.phase == ABORT)
         self._thrust = command.thrust
         self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
         return command

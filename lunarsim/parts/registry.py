@@ -101,6 +101,7 @@ CONTRACTS: dict[str, Contract] = {
         {
             "no-divert": "lunarsim.onboard.policies.library:NoDivert",
             "safest": "lunarsim.onboard.policies.library:Safest",
+            "safest-or-abort": "lunarsim.onboard.policies.library:SafestOrAbort",
             "nearest-safe": "lunarsim.onboard.policies.library:NearestSafe",
             "fuel-aware": "lunarsim.onboard.policies.library:FuelAware",
             "scoreboard": "lunarsim.onboard.policies.library:ScoreboardChoice",

@@ -44,11 +44,11 @@ def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
         history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
-        return Cycle(plant.moved(history, {}, command.tasks), np.zeros((0, 3)))
+        return Cycle(plant.moved(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3)))
     name, imu = next(iter(plant.imus.items()))
     fly = _compiled if loop.compiled else _stepped
     history, increments, torques = fly(plant, loop, imu, command.thrust)
-    measurements = plant.moved(history, {name: increments}, command.tasks)
+    measurements = plant.moved(history, {name: increments}, command.tasks, abort=command.abort)
     return Cycle(measurements, torques)
 
 

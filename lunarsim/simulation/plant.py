@@ -20,12 +20,15 @@ from lunarsim.models.gimbal import within
 from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
+from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
 # Pads are looked for under the lander only below this height above the highest ground, m.
 _CONTACT_HEIGHT = 40.0
+# A lander that climbs away has done so this high above it (m), at this speed (m/s).
+_CLEAR_HEIGHT, _CLEAR_SPEED = 50.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,8 @@ class Plant:
         history: Array,
         gyroscopes: Mapping[str, Array],
         tasks: Sequence[SensorTask] = (),
+        *,
+        abort: bool = False,
     ) -> Measurements:
         """Take over where a control cycle has brought the vehicle; return what was measured.
 
@@ -140,6 +145,8 @@ class Plant:
             What gyroscopes gave already on the way, by name (n, 3), rad.
         tasks
             Measurements to make at the end.
+        abort
+            Whether the lander climbs away: the flight ends once it is clear of the ground.
         """
         touched = self._first_contact(history)
         steps = len(history) if touched is None else touched + 1
@@ -151,19 +158,27 @@ class Plant:
             angle = gyroscopes[name][:steps] if name in gyroscopes else None
             sensed = imu.sense(rows, self.dynamics.step, self.world.gravity, self.time, angle)
             samples.append((name, sensed))
-        self._judge(touched is not None)
+        self._judge(touched is not None, abort)
         measured = self.measure(tasks if self.verdict is None else ())
         return Measurements(self.time, (*samples, *measured.items))
 
-    def _judge(self, touched: bool) -> None:
+    def _judge(self, touched: bool, abort: bool) -> None:
         """Set the verdict if the flight is over."""
         terrain = self.world.terrain
         if touched:
             self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
         elif self.state.position[2] < self._low - 1.0:
             self.verdict = Verdict(False, ("off-map",), None)
+        elif abort and self._clear:
+            self.verdict = Verdict(False, (ABORTED,), None)
         elif self.time >= self._max_time:
             self.verdict = Verdict(False, ("time-limit",), None)
+
+    @property
+    def _clear(self) -> bool:
+        """Whether the lander climbs, well above all ground."""
+        height = self.state.position[2] - self._high
+        return bool(height > _CLEAR_HEIGHT and self.state.velocity[2] > _CLEAR_SPEED)
 
     def _first_contact(self, history: Array) -> int | None:
         """Return the first step at which a pad is at or below the ground, or None."""

@@ -61,6 +61,10 @@ class Touchdown:
     tip_margin: float
 
 
+# What a verdict says of a lander that has climbed away: no landing, and no crash.
+ABORTED = "aborted"
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Safe or not, and which limits failed.

@@ -77,7 +77,7 @@ def draw_descent(flight: Flight, path: Path) -> None:
     axes["thrust"].set_ylabel("thrust (kN)")
     axes["thrust"].set_xlabel("time (s)")
     axes["thrust"].legend(loc="upper right")
-    vertical = np.flatnonzero(t["phase"] > 0)
+    vertical = np.flatnonzero(t["phase"] == 1)
     for name in ("speed", "tilt", "thrust"):
         axes[name].set_xlim(0.0, time[-1])
         axes[name].grid(alpha=0.3)

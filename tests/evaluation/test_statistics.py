@@ -18,7 +18,8 @@ def test_wilson_interval():
 
 def test_summary_pools_cells():
     base = {
-        "policy": "a", "safe": True, "safe_site_in_reach": True, "propellant_kg": 1.0,
+        "policy": "a", "safe": True, "aborted": False, "safe_site_in_reach": True,
+        "propellant_kg": 1.0,
         "divert_m": 2.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
     }  # fmt: skip
     rows = [

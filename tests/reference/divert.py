@@ -85,7 +85,7 @@ def reachable(r, v, target, v_f, a_f, gravity, mass, exhaust, least, most, tan_t
     thrust = mass * np.exp(-cumulative_trapezoid(size, t, axis=1, initial=0.0) / exhaust) * size
     away = np.hypot(place[..., 0] - target[0], place[..., 1] - target[1])
     above = place[..., 2] - target[2] - glide * away + 0.5
-    good = ((thrust <= most) & (thrust >= least) & (side <= tan_tilt * pull[..., 2]) & (above >= 0))
+    good = (thrust <= most) & (thrust >= least) & (side <= tan_tilt * pull[..., 2]) & (above >= 0)
     burnt = mass * (1.0 - np.exp(-simpson(size, x=t, axis=1) / exhaust))
     good = good.all(axis=1) & (burnt <= mass - dry)
     return burnt[good].min() if good.any() else np.inf

@@ -114,8 +114,18 @@ def survey(
             at = m * step
             if (
                 measure(
-                    r, v, targets[n], v_f, a_f, first[n] * np.exp(at), rough, powers, gravity,
-                    mass, limits, found,
+                    r,
+                    v,
+                    targets[n],
+                    v_f,
+                    a_f,
+                    first[n] * np.exp(at),
+                    rough,
+                    powers,
+                    gravity,
+                    mass,
+                    limits,
+                    found,
                 )
                 and found[0] < least
             ):
@@ -127,8 +137,18 @@ def survey(
                 if (
                     m % 3 != 0
                     and measure(
-                        r, v, targets[n], v_f, a_f, first[n] * np.exp(at), rough, powers, gravity,
-                        mass, limits, found,
+                        r,
+                        v,
+                        targets[n],
+                        v_f,
+                        a_f,
+                        first[n] * np.exp(at),
+                        rough,
+                        powers,
+                        gravity,
+                        mass,
+                        limits,
+                        found,
                     )
                     and found[0] < least
                 ):
@@ -147,8 +167,18 @@ def survey(
                 if (
                     0.0 <= at <= span
                     and measure(
-                        r, v, targets[n], v_f, a_f, first[n] * np.exp(at), table, powers, gravity,
-                        mass, limits, found,
+                        r,
+                        v,
+                        targets[n],
+                        v_f,
+                        a_f,
+                        first[n] * np.exp(at),
+                        table,
+                        powers,
+                        gravity,
+                        mass,
+                        limits,
+                        found,
                     )
                     and found[0] < out[n, 0]
                 ):
@@ -181,7 +211,7 @@ def excess(r, v, target, v_f, a_f, big_t, jerk, snap):
 def limited_times(r, v, targets, v_f, a_f, times, jerk, snap, out):
     """Find for each target (n, 3) the least time-to-go that keeps both limits (n,), else NaN.
 
-    Times (m,) ascend; the least is bracketed by them and halved 60 times.
+    Times (m,) ascend; the least is bracketed by them and halved 40 times.
     """
     for n in prange(targets.shape[0]):
         out[n] = np.nan
@@ -192,7 +222,7 @@ def limited_times(r, v, targets, v_f, a_f, times, jerk, snap, out):
                 out[n] = times[0]
                 break
             low, high = times[m - 1], times[m]
-            for _ in range(60):
+            for _ in range(40):
                 middle = 0.5 * (low + high)
                 if excess(r, v, targets[n], v_f, a_f, middle, jerk, snap) > 0.0:
                     low = middle

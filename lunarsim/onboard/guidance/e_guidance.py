@@ -1,9 +1,9 @@
-"""E-guidance (Cherry, "A general, explicit, optimizing guidance law for rocket-propelled
-spaceflight", AIAA paper 64-638, 1964).
+"""E-guidance: the acceleration is linear in time.
 
-The acceleration is linear in time, which meets position and velocity at the target and, under
-constant gravity and a fixed time-to-go, has the least integral of the squared thrust acceleration.
-The acceleration at the target is what comes out.
+Cherry, "A general, explicit, optimizing guidance law for rocket-propelled spaceflight", AIAA paper
+64-638, 1964. That meets position and velocity at the target and, under constant gravity and a fixed
+time-to-go, has the least integral of the squared thrust acceleration. The acceleration at the
+target is what comes out.
 """
 
 from __future__ import annotations

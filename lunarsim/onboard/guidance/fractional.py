@@ -1,9 +1,9 @@
-"""Fractional-polynomial powered descent guidance (Lu, JGCD 43(3), 2020), and the augmented Apollo
-law (Lu, "Augmented Apollo powered descent guidance", JGCD 42(3), 2019) as its case gamma = 1.
+"""Fractional-polynomial powered descent guidance.
 
-Two parameters shape the path between E-guidance, which thrusts hard late, and laws that have come
-close to their end acceleration early: `gamma`, the lower power of the time that is left, and the
-gain `k_r >= 2 (gamma + 2)`, which makes the higher one ``k_r / (gamma + 2) - 2``. With gamma = 1 and
+Lu, "Theory of fractional-polynomial powered descent guidance", Journal of Guidance, Control, and
+Dynamics 43(3), 2020. Two parameters shape the path between E-guidance and laws that come close to
+their end acceleration early: `gamma`, one power of the time that is left, and the gain
+``k_r >= 2 (gamma + 2)``, which makes the other one ``k_r / (gamma + 2) - 2``. With gamma = 1 and
 k_r = 12 it is the Apollo law, with k_r = 6 E-guidance.
 """
 
@@ -61,8 +61,8 @@ def feedback_of(
     """Return the thrust acceleration (3,), m/s^2, by Lu's feedback law.
 
     ``a_T = gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) - gamma - 1) g
-    + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the thrust
-    acceleration at the end.
+    + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the
+    thrust acceleration at the end.
 
     Parameters
     ----------
@@ -101,7 +101,10 @@ class FractionalPolynomialLaw(PathLaw):
 
     gamma: float = quantity(0.5, ge=0, le=10, help="a power of the time that is left")
     gain: float = quantity(
-        8.0, gt=0, le=200, help="k_r, at least 2 (gamma + 2); the other power is k_r / (gamma + 2) - 2"
+        8.0,
+        gt=0,
+        le=200,
+        help="k_r, at least 2 (gamma + 2); other power: k_r / (gamma + 2) - 2",
     )
     least_time_to_go: float = quantity(
         1.5, "s", gt=0, help="below it the last path is flown out open loop"
@@ -125,7 +128,7 @@ class FractionalPolynomialLaw(PathLaw):
 
         def feedback(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
             thrust = feedback_of(position, velocity, end, left, gravity, gamma=gamma, gain=gain)
-            return thrust + down
+            return np.asarray(thrust + down)
 
         return PathGuidance(
             self.shape, gravity, lead=lag, least_time_to_go=self.least_time_to_go,

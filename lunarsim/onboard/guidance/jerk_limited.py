@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 # The integrand is the norm of a quadratic: smooth but for near-zeros of the thrust.
 _NODES, _WEIGHTS = leggauss(48)
-_TIMES = np.geomspace(1.0, 1000.0, 400)
+_TIMES = np.geomspace(1.0, 1000.0, 120)
 
 
 @dataclass(frozen=True)

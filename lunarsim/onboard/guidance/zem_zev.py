@@ -1,7 +1,9 @@
-"""Zero-effort miss and zero-effort velocity (Ebrahimi, Bahrami and Roshanian, "Optimal
-sliding-mode guidance with terminal velocity constraint for fixed-interval propulsive maneuvers",
-Acta Astronautica 62, 2008; Guo, Hawkins and Wie, "Applications of generalized zero-effort-miss/
-zero-effort-velocity feedback guidance algorithm", JGCD 36(3), 2013).
+"""Zero-effort miss and zero-effort velocity.
+
+Ebrahimi, Bahrami and Roshanian, "Optimal sliding-mode guidance with terminal velocity constraint
+for fixed-interval propulsive maneuvers", Acta Astronautica 62, 2008; Guo, Hawkins and Wie,
+"Applications of generalized zero-effort-miss/zero-effort-velocity feedback guidance algorithm",
+Journal of Guidance, Control, and Dynamics 36(3), 2013.
 
 What miss and what velocity error would be left at the end without thrust is fed back with the gains
 of least effort. Under constant gravity that is E-guidance, written as feedback.
@@ -71,7 +73,7 @@ class ZemZevLaw(PathLaw):
         down = np.array([0.0, 0.0, -gravity])
 
         def feedback(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
-            return zem_zev(position, velocity, end, left, gravity) + down
+            return np.asarray(zem_zev(position, velocity, end, left, gravity) + down)
 
         return PathGuidance(
             E_GUIDANCE, gravity, lead=lag, least_time_to_go=self.least_time_to_go,

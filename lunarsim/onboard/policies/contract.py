@@ -147,16 +147,33 @@ class Decision:
         A few words for the record.
     details
         Figures for the record.
+    abort
+        Whether the lander is to give up the landing and climb away.
+
+    Raises
+    ------
+    InputError
+        If an abort names a site.
     """
 
     site: Array | None
     reason: str
     details: dict[str, float] = field(default_factory=dict)
+    abort: bool = False
+
+    def __post_init__(self) -> None:
+        if self.abort and self.site is not None:
+            raise InputError("decision.site", self.site, "None for an abort")
 
     @classmethod
     def keep(cls, reason: str) -> Decision:
         """Stay with the present site."""
         return cls(None, reason)
+
+    @classmethod
+    def climb_away(cls, reason: str) -> Decision:
+        """Give up the landing."""
+        return cls(None, reason, abort=True)
 
 
 class RetargetingPolicy(Protocol):

@@ -179,6 +179,37 @@ class ScoreboardChoice:
         return _fly_to(observation, best, "best of the scoreboard")
 
 
+@dataclass(frozen=True)
+class SafestOrAbort(Safest):
+    """Fly to the safest site, and climb away if even that is not safe enough.
+
+    Attributes
+    ----------
+    least
+        Probability of a safe landing below which the lander climbs away.
+    altitude
+        Estimated height of the centre of mass above the site under which it does so, m: above, the
+        map may still change.
+    """
+
+    least: float = quantity(0.5, ge=0, le=1, help="probability below which it climbs away")
+    altitude: float = quantity(80.0, "m", gt=0, help="above the site, under which it does so")
+    name: str = hidden("safest-or-abort")
+
+    def decide(self, observation: Observation) -> Decision:
+        """Decide as `Safest`, then abort if neither that site nor the present one will do."""
+        chosen = super().decide(observation)
+        height = float(observation.estimate.position[2] - observation.site[2])
+        if height > self.altitude:
+            return chosen
+        stay = _safe_to_stay(observation)
+        # A site that nobody has looked at is no reason to land there.
+        p = chosen.details["p_safe"] if chosen.site is not None else np.nan_to_num(stay, nan=0.0)
+        if p >= self.least:
+            return chosen
+        return Decision.climb_away(f"no safe site within reach: {p:.2f} at best")
+
+
 def _safe_to_stay(observation: Observation) -> float:
     """Return the probability of safety at the site flown to; 0 where the mission excludes it."""
     return observation.site_p_safe if observation.site_eligible else 0.0

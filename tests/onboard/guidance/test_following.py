@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.following import PathGuidance
 from lunarsim.onboard.guidance.paths import APOLLO
-from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622

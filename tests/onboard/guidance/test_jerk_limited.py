@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.jerk_limited import (
     increment,
@@ -17,6 +16,7 @@ from lunarsim.onboard.guidance.jerk_limited import (
     site_cost,
     steepest,
 )
+from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
 
 R, V = np.array([-300.0, 40.0, 200.0]), np.array([15.0, -2.0, -8.0])

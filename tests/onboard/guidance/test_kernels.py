@@ -6,7 +6,6 @@ import pytest
 from lunarsim.onboard.guidance import _kernels as kernels
 from tests.reference import divert as plain
 
-
 POWERS = [(1.0, 2.0), (0.0, 1.0), (0.5, 1.3), (1.0, 4.0)]
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
-from scipy.optimize import minimize
+from scipy.optimize import LinearConstraint, minimize
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
@@ -113,7 +113,7 @@ def test_e_guidance_has_the_least_effort():
         )  # fmt: skip
         best = minimize(
             lambda u: h * np.sum(u**2), np.zeros(steps), jac=lambda u: 2.0 * h * u,
-            constraints={"type": "eq", "fun": lambda u: rows @ u - asked, "jac": lambda _: rows},
+            constraints=LinearConstraint(rows, asked, asked),
             method="SLSQP", options={"ftol": 1e-12, "maxiter": 200},
         )  # fmt: skip
         mid = E_GUIDANCE.path(R, V, END, total).at(h * (np.arange(steps) + 0.5))[2][:, axis]

@@ -1,0 +1,93 @@
+"""Guidance: a command of each law, where each can still land, and what each takes to land."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numba
+import numpy as np
+
+from bench_parts.common import median_ms
+
+_STATES, _G = 200, 1.622
+
+
+def _states(lander: Any) -> list[Any]:
+    """Return starts over which laws are compared, told as estimates."""
+    from lunarsim.onboard.navigation.estimate import Estimate
+
+    rng = np.random.default_rng(11)
+    out = []
+    for _ in range(_STATES):
+        height = rng.uniform(150.0, 600.0)
+        r = np.array([*rng.uniform(-1.0, 1.0, 2) * height, height])
+        v = np.array([*(-0.05 * r[:2] + rng.normal(0.0, 4.0, 2)), rng.uniform(-25.0, -5.0)])
+        upright = np.array([0.0, 0.0, 0.0, 1.0])
+        out.append(Estimate(0.0, r, v, upright, np.zeros(3), lander.wet_mass, np.eye(9)))
+    return out
+
+
+def _flown(law: Any, start: Any, end: Any, time_to_go: float, exhaust: float) -> tuple[float, ...]:
+    """Return propellant (kg), miss (m) and speed error (m/s) under held commands, no lag."""
+    from dataclasses import replace
+
+    cycle = 0.1
+    flight = law.build(SimpleNamespace(weight=_G), 0.0)
+    r, v, mass, at = start.position.copy(), start.velocity.copy(), start.mass, 0.0
+    while at < time_to_go - 1e-9:
+        step = min(cycle, time_to_go - at)
+        here = replace(start, position=r, velocity=v, mass=mass)
+        thrust = flight.command(here, end, at, time_to_go - at)
+        a = thrust - np.array([0.0, 0.0, _G])
+        r, v = r + step * v + 0.5 * step**2 * a, v + step * a
+        mass *= np.exp(-step * float(np.linalg.norm(thrust)) / exhaust)
+        at += step
+    return (
+        start.mass - mass,
+        float(np.linalg.norm(r - end.position)),
+        float(np.linalg.norm(v - end.velocity)),
+    )
+
+
+def guidance() -> None:
+    """Each law: a command, 100 x 100 cells of reach, propellant and errors over 200 starts."""
+    from lunarsim.models.lander import Lander
+    from lunarsim.onboard.guidance import PhaseEnd
+    from lunarsim.parts.registry import kinds, resolve
+
+    lander = Lander()
+    end = PhaseEnd(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -2.0]))
+    laws = {kind: resolve("guidance", kind)() for kind in kinds("guidance")}
+    starts = _states(lander)
+    line = np.linspace(-200.0, 200.0, 100)
+    cells = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    field = PhaseEnd(np.column_stack((cells, np.full(len(cells), 12.0))), end.velocity)
+    threads = numba.get_num_threads()
+    print(
+        "  law                    a command (us)  reach, 1 and all threads (ms)  in reach  "
+        "propellant kg (median, 95 %)  miss m (95 %)  speed m/s (95 %)"
+    )
+    for kind, law in laws.items():
+        began = time.perf_counter()
+        flight = law.build(SimpleNamespace(weight=_G), 0.4)
+        for n in range(2000):
+            flight.command(starts[n % 20], end, 0.1 * n, 30.0)
+        took = (time.perf_counter() - began) / 2000 * 1e6
+        times = []
+        for count in (1, threads):
+            numba.set_num_threads(count)
+            times.append(median_ms(lambda law=law: law.cost(starts[3], field, lander, _G), 5))
+        rows = []
+        for start in starts:
+            to_go = float(law.cost(start, end, lander, _G).time_to_go[0])
+            if np.isfinite(to_go):
+                rows.append(_flown(law, start, end, to_go, lander.exhaust_velocity))
+        figures = np.array(rows)
+        spent = np.percentile(figures[:, 0], [50, 95])
+        worst = np.percentile(figures[:, 1:], 95, axis=0)
+        print(
+            f"  {kind:22s} {took:14.1f} {times[0]:16.1f} {times[1]:11.1f} {len(rows):12d} "
+            f"{spent[0]:14.1f} {spent[1]:7.1f} {worst[0]:16.3f} {worst[1]:14.3f}"
+        )
