@@ -6,75 +6,76 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 
-# Columns of the table of samples.
+# Columns of a table of samples; rows of `state` and `asked`; places in `figures`.
 SHARE, LOW, HIGH = 0, 1, 2
+POSITION, VELOCITY = 0, 1
+SPEED, ACCELERATION = 0, 1
+GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE = 0, 1, 2, 3, 4, 5, 6
+_HALVINGS = 5
 
 
-@kernel()
-def measure(r, v, target, v_f, a_f, big_t, table, powers, gravity, mass, limits, out):
+@kernel(inline=True)
+def terms(state, target, asked, big_t, powers, out):
+    """Write what each power gives to the mean acceleration (2, 3): see `paths.PathShape`."""
+    low, high = powers[0], powers[1]
+    for k in range(3):
+        r, v, v_f, a_f = state[0, k], state[1, k], asked[0, k], asked[1, k]
+        p = (v_f - v) / big_t - a_f
+        q = (v_f * big_t - target[k] + r) / big_t**2 - 0.5 * a_f
+        out[0, k] = (low + 2.0) / (high - low) * ((high + 2.0) * q - p)
+        out[1, k] = p - out[0, k]
+
+
+@kernel(inline=True)
+def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
+    """Return whether a sample keeps above the cone of slope `glide` half a metre under its end."""
+    left = share * big_t
+    f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
+    east = left * (left * (0.5 * asked[1, 0] + x[0, 0] * f + x[1, 0] * g) - asked[0, 0])
+    north = left * (left * (0.5 * asked[1, 1] + x[0, 1] * f + x[1, 1] * g) - asked[0, 1])
+    up = left * (left * (0.5 * asked[1, 2] + x[0, 2] * f + x[1, 2] * g) - asked[0, 2]) + 0.5
+    if glide > 0.0:
+        return up >= 0.0 and up * up >= glide * glide * (east * east + north * north)
+    return up >= glide * np.sqrt(east * east + north * north)
+
+
+@kernel(inline=True)
+def measure(state, target, asked, big_t, table, powers, figures, x, out):
     """Follow one path; return whether it is admissible, and write what it takes.
 
-    Writes increment, time, greatest thrust (N) and greatest tangent of the lean into `out` (4,).
-    `table` (samples + 1, 3): share of the time that is left, from 1 to 0, and its two powers.
-    `limits`: exhaust velocity, least and greatest thrust, tangents of tilt and glideslope.
+    Writes increment, time, greatest thrust (N) and greatest tangent of the lean into `out` (4,);
+    `x` (2, 3) is scratch. `state` and `asked` (2, 3): position and velocity now, velocity and
+    acceleration at the end. `table` (samples + 1, 3): share of the time that is left, from 1 to 0,
+    and its two powers. `figures` (7,): gravity, mass, exhaust velocity, least and greatest thrust,
+    tangents of tilt and glideslope.
     """
-    low, high = powers[0], powers[1]
-    exhaust, least, most, tan_tilt, glide = limits[0], limits[1], limits[2], limits[3], limits[4]
-    p0 = (v_f[0] - v[0]) / big_t - a_f[0]
-    p1 = (v_f[1] - v[1]) / big_t - a_f[1]
-    p2 = (v_f[2] - v[2]) / big_t - a_f[2]
-    square = 1.0 / big_t**2
-    gain = (low + 2.0) / (high - low)
-    q0 = (v_f[0] * big_t - target[0] + r[0]) * square - 0.5 * a_f[0]
-    q1 = (v_f[1] * big_t - target[1] + r[1]) * square - 0.5 * a_f[1]
-    q2 = (v_f[2] * big_t - target[2] + r[2]) * square - 0.5 * a_f[2]
-    # Integrated once, what each power gives (the terms over their power + 1).
-    x0, x1, x2 = (
-        gain * ((high + 2.0) * q0 - p0),
-        gain * ((high + 2.0) * q1 - p1),
-        gain * ((high + 2.0) * q2 - p2),
-    )
-    y0, y1, y2 = p0 - x0, p1 - x1, p2 - x2
-    d0, d1, d2 = (low + 1.0) * x0, (low + 1.0) * x1, (low + 1.0) * x2
-    e0, e1, e2 = (high + 1.0) * y0, (high + 1.0) * y1, (high + 1.0) * y2
+    terms(state, target, asked, big_t, powers, x)
+    d, e = powers[0] + 1.0, powers[1] + 1.0
     samples = table.shape[0] - 1
     step = big_t / samples
-    left_mass = mass
-    before = 0.0
-    total = 0.0
-    peak = 0.0
-    lean = 0.0
+    mass = figures[MASS]
+    before, total, peak, lean = 0.0, 0.0, 0.0, 0.0
     for s in range(samples + 1):
-        u, f, g = table[s, SHARE], table[s, LOW], table[s, HIGH]
-        ax = a_f[0] + d0 * f + e0 * g
-        ay = a_f[1] + d1 * f + e1 * g
-        az = a_f[2] + d2 * f + e2 * g + gravity
+        f, g = table[s, LOW], table[s, HIGH]
+        ax = asked[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
+        ay = asked[1, 1] + d * x[0, 1] * f + e * x[1, 1] * g
+        az = asked[1, 2] + d * x[0, 2] * f + e * x[1, 2] * g + figures[GRAVITY]
         side = ax * ax + ay * ay
         size = np.sqrt(side + az * az)
         if s > 0:
-            # Trapezia are enough for the mass; the increment below is Simpson's. What burns in a
-            # step is a small share of the mass: three terms of the exponential leave 1e-9 of it.
-            burnt = 0.5 * (before + size) * step / exhaust
+            # Trapezia are enough for the mass; the increment below is Simpson's. A step burns a
+            # small share of the mass: three terms of the exponential leave 1e-9 of it.
+            burnt = 0.5 * (before + size) * step / figures[EXHAUST]
             if burnt < 0.02:
-                left_mass *= 1.0 - burnt * (1.0 - burnt * (0.5 - burnt / 6.0))
+                mass *= 1.0 - burnt * (1.0 - burnt * (0.5 - burnt / 6.0))
             else:
-                left_mass *= np.exp(-burnt)
+                mass *= np.exp(-burnt)
         before = size
-        thrust = left_mass * size
-        bound = tan_tilt * az
-        if thrust > most or thrust < least or az <= 0.0 or side > bound * bound:
+        thrust = mass * size
+        bound = figures[TAN_TILT] * az
+        if thrust > figures[MOST] or thrust < figures[LEAST] or az <= 0.0 or side > bound * bound:
             return False
-        big = u * big_t
-        ahead = 0.5 * a_f[0] + x0 * f / (low + 2.0) + y0 * g / (high + 2.0)
-        x = big * (big * ahead - v_f[0])
-        ahead = 0.5 * a_f[1] + x1 * f / (low + 2.0) + y1 * g / (high + 2.0)
-        y = big * (big * ahead - v_f[1])
-        ahead = 0.5 * a_f[2] + x2 * f / (low + 2.0) + y2 * g / (high + 2.0)
-        z = big * (big * ahead - v_f[2]) + 0.5
-        if glide > 0.0:
-            if z < 0.0 or z * z < glide * glide * (x * x + y * y):
-                return False
-        elif z < glide * np.sqrt(x * x + y * y):
+        if not above_cone(target, asked, big_t, table[s, SHARE], f, g, powers, x, figures[GLIDE]):
             return False
         peak = max(peak, thrust)
         lean = max(lean, side / (az * az))
@@ -88,102 +89,71 @@ def measure(r, v, target, v_f, a_f, big_t, table, powers, gravity, mass, limits,
     return True
 
 
+@kernel()
+def first_look(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
+    """Return the best of so many geometric steps from `first`, -1 without one; some are skipped."""
+    best, least = -1, np.inf
+    for m in range(count):
+        if skip > 0 and m % skip == 0:
+            continue
+        time = first * np.exp(m * step)
+        good = measure(state, target, asked, time, table, powers, figures, x, found)
+        if good and found[0] < least:
+            best, least = m, found[0]
+    return best
+
+
+@kernel()
+def close_in(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
+    """Write the best path (4,) about a time ``first exp(at)``, halving the steps about it."""
+    time = first * np.exp(at)
+    if measure(state, target, asked, time, table, powers, figures, x, found):
+        out[:] = found
+    for _ in range(_HALVINGS if step > 0.0 else 0):
+        step *= 0.5
+        middle = at
+        for near in (middle - step, middle + step):
+            if 0.0 <= near <= span:
+                time = first * np.exp(near)
+                good = measure(state, target, asked, time, table, powers, figures, x, found)
+                if good and found[0] < out[0]:
+                    out[:] = found
+                    at = near
+
+
 @kernel(parallel=True)
-def survey(
-    r, v, targets, v_f, a_f, first, last, coarse, rough, table, powers, gravity, mass, limits, out,
-):  # fmt: skip
+def survey(state, targets, asked, first, last, coarse, rough, table, powers, figures, out):
     """Find for each target the admissible time-to-go that takes the least velocity increment.
 
     Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
     (N) and the greatest tangent of its lean (see `measure`). `coarse` times a target are tried in
     geometric steps from `first` to `last` (n,) on the samples of `rough`, and where none of them
-    will do those between, three to a step. Then the steps about the best are halved five times on
-    the samples of `table`, which finds an edge of what is admissible as well as a dip. NaN for no
-    time.
+    will do those between, three to a step. Then the steps about the best are halved on the samples
+    of `table`, which finds an edge of what is admissible as well as a dip. NaN for no time.
     """
     for n in prange(targets.shape[0]):
-        found = np.empty(4)
         out[n, 0] = np.inf
         out[n, 1:] = np.nan
         if not (0.0 < first[n] <= last[n] < np.inf):
             continue
-        span = np.log(last[n] / first[n])
+        found, x = np.empty(4), np.empty((2, 3))
+        start = first[n]
+        span = np.log(last[n] / start)
         step = span / max(coarse - 1, 1)
-        best, least = -1.0, np.inf
-        for m in range(coarse):
-            at = m * step
-            if (
-                measure(
-                    r,
-                    v,
-                    targets[n],
-                    v_f,
-                    a_f,
-                    first[n] * np.exp(at),
-                    rough,
-                    powers,
-                    gravity,
-                    mass,
-                    limits,
-                    found,
-                )
-                and found[0] < least
-            ):
-                best, least = at, found[0]
-        if best < 0.0 and step > 0.0:
+        best = first_look(
+            state, targets[n], asked, start, step, coarse, 0, rough, powers, figures, x, found
+        )
+        if best < 0 and step > 0.0:
             step /= 3.0
-            for m in range(3 * (coarse - 1)):
-                at = m * step
-                if (
-                    m % 3 != 0
-                    and measure(
-                        r,
-                        v,
-                        targets[n],
-                        v_f,
-                        a_f,
-                        first[n] * np.exp(at),
-                        rough,
-                        powers,
-                        gravity,
-                        mass,
-                        limits,
-                        found,
-                    )
-                    and found[0] < least
-                ):
-                    best, least = at, found[0]
-        if best < 0.0:
-            continue
-        if measure(
-            r, v, targets[n], v_f, a_f, first[n] * np.exp(best), table, powers, gravity, mass,
-            limits, found,
-        ):  # fmt: skip
-            out[n] = found
-        for _ in range(5 if step > 0.0 else 0):
-            step *= 0.5
-            middle = best
-            for at in (middle - step, middle + step):
-                if (
-                    0.0 <= at <= span
-                    and measure(
-                        r,
-                        v,
-                        targets[n],
-                        v_f,
-                        a_f,
-                        first[n] * np.exp(at),
-                        table,
-                        powers,
-                        gravity,
-                        mass,
-                        limits,
-                        found,
-                    )
-                    and found[0] < out[n, 0]
-                ):
-                    out[n] = found
-                    best = at
+            best = first_look(
+                state, targets[n], asked, start, step, 3 * (coarse - 1), 3, rough, powers, figures,
+                x, found,
+            )  # fmt: skip
+        if best >= 0:
+            close_in(
+                state, targets[n], asked, start, best * step, step, span, table, powers, figures,
+                x, found, out[n],
+            )  # fmt: skip
 
 
 @kernel()

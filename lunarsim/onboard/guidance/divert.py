@@ -142,41 +142,48 @@ def divert_cost(
     if least_times is not None:
         first = np.maximum(first, least_times)
     found = np.empty((len(targets), 4))
-    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     with threads_for(5.0 * len(targets)):
         k.survey(
-            np.ascontiguousarray(estimate.position, dtype=np.float64),
-            np.ascontiguousarray(estimate.velocity, dtype=np.float64),
+            np.array([estimate.position, estimate.velocity], dtype=np.float64),
             targets,
-            np.asarray(end.velocity, dtype=np.float64),
-            np.asarray(end.acceleration, dtype=np.float64),
+            np.array([end.velocity, end.acceleration], dtype=np.float64),
             first,
             last,
             _TIMES,
             _table(shape, _ROUGH),
             _table(shape, _SAMPLES),
             np.array(shape.powers),
-            gravity,
-            estimate.mass,
-            np.array(
-                [
-                    lander.exhaust_velocity,
-                    lander.thrust_min + margin,
-                    lander.thrust_max - margin,
-                    np.tan(limits.max_tilt),
-                    np.tan(limits.glideslope),
-                ]
-            ),
+            _figures(estimate, lander, gravity, limits),
             found,
         )
+    return _cost_of(found, estimate, lander, limits.reserve)
+
+
+def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
+    """Return costs from increments, times, thrusts and leans (n, 4); dry tanks are out of reach."""
     propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
-    left = estimate.mass - lander.dry_mass - limits.reserve
-    good = propellant <= left
+    good = propellant <= estimate.mass - lander.dry_mass - reserve
     return DivertCost(
         np.where(good, propellant, np.inf),
         np.where(good, found[:, 1], np.nan),
         np.where(good, found[:, 2], np.nan),
         np.where(good, np.arctan(found[:, 3]), np.nan),
+    )
+
+
+def _figures(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
+    """Return vehicle and limits as the kernel takes them (7,)."""
+    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+    return np.array(
+        [
+            gravity,
+            estimate.mass,
+            lander.exhaust_velocity,
+            lander.thrust_min + margin,
+            lander.thrust_max - margin,
+            np.tan(limits.max_tilt),
+            np.tan(limits.glideslope),
+        ]
     )
 
 

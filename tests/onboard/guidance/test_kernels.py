@@ -34,14 +34,15 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
     times = rng.uniform(15.0, 60.0, (9, count))
     times[3, 4] = np.nan
     figures = (samples, 1.62, 1480.0, 3050.0, least, most, tan_tilt, glide)
-    table, limits = table_of(powers, samples), np.array([3050.0, least, most, tan_tilt, glide])
+    table = table_of(powers, samples)
+    given = np.array([1.62, 1480.0, 3050.0, least, most, tan_tilt, glide])
+    state, asked = np.array([r, v]), np.array([v_f, a_f])
     reached = 0
     for row in times:
         out = np.empty((count, 4))
         kernels.survey(
-            r, v, targets, v_f, a_f, row, row, 1, table, table, np.array(powers), 1.62, 1480.0,
-            limits, out,
-        )  # fmt: skip
+            state, targets, asked, row, row, 1, table, table, np.array(powers), given, out
+        )
         wanted = np.array([
             plain.best(r, v, target, v_f, a_f, [time], *figures, powers)
             for target, time in zip(targets, row, strict=True)
@@ -56,12 +57,13 @@ def test_search_ends_at_the_edge_of_what_is_admissible():
     powers, samples = (1.0, 2.0), 24
     r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
     target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
-    table, limits = table_of(powers, samples), np.array([3050.0, 1500.0, 5500.0, 0.7, 0.2])
+    table = table_of(powers, samples)
+    given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2])
     figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2)
     out = np.empty((1, 4))
     kernels.survey(
-        r, v, target, v_f, a_f, np.array([5.0]), np.array([200.0]), 14, table_of(powers, 8), table,
-        np.array(powers), 1.62, 1480.0, limits, out,
+        np.array([r, v]), target, np.array([v_f, a_f]), np.array([5.0]), np.array([200.0]), 14,
+        table_of(powers, 8), table, np.array(powers), given, out,
     )  # fmt: skip
     fine = plain.best(r, v, target[0], v_f, a_f, np.geomspace(5.0, 200.0, 4000), *figures, powers)
     assert out[0, 0] == pytest.approx(fine[0], rel=5e-3)
