@@ -80,12 +80,12 @@ class Sites:
         """
         n = int(where.sum())
         e = evidence
-        odds = odds_of(e, where, measured())
+        odds, most = odds_of(e, where, measured()), ceiling(e)[where]
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
-            odds.agreed,
-            ceiling(e)[where],
+            odds.verdict(most).agreed,
+            most,
             bound(e)[where],
             in_domain(e)[where],
             e.hazards()[where],

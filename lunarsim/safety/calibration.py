@@ -6,9 +6,10 @@ regression on both, and on the rocks that no sample has met, turns them into a f
 dimensionless: heights count by the lander's limits, distances by its legs, rocks by footprint.
 
 The regression was fitted once to all worlds and once without each of them, and the lowest counts
-(`lunarsim.safety.ensemble`). It is a frequency where these fits agree and few hazards stand unseen.
-Where many may, no fit to other worlds can know how often a site is safe: the map then gives the
-lowest of Eqs. 15 to 17, the regression, and the chance that no unseen rock stands there. A
+(`lunarsim.safety.ensemble`). It is a frequency where these fits agree that a site is surely safe or
+surely not, and few hazards stand or gape unseen. Elsewhere no fit to other worlds can know how often
+a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance that
+no unseen rock stands there. Both edges are crossed one way only as the evidence gets worse. A
 calibration of a scenario's own (`lunarsim.safety.refit`) brings its own last stage and its own
 domain.
 """
@@ -21,14 +22,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.special import expit, ndtri
+from scipy.special import ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import Ensemble, Odds
+from lunarsim.safety.ensemble import SURE, Ensemble, Odds, told
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
@@ -46,21 +47,25 @@ _ROCKS = np.array([-4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 
 _COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
 # Heights, over the limit, above which the share of ground counts.
 _HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
+_DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, spacing and its square: nothing is claimed for these.
 FREE = 4
-RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_SHARES) - 1) + 2 * (len(_ROCKS) - 1)
-RISING += len(_HEIGHTS) * (len(_COVER) - 1)
+RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_SHARES) - 1) + 3 * (len(_ROCKS) - 1)
+RISING += (len(_HEIGHTS) + len(_DEPTHS)) * (len(_COVER) - 1)
 COUNT = FREE + RISING
 
 # See `ceiling`.
 _ODDS = 4.0
-# In the domain at most so many hazards stand unseen in a footprint, and so many rocks under the
-# pads that would tilt the lander over its limit.
-MOST_HAZARDS = 0.03
-MOST_TILTING = 2.0
-# Landers and scans of the fit: noise over the roughness limit, spacing over the legs' radius.
+# In the domain at most so many hazards stand unseen in a footprint, and so many rocks, or holes,
+# under the pads that would tilt the lander over its limit.
+MOST_HAZARDS = 0.003
+MOST_TILTING = 0.5
+MOST_SINKING = 0.003
+# Landers and scans of the fit: noise over the roughness limit, spacing over the legs' radius, and
+# limits of slope, rad.
 NOISES = (0.0, 0.5)
 SPACINGS = (0.01, 1.0)
+STEEPEST = tuple(np.deg2rad((4.5, 22.0)))
 PACKAGED = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
 
 
@@ -78,6 +83,8 @@ class Evidence:
         Of all three.
     curve
         How high the ground stands, from the samples and the mission's rock law.
+    holes
+        How deep it lies.
     density
         Samples on a square metre.
     noise, spacing
@@ -89,6 +96,7 @@ class Evidence:
     nominal: SafetyMap
     lander: Lander
     curve: HeightCurve
+    holes: HeightCurve
     density: Array
     noise: float
     spacing: float
@@ -136,6 +144,12 @@ class Evidence:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
         height = tilting_height(self.slope, self.lander)
         return self._expected(height, pad_ring_area(self.lander))
+
+    def sinking(self) -> Array:
+        """Return how many unseen holes under the pads would tilt the lander too far."""
+        height, width = tilting_height(self.slope, self.lander), self.lander.pad_diameter
+        found = self.holes.sunk(height, self.density, width)
+        return np.asarray(pad_ring_area(self.lander) * found)
 
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
@@ -187,10 +201,11 @@ def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
         probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
         terms.append(Term(probit, _PROBITS, falls=False))
     terms += [Term(share[where], _SHARES) for share in (e.slope, e.roughness)]
-    for rocks in (e.tilting(), e.piercing()):
+    for rocks in (e.tilting(), e.piercing(), e.sinking()):
         terms.append(Term(np.log10(rocks[where] + 1e-6), _ROCKS))
     shares = np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit))
-    return terms + [Term(share, _COVER) for share in shares]
+    depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
+    return terms + [Term(share, _COVER) for share in (*shares, *depths)]
 
 
 def _free(e: Evidence) -> Array:
@@ -203,7 +218,9 @@ def _free(e: Evidence) -> Array:
 def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
     """Tell where few enough rocks can stand unseen for the regression to hold (rows, cols).
 
-    It does so by the map's own samples; noise and spacing must be within those of the fit.
+    It does so by the map's own samples; noise and spacing must be within those of the fit. The
+    packaged regression also asks for few holes, and for a lander with a limit of the slope like
+    those that it was fitted for; a scenario's own has seen its own.
 
     Parameters
     ----------
@@ -215,7 +232,13 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
     e = evidence
     if not domain.measured(e.noise_ratio, e.spacing_ratio):
         return np.zeros(e.level.grid.shape, np.bool_)
-    return e.observed & domain.few(e.hazards(), e.tilting())
+    few = e.observed & domain.few(e.hazards(), e.tilting())
+    if domain is not PACKAGED:
+        return few
+    if not STEEPEST[0] <= e.lander.slope_limit <= STEEPEST[1]:
+        return np.zeros(e.level.grid.shape, np.bool_)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(few & (e.sinking() <= MOST_SINKING))
 
 
 @lru_cache(maxsize=1)
@@ -259,7 +282,7 @@ def calibrated_safety(
         said = odds_of(evidence, seen, model)
         p[seen] = judged(said.low, most, least, known[seen], covered[seen], refit)
         if refit is None:
-            claimed[seen] &= said.agreed
+            claimed[seen] &= said.verdict(most).agreed
     return p, claimed
 
 
@@ -273,7 +296,8 @@ def judged(
 ) -> Array:
     """Return the probability of sites (n,).
 
-    Where a fit has not seen their like, it is the lowest of all that there is.
+    Where a fit has not seen their like, or does not call them surely safe, it is the lowest of all
+    that there is.
 
     Parameters
     ----------
@@ -287,10 +311,12 @@ def judged(
     refit
         As for `calibrated_safety`.
     """
-    plain = expit(odds)
-    p = plain if refit is None else refit.probability(odds, known)
-    p = np.minimum(p, most)
-    return np.asarray(np.where(covered, p, np.minimum(np.minimum(p, plain), least)))
+    plain = told(odds, most)
+    lowest = np.minimum(plain, least)
+    if refit is None:
+        return np.asarray(np.where(covered & (plain >= SURE), plain, lowest))
+    p = np.minimum(refit.probability(odds, known), most)
+    return np.asarray(np.where(covered, p, np.minimum(p, lowest)))
 
 
 def ceiling(evidence: Evidence) -> Array:

@@ -3,8 +3,12 @@
 Worlds differ in more than their features say, and no count of sites of one world tells how the next
 will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). Where the fits
 agree, no world by itself decides what is said of a site, and another one will hardly change it;
-where they do not, the probability is no frequency. What is told is the lowest of them: it falls
-wherever all of them do.
+where they do not, the probability is no frequency. What is told is the lowest of them, less a
+margin: it falls wherever all of them do.
+
+In between, sites that are neither surely safe nor surely not, there is nearly always a world that
+decides, and whether there is may change with any feature either way. So no frequency is claimed
+there at all, agreed or not: else worse evidence could enter where more is told.
 """
 
 from __future__ import annotations
@@ -29,6 +33,10 @@ BoolArray = NDArray[np.bool_]
 
 # Fits agree on a site where their probabilities lie no farther apart.
 MOST_APART = 0.05
+# Log odds that a world unlike all others may take off the lowest of them.
+MARGIN = 0.25
+# From this probability on sites are surely safe.
+SURE = 0.9
 # No fit gives a feature, which is about 1, more log odds than this.
 _HEAVIEST = 1e6
 
@@ -46,10 +54,33 @@ class Odds:
     low: Array
     high: Array
 
-    @property
-    def agreed(self) -> BoolArray:
-        """Where no world by itself decides (n,)."""
-        return np.asarray(expit(self.high) - expit(self.low) <= MOST_APART)
+    def verdict(self, most: Array) -> Verdict:
+        """Return what is told of the sites, of which none is safer than `most` (n,)."""
+        p = told(self.low, most)
+        high = expit(self.high)
+        near = high - expit(self.low) <= MOST_APART
+        return Verdict(p, near & ((p >= SURE) | (high <= MOST_APART)))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is told of sites (n,).
+
+    Attributes
+    ----------
+    p
+        Probability that they are safe: the lowest.
+    agreed
+        Where no world by itself decides whether they are surely safe, or surely not.
+    """
+
+    p: Array
+    agreed: BoolArray
+
+
+def told(low: Array, most: Array) -> Array:
+    """Return the probability (n,) by the lowest log odds (n,), and at most so much (n,)."""
+    return np.asarray(np.minimum(expit(low - MARGIN), most))
 
 
 @dataclass(frozen=True)
@@ -103,6 +134,7 @@ class Ensemble:
         note: str = "",
         *,
         rising: int = 0,
+        start: Ensemble | None = None,
     ) -> Ensemble:
         """Fit features (n, k) to outcomes (n,), to all and to all without each world.
 
@@ -112,14 +144,18 @@ class Ensemble:
             As for `Logistic.fit`.
         worlds
             Which sites belong to a world (n,), by its name. One without any site says nothing.
+        start
+            Where steps begin; left out, at 0. It saves time where fits are alike.
         """
         x, y = np.asarray(features, dtype=np.float64), np.asarray(outcome)
         named = {name: inside for name, inside in worlds.items() if inside.any()}
-        whole = Logistic.fit(x, y, rising=rising)
-        fits = [whole] + [
-            Logistic.fit(x[~inside], y[~inside], rising=rising, start=whole.weights)
-            for inside in named.values()
-        ]
+        begin = {} if start is None else dict(zip(start.without, start.weights[1:], strict=True))
+        first = None if start is None else start.weights[0]
+        whole = Logistic.fit(x, y, rising=rising, start=first)
+        fits = [whole]
+        for name, inside in named.items():
+            first = begin.get(name, whole.weights)
+            fits.append(Logistic.fit(x[~inside], y[~inside], rising=rising, start=first))
         return cls(tuple(f.weights for f in fits), tuple(named), note)
 
     # --- files ----------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from lunarsim.rocks.laws import golombek_number
 
@@ -26,12 +25,16 @@ _NOISE = 3.5
 # The rock law counts as much as this many samples.
 _PRIOR_SAMPLES = 60.0
 _MOST = 0.5
+# Cover of holes over that of rocks, before any sample.
+_HOLES = 0.1
 # Diameters of the law, m.
 _DIAMETERS = np.geomspace(0.04, 6.0, 240)
 # Rocks are taken to be as high as this share of their width: most are flatter and show more.
 _TALLEST = 0.8
-# Samples on a square metre for which `missed` is tabled.
-_DENSITIES = np.geomspace(0.1, 2000.0, 40)
+# Of the most rocks that a share lets stand: where it falls as a power of 3 to 6 of the height.
+_OF_MOST = 0.25
+# Heights of rocks above a height h: the share of those is thinned as if H^2 / h^2 - 1 had this mean.
+_SPREAD = 1.0 / 3.0
 # A rock just wider than needed to rise above a height h has a top of about this times h^2 above it.
 _TOP = 1.5 * np.pi
 
@@ -76,45 +79,55 @@ class HeightCurve:
     def missed(self, height: ArrayLike, density: ArrayLike) -> Array:
         """Return how many rocks above a height no sample has met there, on a square metre (...).
 
-        With rocks that are half ellipsoids of one shape, the share of ground above a height h is
-        the sum over rocks of ``a (H^2 - h^2)``, a = pi / (4 ratio^2); so that
-        ``-dS/dh / (2 a h)`` of them are higher. A sample misses what stands above h of a rock with
-        probability ``exp(-density a (H^2 - h^2))``: of a rock that is hardly higher nearly always.
-        Never falls as `height` does.
+        A rock that is half an ellipsoid of height H raises ``a (H^2 - x^2)`` of ground above a
+        height x, a = pi / (4 ratio^2). So no more than ``S(x) / (a (h^2 - x^2))`` are higher than
+        h, whichever x below h is taken; the least of these counts, and of it what a share that
+        falls as a power of x would have. A sample misses what stands above h of a rock with probability ``exp(-density a (H^2 - h^2))``: of a rock that is hardly
+        higher nearly always. With H^2 - h^2 spread exponentially, as of a law, that leaves
+        ``1 / (1 + density a mean)``. Never falls as `height` or `density` does, nor where the share
+        rises at any height: neither more rocks nor higher ones ever make it less.
 
         Parameters
         ----------
         height
-            m; less than the curve's least counts as that.
+            m; less than twice the curve's least counts as that.
         density
             Samples on a square metre, broadcast against `height`.
         """
-        h, rho = np.broadcast_arrays(np.asarray(height, float), np.asarray(density, float))
-        top, table = self._missed_table
-        at = (
-            np.interp(np.log(np.clip(h, top[0], top[-1])), np.log(top), np.arange(len(top))),
-            np.interp(np.log(np.clip(rho, _DENSITIES[0], _DENSITIES[-1])), np.log(_DENSITIES),
-                      np.arange(len(_DENSITIES))),
-        )  # fmt: skip
-        found = ndimage.map_coordinates(table, [a.ravel() for a in at], order=1, mode="nearest")
-        return np.asarray(np.exp(found).reshape(h.shape))
+        h = np.clip(np.asarray(height, dtype=np.float64), 2.0 * self.height[0], self.height[-1])
+        area = 0.25 * np.pi / _TALLEST**2
+        tops, log_most = self._most
+        most = np.exp(np.interp(np.log(h), np.log(tops), log_most))
+        seen = np.asarray(density, dtype=np.float64) * area * _SPREAD * h * h
+        return np.asarray(most / (1.0 + seen))
+
+    def sunk(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
+        """Return how many holes that deep no sample has met, on a square metre (...).
+
+        For a curve of how far the ground lies below that about it. Holes are counted as squares of
+        a width (m), the least that matters: narrower ones swallow nothing.
+
+        Parameters
+        ----------
+        depth
+            m; less than the curve's least counts as that.
+        density
+            Samples on a square metre, broadcast against `depth`.
+        width
+            m.
+        """
+        area = width * width
+        met = np.exp(-np.asarray(density, dtype=np.float64) * area)
+        return np.asarray(self.at(depth) / area * met)
 
     @cached_property
-    def _missed_table(self) -> tuple[Array, Array]:
-        """Logarithm of `missed` at heights (n,) and `_DENSITIES` (n, m)."""
+    def _most(self) -> tuple[Array, Array]:
+        """Heights (n,), m, and the logarithm of how many rocks are higher on a square metre."""
         area = 0.25 * np.pi / _TALLEST**2
-        h = np.geomspace(self.height[0], self.height[-1], 4 * len(self.height))
-        share = self.at(h)
-        steepness = -np.gradient(np.log(share), np.log(h))
-        higher = np.maximum(steepness, 0.0) * share / (2.0 * area * h * h)
-        # Fewer are higher than a greater height.
-        higher = np.maximum.accumulate(higher[::-1])[::-1]
-        number, middle = higher[:-1] - higher[1:], np.sqrt(h[:-1] * h[1:])
-        seen = area * np.maximum(middle**2 - h[:, None] ** 2, 0.0)
-        alone = np.where(middle > h[:, None], number, 0.0)
-        table = np.stack([(alone * np.exp(-d * seen)).sum(axis=1) for d in _DENSITIES], axis=-1)
-        table = np.maximum.accumulate(table[::-1])[::-1]
-        return h, np.log(table + 1e-12)
+        h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
+        below = np.minimum(self.height, 0.95 * h[:, None])
+        most = self.at(below) / (area * (h[:, None] ** 2 - below**2))
+        return h, np.log(_OF_MOST * most.min(axis=1) + 1e-12)
 
 
 def height_curve(
@@ -147,6 +160,17 @@ def height_curve(
     times = np.interp(np.log(height), np.log(counted), np.log(found / law))
     share = np.minimum(expected * np.exp(times), _MOST)
     return HeightCurve(height, np.minimum.accumulate(share))
+
+
+def depth_curve(
+    rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
+) -> HeightCurve:
+    """Return the share of the ground that lies deeper than each depth below that about it.
+
+    As `height_curve`. The mission says nothing of holes: some are expected all the same, a tenth of
+    what rocks are.
+    """
+    return height_curve(-np.asarray(rises), noise, limit, _HOLES * cover, height_ratio)
 
 
 def law_share(height: ArrayLike, cover: float, height_ratio: float) -> Array:

@@ -20,7 +20,6 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.special import expit
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
 
 from lunarsim.campaign.pool import gathered
@@ -30,7 +29,7 @@ from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
 from lunarsim.safety.calibration import RISING, bound, ceiling, features, in_domain
-from lunarsim.safety.ensemble import Ensemble
+from lunarsim.safety.ensemble import SURE, Ensemble
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -106,8 +105,10 @@ class Sites:
         return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
 
 
-def fitted(judged: list[Judged], rising: int = RISING, note: str = "") -> Ensemble:
-    """Fit to the sites that may lie in the domain, and without each world."""
+def fitted(
+    judged: list[Judged], rising: int = RISING, note: str = "", start: Ensemble | None = None
+) -> Ensemble:
+    """Fit to the sites that may lie in the domain, and without each world; see `Ensemble.fit`."""
     s = Sites.of(judged)
     number = np.repeat(np.arange(len(judged)), [len(j.safe) for j in judged])[s.known]
     worlds = {
@@ -115,14 +116,16 @@ def fitted(judged: list[Judged], rising: int = RISING, note: str = "") -> Ensemb
         for axis, names, of in AXES
         for name in names
     }
-    return Ensemble.fit(s.features[s.known], s.safe[s.known], worlds, note, rising=rising)
+    x, y = s.features[s.known], s.safe[s.known]
+    return Ensemble.fit(x, y, worlds, note, rising=rising, start=start)
 
 
 def probability(model: Ensemble, sites: Sites) -> tuple[np.ndarray, np.ndarray]:
     """Return what the map would say of all sites, and where it claims a frequency (n,)."""
-    odds = model.of_features(sites.features)
-    p = np.minimum(expit(odds.low), sites.ceiling)
-    return np.where(sites.known, p, np.minimum(p, sites.bound)), sites.known & odds.agreed
+    said = model.of_features(sites.features).verdict(sites.ceiling)
+    surely = sites.known & (said.p >= SURE)
+    p = np.where(surely, said.p, np.minimum(said.p, sites.bound))
+    return p, sites.known & said.agreed
 
 
 def nearest_range(scene: Scene) -> str:
@@ -203,20 +206,18 @@ def table_of(rows: list[Row]) -> Table:
     table = Table(title="Sites in the domain; each row judged by the fit without it")
     for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE", "Brier\nskill",
                     "p > 0.95", "mean p less\nshare safe", "p > 0.99", "share\nsafe",
-                    "fits differ:\nmean p less\nshare safe", "out: p > 0.95", "share\nsafe",
-                    "least skill\nof a stratum", "where"):  # fmt: skip
+                    "not claimed,\np > 0.5", "mean p", "share\nsafe", "least skill\nof a stratum", "where"):  # fmt: skip
         table.add_column(heading, justify="right")
     for row in rows:
         p, k, sites = row.p, row.claimed, row.sites
         f = figures(p[k], sites.safe[k])
-        apart, out = sites.known & ~k, ~k & (p > 0.95)
-        gap = f"{(p - sites.safe)[apart].mean():+.3f} ({apart.sum()})" if apart.any() else "-"
-        right = f"{sites.safe[out].mean():.4f}" if out.any() else "-"
+        out = ~k & (p > 0.5)
+        own = [f"{v[out].mean():.3f}" if out.any() else "-" for v in (p, sites.safe)]
         least, where = worst_stratum(p, k, sites)
         table.add_row(
             row.name, f"{k.size}", f"{k.mean():.2f}", f"{f['base']:.3f}", f"{f['ece']:.4f}",
             f"{f['skill']:+.3f}", f"{f['share']:.2f}", f"{f['gap']:+.4f}", f"{f['surer']:.2f}",
-            f"{f['right']:.4f}", gap, f"{out.sum()}", right, f"{least:+.2f}", where,
+            f"{f['right']:.4f}", f"{out.sum()}", *own, f"{least:+.2f}", where,
         )  # fmt: skip
     return table
 
@@ -282,7 +283,7 @@ def report(
     if target is not None:
         model.save(target)
     left = list(left_out(judged))
-    fit = partial(fitted, rising=rising)
+    fit = partial(fitted, rising=rising, start=model)
     models = [model, *gathered(fit, [others for _, others, _ in left], jobs, console, "fits")]
     kept = [("nothing", judged), *((name, inside) for name, _, inside in left)]
     rows = []

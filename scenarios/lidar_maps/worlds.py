@@ -35,21 +35,24 @@ SIDE = 130.0  # of the relief, m
 MIDDLE = 90.0  # of what is judged at most, m
 POSTING = 0.2  # of map and truth, m
 RELIEF_POSTING = 0.25
+SHARP_POSTING = 0.125  # of relief with edges
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 RELIEFS = (
     "flat", "tilt-5", "tilt-9", "tilt-14", "fractal-3", "fractal-6", "fractal-10", "rough-5",
-    "craters", "hirise-0.2", "hirise-0.5", "apollo15",
+    "craters", "hirise-0.2", "hirise-0.5", "apollo15", "trenches", "pits",
 )  # fmt: skip
 ROCKS = (
     "none", "one-metre", "golombek-2", "golombek-5", "golombek-10", "cubes-5", "irregular-5",
-    "small-0.6", "large-2",
+    "small-0.6", "large-2", "posts",
 )  # fmt: skip
 LANDERS = {
     "paper": Lander(),
     "small": replace(Lander(), leg_radius=1.4, roughness_limit=0.18, pad_diameter=0.2),
     "large": replace(Lander(), leg_radius=3.6, roughness_limit=0.45, pad_diameter=0.6),
     "tripod": replace(Lander(), legs=3, leg_radius=2.0, slope_limit=np.deg2rad(12.0)),
+    "gentle": replace(Lander(), slope_limit=np.deg2rad(6.0)),
+    "steep": replace(Lander(), leg_radius=2.0, slope_limit=np.deg2rad(18.0)),
 }
 RANGES = (120.0, 250.0, 500.0, 1000.0)
 ANGLES = (0.0, 30.0, 60.0)
@@ -119,12 +122,36 @@ def relief(name: str, seed: int) -> Heightfield:
         xy = grid.centres()
         z = tilt * (np.cos(azimuth) * xy[..., 0] + np.sin(azimuth) * xy[..., 1])
         return Heightfield(grid, z.astype(np.float32))
+    if kind in {"trenches", "pits"}:
+        return _cut(kind, rng)
     hurst = {"fractal": 0.85, "rough": 0.6, "craters": 0.9}[kind]
     slope = np.deg2rad(float(figure or 3.0))
     ground = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
     if kind == "craters":
         ground = add_craters(ground, rng, minimum=2.0)
     return ground
+
+
+def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
+    """Return gentle ground with trenches side by side, or with pits, of one size each."""
+    grid = Grid.centred((0.0, 0.0), SIDE, SHARP_POSTING)
+    z = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(1.5)).z.astype(np.float64)
+    x, y = np.moveaxis(grid.centres(), -1, 0)
+    depth = rng.uniform(0.3, 1.2)
+    if kind == "trenches":
+        azimuth, width, apart = rng.uniform(0.0, np.pi), rng.uniform(0.2, 0.8), rng.uniform(5, 14)
+        across = x * np.cos(azimuth) + y * np.sin(azimuth)
+        z[(across + rng.uniform(0.0, apart)) % apart < width] -= depth
+        return Heightfield(grid, z.astype(np.float32))
+    radius, inside = 0.5 * rng.uniform(0.35, 1.2), np.zeros(z.shape, np.bool_)
+    for east, north in rng.uniform(-0.5 * SIDE, 0.5 * SIDE, (int(rng.uniform(100, 500)), 2)):
+        rows, cols = (
+            slice(*np.searchsorted(axis, (at - radius, at + radius)))
+            for axis, at in ((grid.y, north), (grid.x, east))
+        )
+        inside[rows, cols] |= np.hypot(x[rows, cols] - east, y[rows, cols] - north) < radius
+    z[inside] -= depth
+    return Heightfield(grid, z.astype(np.float32))
 
 
 @lru_cache(maxsize=4)
@@ -154,6 +181,10 @@ def rocks(name: str, ground: Heightfield, rng: np.random.Generator) -> RockField
         diameter = {"one": 1.0, "small": 0.6, "large": 2.0}[kind]
         count = rng.poisson(0.01 * area / (0.25 * np.pi * diameter**2))
         return place_rocks(ground, np.full(count, diameter), rng)
+    if kind == "posts":
+        diameters = rng.uniform(0.2, 0.6, rng.poisson(0.005 * area / (0.25 * np.pi * 0.4**2)))
+        tall = RockModel("ellipsoid", (0.95, 0.05), (0.0, 0.1), (0.6, 1.0))
+        return place_rocks(ground, diameters, rng, model=tall)
     cover = 0.01 * float(figure)
     model = {
         "golombek": RockModel(), "cubes": RockModel("cube"), "irregular": RockModel("mixed"),

@@ -94,6 +94,25 @@ def test_figures_are_those_of_plain_counting():
     assert found.refit_domain.better
 
 
+def test_what_drawing_flights_adds_to_the_error_is_taken_off_its_interval():
+    # Hardly any sites and as sure as they should be: nearly all of the error is chance.
+    parts = [sites(i, n=60, known=1.0, seed=3) for i in range(3)]
+    found = judged(*parts).packaged_domain.packaged.ece
+
+    def error(times) -> float:
+        drawn = Sites.joined([p for p, n in zip(parts, times, strict=True) for _ in range(n)])
+        k = drawn.known & drawn.agreed
+        return calibration_error(reliability(drawn.probability()[k], drawn.safe[k]))
+
+    times = np.random.default_rng(7).multinomial(3, np.full(3, 1.0 / 3.0), 2000)
+    known = {tuple(t): error(t) for t in np.unique(times, axis=0)}
+    drawn = np.array([known[tuple(t)] for t in times])
+    added = drawn.mean() - error((1, 1, 1))
+    assert added > 0.005
+    ends = np.maximum(np.quantile(drawn, [0.025, 0.975]) - added, 0.0)
+    assert found == pytest.approx([error((1, 1, 1)), *ends], abs=1e-9)
+
+
 def test_no_flight_is_judged_by_a_fit_to_itself():
     # Two flights that say the opposite: each refit is wrong about the other.
     found = judged(sites(0, shift=4.0), sites(1, shift=-4.0))

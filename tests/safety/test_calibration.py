@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -16,14 +17,17 @@ from lunarsim.safety.calibration import (
     COUNT,
     FREE,
     MOST_HAZARDS,
+    MOST_SINKING,
+    bound,
     calibrated_safety,
     ceiling,
     in_domain,
     measured,
 )
-from lunarsim.safety.ensemble import Ensemble
-from lunarsim.safety.unseen_rocks import HeightCurve, height_curve, law_share
-from tests.map_evidence import SIDE, evidence, rocky
+from lunarsim.safety.domain import Domain
+from lunarsim.safety.ensemble import MARGIN, Ensemble
+from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
+from tests.map_evidence import LANDER, SIDE, evidence, rocky
 
 weights = st.integers(0, 10_000).map(
     lambda seed: Ensemble(
@@ -56,11 +60,30 @@ def test_worse_ground_is_never_called_safer(model, slope, rough, times, density,
         {"slope": slope + worse},
         {"rough": rough + worse},
         {"curve": rocky(times * (1.0 + 3.0 * worse))},
+        {"holes": rocky(times * (0.01 + worse))},
         {"level": 1.0 - 5.0 * worse},
         {"planes": 2.0 - 5.0 * worse},
     ):
         q, _ = calibrated_safety(evidence(**here | change), model)
         assert (q <= most).all(), change
+
+
+@given(weights, st.integers(0, 10_000), st.floats(1.0, 3.0), st.floats(2.0, 200.0), st.floats(0, 1))
+def test_ground_with_taller_rocks_is_never_called_safer(model, seed, times, density, slope):
+    """Some of the samples that met a rock, or fell into a hole, met a greater one."""
+    rng = np.random.default_rng(seed)
+    rises = np.zeros(int(rng.choice([300, 3000])))
+    count = int(rng.integers(1, 60))
+    rises[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
+    worse = rises.copy()
+    worse[: int(rng.integers(1, count + 1))] *= times
+
+    def p_of(rises):
+        said = (rises, 0.01, LANDER.roughness_limit, 0.05)
+        own = {"curve": height_curve(*said), "holes": depth_curve(*said)}
+        return calibrated_safety(evidence(slope=slope, rough=0.2, density=density, **own), model)[0]
+
+    assert (p_of(worse) <= p_of(rises) + 1e-6).all()
 
 
 def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
@@ -90,24 +113,53 @@ def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
         assert not in_domain(odd).any()
 
 
+def fits_of(*odds):
+    """Return fits that say the same of all sites."""
+    return Ensemble(tuple((o, *[0.0] * (COUNT - 1)) for o in odds))
+
+
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
-    rows = np.zeros((2, COUNT))
-    rows[:, 0] = 1.0, 2.0
-    apart, near = Ensemble(tuple(map(tuple, rows))), Ensemble((tuple(rows[0]),) * 2)
-    e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
+    e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
     assert in_domain(e).all()
-    for model, claims in ((apart, False), (near, True)):
-        p, known = calibrated_safety(e, model)
-        assert p == pytest.approx(1.0 / (1.0 + np.exp(-1.0)), rel=1e-5)
+    for odds, claims in (((2.5, 5.0), False), ((2.5, 2.6), True)):
+        p, known = calibrated_safety(e, fits_of(*odds))
+        assert p == pytest.approx(expit(2.5 - MARGIN), rel=1e-5)
         assert (known == claims).all()
 
 
+def test_of_what_is_not_surely_safe_no_more_is_told_than_the_bound():
+    e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
+    assert (bound(e) < 0.1).all()
+    for odds in (-1.0, 0.5, 2.2):
+        p, known = calibrated_safety(e, fits_of(odds, odds))
+        assert p == pytest.approx(np.minimum(expit(odds - MARGIN), bound(e)), rel=1e-5)
+        assert not known.any()
+    # Surely unsafe is a frequency again.
+    p, known = calibrated_safety(e, fits_of(-4.0, -3.5))
+    assert (p < 0.02).all()
+    assert known.all()
+
+
 def test_the_domain_ends_where_samples_grow_sparse():
-    density = np.repeat(np.geomspace(100.0, 0.5, SIDE)[:, None], SIDE, axis=1)
+    density = np.repeat(np.geomspace(200.0, 0.5, SIDE)[:, None], SIDE, axis=1)
     known = in_domain(evidence(slope=0.1, rough=0.1, density=density))
     assert known[0].all()
     assert not known[-1].any()
     assert (np.diff(known.astype(int), axis=0) <= 0).all()
+
+
+def test_the_domain_ends_where_holes_may_gape_or_the_lander_is_another():
+    good = {"slope": 0.1, "rough": 0.1, "curve": rocky(0.01)}
+    assert in_domain(evidence(**good)).all()
+    assert not in_domain(evidence(**good, holes=rocky(30.0))).any()
+    assert (evidence(**good, holes=rocky(30.0)).sinking() > MOST_SINKING).all()
+    for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
+        other = replace(LANDER, slope_limit=np.deg2rad(degrees))
+        e = replace(evidence(**good), lander=other)
+        assert in_domain(e).all() == inside
+        # A scenario's own has seen its own lander, and its own holes.
+        own = Domain(1.0, 1.0, (0.0, 1.0), (0.0, 1.0))
+        assert in_domain(replace(evidence(**good, holes=rocky(30.0)), lander=other), own).all()
 
 
 def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():

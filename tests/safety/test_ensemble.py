@@ -13,7 +13,7 @@ from scipy.special import expit
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.ensemble import MOST_APART, Ensemble, Odds
+from lunarsim.safety.ensemble import MARGIN, MOST_APART, SURE, Ensemble, Odds
 from lunarsim.safety.logistic import Logistic
 
 
@@ -39,11 +39,18 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
     assert of_features.high == pytest.approx(found.high, abs=1e-9)
 
 
-def test_fits_agree_where_their_probabilities_are_near():
-    low, apart = np.array([-9.0, 0.0, 0.0, 9.0]), np.array([2.0, 0.19, 0.21, 5.0])
-    odds = Odds(low, low + apart)
-    assert odds.agreed.tolist() == [True, True, False, True]
-    assert expit(0.19) - 0.5 < MOST_APART < expit(0.21) - 0.5
+def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
+    low = np.array([-9.0, -9.0, -3.0, 0.0, 2.4, 2.5, 2.5, 9.0])
+    apart = np.array([2.0, 6.5, 0.05, 0.0, 0.1, 0.8, 2.5, 5.0])
+    said = Odds(low, low + apart).verdict(np.ones(8))
+    assert expit(2.4 - MARGIN) < SURE < expit(2.5 - MARGIN)
+    assert expit(3.3) - expit(2.5) < MOST_APART < expit(5.0) - expit(2.5)
+    assert said.agreed.tolist() == [True, False, True, False, False, True, False, True]
+    assert said.p == pytest.approx(expit(low - MARGIN))
+    # What is fatal by itself leaves it neither safe nor told.
+    said = Odds(low, low + apart).verdict(np.full(8, 0.5))
+    assert said.p.max() == 0.5
+    assert said.agreed.tolist() == [True, False, True, *[False] * 5]
 
 
 def test_what_one_world_decides_is_not_agreed_on():
@@ -52,19 +59,22 @@ def test_what_one_world_decides_is_not_agreed_on():
     n = 6000
     one = rng.random(n) < 0.5
     x = np.column_stack((np.ones(n), rng.random(n), np.where(one, rng.random(n), 0.0)))
-    law = -2.0 + 4.0 * x[:, 1] + 3.0 * x[:, 2]
+    law = -4.0 + 9.0 * x[:, 1] + 3.0 * x[:, 2]
     worlds = {"one": one, "other": ~one, "never seen": np.zeros(n, bool)}
     safe = rng.random(n) < expit(law)
     model = Ensemble.fit(x, safe, worlds, "here", rising=2)
     assert model.without == ("one", "other")
     assert model.note == "here"
     assert min(w for row in model.weights for w in row[1:]) >= 0.0
-    sites = np.array([[1.0, 0.9, 0.0], [1.0, 0.1, 0.9]])
+    sites = np.array([[1.0, 0.9, 0.0], [1.0, 0.5, 0.9]])
     odds = model.of_features(sites)
-    assert odds.agreed.tolist() == [True, False]
+    assert odds.verdict(np.ones(2)).agreed.tolist() == [True, False]
     whole = sites @ np.array(model.weights[0])
-    assert whole == pytest.approx(sites @ [-2.0, 4.0, 3.0], abs=0.3)
+    assert whole == pytest.approx(sites @ [-4.0, 9.0, 3.0], abs=0.4)
     assert (odds.low <= whole).all()
+    # Where the steps begin is not where they end.
+    again = Ensemble.fit(x, safe, worlds, "here", rising=2, start=model)
+    assert np.array(again.weights) == pytest.approx(np.array(model.weights), abs=1e-3)
     # Each fit is that without its world.
     alone = Logistic.fit(x[~one], safe[~one], rising=2)
     assert np.array(model.weights[1]) == pytest.approx(alone.weights, abs=1e-3)

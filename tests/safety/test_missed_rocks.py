@@ -4,27 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from lunarsim.safety.unseen_rocks import HeightCurve
-
-
-def drawn(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return heights of rocks, m."""
-    return np.minimum(0.1 * (1.0 - rng.random(count)) ** -0.4, 1.2)
+from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve
 
 
-def test_missed_rocks_are_those_that_samples_miss():
+def drawn(rng: np.random.Generator, count: int, steep: float) -> np.ndarray:
+    """Return heights of rocks, m, the numbers above which fall as a power of the height."""
+    return np.minimum(0.1 * (1.0 - rng.random(count)) ** (-1.0 / steep), 2.0)
+
+
+@pytest.mark.parametrize("steep", [4.0, 6.0, 8.0])
+def test_missed_rocks_are_about_those_that_samples_miss(steep):
     rng = np.random.default_rng(0)
-    high, ground, ratio = drawn(rng, 4000), 40_000.0, 0.8
+    high, ground, ratio = drawn(rng, 400_000, steep), 1e6, 0.8
     area = np.pi / (4.0 * ratio**2)
     height = np.geomspace(0.03, 3.0, 60)
-    above = area * np.maximum(high**2 - height[:, None] ** 2, 0.0)
-    curve = HeightCurve(height, np.maximum(above.sum(axis=1) / ground, 1e-12))
-    for h in (0.15, 0.25, 0.4):
-        for density in (1.0, 10.0, 50.0):
+    above = [(area * np.maximum(high**2 - h * h, 0.0)).sum() for h in height]
+    curve = HeightCurve(height, np.maximum(np.array(above) / ground, 1e-12))
+    for h in (0.15, 0.2, 0.25):
+        for density in (0.0, 1.0, 10.0, 50.0):
             seen = area * np.maximum(high**2 - h**2, 0.0)
             expected = (np.exp(-density * seen) * (high > h)).sum() / ground
-            assert curve.missed(h, density) == pytest.approx(expected, rel=0.25, abs=1e-5)
+            assert 0.5 < curve.missed(h, density) / expected < 4.0, (h, density)
+
+
+def test_rocks_of_one_size_are_never_more_than_the_share_lets_stand():
+    area, high, number = np.pi / (4.0 * 0.8**2), 0.3, 0.02
+    height = np.geomspace(0.02, 2.0, 200)
+    share = np.maximum(number * area * (high**2 - height**2), 1e-12)
+    found = HeightCurve(height, share).missed([0.1, 0.2, 0.25], 0.0)
+    # A quarter of the most that there can be.
+    assert found == pytest.approx(0.25 * number * high**2 / np.array([0.1, 0.2, 0.25]) ** 2, rel=0.1)
 
 
 def test_missed_rocks_never_fall_with_less_height_or_thinner_samples_or_more_rocks():
@@ -36,5 +48,33 @@ def test_missed_rocks_never_fall_with_less_height_or_thinner_samples_or_more_roc
         h, density = np.sort(rng.uniform(0.0, 2.2, 50)), np.sort(rng.uniform(0.01, 3000.0, 50))
         assert (np.diff(curve.missed(h, 20.0)) <= 1e-12).all()
         assert (np.diff(curve.missed(0.3, density)) <= 1e-12).all()
+        taller = HeightCurve(height, np.maximum.accumulate((share * rng.uniform(1, 3, 40))[::-1])[::-1])
+        assert (taller.missed(h, density) >= curve.missed(h, density)).all()
         assert (more.missed(h, 20.0) >= curve.missed(h, 20.0)).all()
         assert curve.missed(h[:, None], density).shape == (50, 50)
+
+
+@given(st.integers(0, 10_000), st.floats(1.0, 3.0), st.sampled_from([0.005, 0.02, 0.05]))
+def test_taller_rocks_are_no_fewer_that_are_missed(seed, times, noise):
+    """Some of the samples that met a rock met a higher one."""
+    rng = np.random.default_rng(seed)
+    rises = np.zeros(int(rng.choice([300, 3000])))
+    count = int(rng.integers(1, 100))
+    rises[:count] = 0.25 * rng.uniform(0.3, 2.5, count)
+    taller = rises.copy()
+    taller[: int(rng.integers(1, count + 1))] *= times
+    h, density = rng.uniform(0.0, 1.0, 30), rng.uniform(0.1, 200.0, 30)
+    low, high = (height_curve(r, noise, 0.25, 0.05) for r in (rises, taller))
+    assert (high.missed(h, density) >= low.missed(h, density) * (1.0 - 1e-9)).all()
+    assert (high.unseen(h, density) >= low.unseen(h, density) * (1.0 - 1e-9)).all()
+
+
+def test_holes_are_counted_as_far_as_the_ground_lies_below():
+    rises = np.zeros(20_000)
+    rises[:400] = -0.4
+    deep = depth_curve(rises, 0.01, 0.25, 0.05)
+    assert deep.at([0.1, 0.15, 0.2]) == pytest.approx(0.02, rel=0.3)
+    assert depth_curve(-rises, 0.01, 0.25, 0.05).at(0.2) < 1e-3
+    # 0.02 of the ground in squares of 0.5 m, each missed by 4 samples a square metre.
+    assert deep.sunk(0.2, 4.0, 0.5) == pytest.approx(4.0 * deep.at(0.2) * np.exp(-1.0))
+    assert (np.diff(deep.sunk(np.linspace(0.0, 1.0, 20), 4.0, 0.5)) <= 0.0).all()

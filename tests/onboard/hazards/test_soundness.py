@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import expit
 
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
@@ -26,8 +27,8 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.ensemble import Ensemble
-from lunarsim.safety.unseen_rocks import HeightCurve, law_share
+from lunarsim.safety.ensemble import MARGIN, Ensemble
+from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -139,12 +140,21 @@ SITE = {
 
 def site(rocks: float, noise: float = 0.02, **changes: float) -> SiteEvidence:
     """Return one site, gentle and without an exception but for changes, among so many rocks."""
-    lander = Lander()
-    height = lander.roughness_limit * np.geomspace(0.08, 8.0, 40)
-    curve = HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
+    return site_among(curve_of(rocks), curve_of(0.01), noise, **changes)
+
+
+def curve_of(rocks: float) -> HeightCurve:
+    """Return the curve of so many times the usual rocks."""
+    height = Lander().roughness_limit * np.geomspace(0.08, 8.0, 40)
+    return HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
+
+
+def site_among(
+    curve: HeightCurve, holes: HeightCurve, noise: float, **changes: float
+) -> SiteEvidence:
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
     own = {"density": np.array([30.0]), "thinnest": np.array([30.0])} | own
-    return SiteEvidence(**own, curve=curve, lander=lander, noise=noise)
+    return SiteEvidence(**own, curve=curve, holes=holes, lander=Lander(), noise=noise)
 
 
 @given(
@@ -163,14 +173,42 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
     assert site_safety(site(rocks * (1.0 + worse), **here), model)[0][0] <= p + 1e-12
 
 
+@given(
+    weights, st.integers(0, 10_000), st.floats(1.0, 3.0), st.floats(0.0, 0.95), st.floats(2.0, 200.0),
+)  # fmt: skip
+def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slope, density):
+    """Some of the points that met a rock, or fell into a hole, met a greater one."""
+    rng = np.random.default_rng(seed)
+    rises = np.zeros(int(rng.choice([300, 3000, 20_000])))
+    count = int(rng.integers(1, 100))
+    rises[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
+    worse = rises.copy()
+    worse[: int(rng.integers(1, count + 1))] *= times
+    own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "thinnest": density}
+    p = [
+        site_safety(site_among(height_curve(*said), depth_curve(*said), 0.02, **own), model)[0][0]
+        for said in ((r, 0.02, 0.25, 0.05) for r in (rises, worse))
+    ]
+    assert p[1] <= p[0] + 1e-12
+
+
+def fits_of(*odds: float) -> Ensemble:
+    """Return fits that say the same of all sites."""
+    return Ensemble(tuple((o, *[0.0] * (COUNT - 1)) for o in odds))
+
+
 def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
-    rows = np.zeros((2, COUNT))
-    rows[:, 0] = 1.0, 2.0
-    apart, near = Ensemble(tuple(map(tuple, rows))), Ensemble((tuple(rows[0]),) * 2)
-    for model, claims in ((apart, False), (near, True)):
-        p, known = site_safety(site(0.02), model)
-        assert p[0] == pytest.approx(1.0 / (1.0 + np.exp(-1.0)))
+    for odds, claims in (((2.5, 5.0), False), ((2.5, 2.6), True)):
+        p, known = site_safety(site(0.02), fits_of(*odds))
+        assert p[0] == pytest.approx(expit(2.5 - MARGIN))
         assert known[0] == claims
+    doubtful = site(0.4, fitted_slope=0.7)
+    assert doubtful.in_domain.all()
+    nothing = np.exp(-doubtful.piercing() - doubtful.tilting())
+    assert 0.8 < nothing < 0.9
+    p, known = site_safety(doubtful, fits_of(2.4, 2.4))
+    assert p == pytest.approx(nothing)
+    assert not known.any()
 
 
 @pytest.mark.parametrize("name", [*SITE, "density", "thinnest"])

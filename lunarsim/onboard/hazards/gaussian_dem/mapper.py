@@ -24,7 +24,7 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.safety.calibration import Evidence, calibrated_safety, measured
 from lunarsim.safety.refit import ScenarioCalibration
-from lunarsim.safety.unseen_rocks import height_curve
+from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 Array = NDArray[np.float64]
 Judgement = Literal["calibrated", "level", "planes"]
@@ -227,15 +227,14 @@ def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evide
     """
     seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
     s = dem.sampling
-    curve = height_curve(
-        s.rises, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0]
-    )
+    said = (s.rises, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
     return Evidence(
         stochastic_safety(seen, dem.variance, dem.grid, lander),
         plane_stochastic_safety(seen, dem.variance, dem.grid, lander),
         bounded_safety(seen, dem.grid, lander),
         lander,
-        curve,
+        height_curve(*said),
+        depth_curve(*said),
         s.density,
         s.noise,
         s.spacing,

@@ -17,7 +17,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.special import expit
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree.sites import Selection
@@ -26,15 +25,15 @@ from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
 from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.calibration import MOST_TILTING, NOISES
-from lunarsim.safety.ensemble import Ensemble
+from lunarsim.safety.calibration import STEEPEST
+from lunarsim.safety.ensemble import SURE, Ensemble
 from lunarsim.safety.exposure import (
     footprint_area,
     pad_ring_area,
     tilt_of,
     tilting_height,
 )
-from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
+from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -44,8 +43,20 @@ _LEFT_OF_SLOPE = np.array([[0.95, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.9, 0.75, 0
 _LEFT_OF_PLANE = np.array([[0.97, 1.05, 1.15], [1.0, 0.3, 0.0]])
 _LEFT_OF_ROUGHNESS = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
 _LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
-# In the domain at most so many hazards may be expected unseen in a footprint.
-MOST_HAZARDS = 0.08
+# In the domain at most so many hazards may be expected unseen in a footprint, and so many rocks, or
+# holes, under the pads that would tilt the lander over its limit. Counts of rocks are those of
+# `HeightCurve.missed`, three times and more those of the Gaussian DEM.
+MOST_HAZARDS = 0.1
+MOST_TILTING = 0.3
+MOST_SINKING = 0.03
+# Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes there
+# depends on widths that no share tells.
+MOST_SUNK = 0.016
+# Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
+# what stands out of the ground.
+MOST_NOISE = 0.12
+# The smoothest zones of a map are this share of all.
+_SMOOTHEST = 0.1
 # Cells on which the mean ground is judged, and the largest that count as seen, m.
 _GROUND_BAND = (0.4, 1.6)
 # Between these the regression may bend: shares of the limits, decades of ratios and of rocks.
@@ -59,12 +70,16 @@ _COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 
 _BENDS = (
     _SLOPES, _HEIGHTS, _HEIGHTS, _HEIGHTS, _TIPS, _TIPS, _SLOPES, _SLOPES, _SPREADS, _SPREADS,
     _RATIOS, _RATIOS, _HEIGHTS, _HEIGHTS, _ROCKS, _ROCKS,
+    _ROCKS,
 )  # fmt: skip
 # Heights, over the limit, above which the share of ground counts.
 _ABOVE = np.array([0.3, 0.6, 1.0, 1.6])
+_DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, density and its square: nothing is claimed for these.
 FREE = 4
-RISING = sum(len(knots) - 1 for knots in _BENDS) + len(_ABOVE) * (len(_COVER) - 1)
+RISING = sum(len(knots) - 1 for knots in _BENDS) + (len(_ABOVE) + len(_DEPTHS)) * (
+    len(_COVER) - 1
+)
 COUNT = FREE + RISING
 
 
@@ -88,6 +103,8 @@ class SiteEvidence:
         Points on a square metre of the zone, and where they are the thinnest in the footprint.
     curve
         How high the ground stands, from the points and the mission's rock law.
+    holes
+        How deep it lies.
     lander
         Geometry and limits.
     noise
@@ -107,6 +124,7 @@ class SiteEvidence:
     density: Array
     thinnest: Array
     curve: HeightCurve
+    holes: HeightCurve
     lander: Lander
     noise: float
 
@@ -122,15 +140,19 @@ class SiteEvidence:
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where few enough rocks can stand unseen for the regression to hold (n,).
+        """Where few enough rocks and holes can be unseen for the regression to hold (n,).
 
-        Noise must be within that of the fit.
+        Noise, the ground's own holes, and the lander's limit of the slope, must be within those of
+        the fit.
         """
         noise = self.noise / self.lander.roughness_limit
-        if not NOISES[0] <= noise <= NOISES[1]:
+        sunk = self.holes.at(_DEPTHS[0] * self.lander.roughness_limit)
+        steep = self.lander.slope_limit
+        if not (noise <= MOST_NOISE and sunk < MOST_SUNK and STEEPEST[0] <= steep <= STEEPEST[1]):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
             few = (self.hazards() <= MOST_HAZARDS) & (self.tilting() <= MOST_TILTING)
+            few &= self.sinking() <= MOST_SINKING
         return np.asarray(self.judged & few)
 
     def highest(self) -> Array:
@@ -156,6 +178,12 @@ class SiteEvidence:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
         height = tilting_height(self.fitted_slope, self.lander)
         return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
+
+    def sinking(self) -> Array:
+        """Return how many unseen holes under the pads would tilt the lander too far."""
+        height, width = tilting_height(self.fitted_slope, self.lander), self.lander.pad_diameter
+        found = self.holes.sunk(height, self.thinnest, width)
+        return np.asarray(pad_ring_area(self.lander) * found)
 
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
@@ -185,11 +213,13 @@ def evidence_of(
     zone
         Half side of the landing zones, m.
     noise
-        Standard deviation of a point's height, m.
+        Standard deviation that is stated of a point's height, m. Where the points spread less, they
+        have less: noise that is not there would excuse what stands out of the ground.
     lander, rocks
         Geometry and limits, and what the mission expects.
     """
     s = selection
+    risen = rises(quadtree)
     steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
     seen = sampling(quadtree)
     height, grid = surface(quadtree, *_GROUND_BAND, seen)
@@ -199,6 +229,7 @@ def evidence_of(
     # span no plane have the mesh's.
     fitted_spread = s.slope_sigma * np.sqrt(np.maximum(s.points - 3.0, 0.0) / 6.0) * zone
     spans = np.isfinite(s.fitted)
+    noise = min(noise, _least_spread(fitted_spread))
     return SiteEvidence(
         np.tan(slope) / steepest,
         roughness / limit,
@@ -212,10 +243,17 @@ def evidence_of(
         s.top / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
         _thinnest(seen, s.position[:, :2], lander),
-        height_curve(rises(quadtree), noise, limit, rocks.cover, rocks.height_ratio[0]),
+        height_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
+        depth_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
         lander,
         noise,
     )
+
+
+def _least_spread(spread: Array) -> float:
+    """Return how the points of a map's smoothest zones spread about their planes (n,), m."""
+    spread = spread[np.isfinite(spread)]
+    return float(np.quantile(spread, _SMOOTHEST)) if len(spread) else np.inf
 
 
 def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
@@ -254,11 +292,12 @@ def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
         e.slope, e.roughness, e.highest(), e.top + 2.0 * spread, np.log10(e.tipping(point)),
         np.log10(e.tipping(spread)), e.mesh_slope, e.fitted_slope, e.mesh_spread, e.fitted_spread,
         np.log10(np.maximum(e.ratio, 1e-4)), np.log10(np.maximum(e.near, 1e-4)), e.relief, e.top,
-        np.log10(e.tilting() + 1e-6), np.log10(e.piercing() + 1e-6),
+        np.log10(e.tilting() + 1e-6), np.log10(e.piercing() + 1e-6), np.log10(e.sinking() + 1e-6),
     )  # fmt: skip
     shares = np.log10(e.curve.at(_ABOVE * e.lander.roughness_limit))
     own = [Term(v[where], knots) for v, knots in zip(values, _BENDS, strict=True)]
-    return own + [Term(share, _COVER) for share in shares]
+    depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
+    return own + [Term(share, _COVER) for share in (*shares, *depths)]
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
@@ -277,7 +316,8 @@ def measured() -> Ensemble:
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
     """Return the probability that sites are safe (n,), and where it is a frequency (n,).
 
-    Where too many rocks may stand unseen no more than `bound`; 0 where not judged.
+    Where too many rocks may stand unseen, or it is not surely safe, no more than `bound`; 0 where
+    not judged.
 
     Parameters
     ----------
@@ -289,11 +329,11 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
     e, known = evidence, evidence.in_domain
     p, claimed = np.zeros(len(e.slope)), known.copy()
     if e.judged.any():
-        said = (model or measured()).judge(_free(e, e.judged), _terms(e, e.judged))
-        p[e.judged] = expit(said.low)
+        odds = (model or measured()).judge(_free(e, e.judged), _terms(e, e.judged))
+        said = odds.verdict(ceiling(e)[e.judged])
+        p[e.judged] = said.p
         claimed[e.judged] &= said.agreed
-    p = np.minimum(p, ceiling(e))
-    return np.where(known, p, np.minimum(p, bound(e))), claimed
+    return np.where(known & (p >= SURE), p, np.minimum(p, bound(e))), claimed
 
 
 def ceiling(evidence: SiteEvidence) -> Array:
