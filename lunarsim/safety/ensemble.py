@@ -1,14 +1,14 @@
 """Regressions fitted to all worlds and to all but one: what a single world decides is not known.
 
 Worlds differ in more than their features say, and no count of sites of one world tells how the next
-will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). Where the fits
-agree, no world by itself decides what is said of a site, and another one will hardly change it;
-where they do not, the probability is no frequency. What is told is the lowest of them, less a
-margin: it falls wherever all of them do.
+will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). What is told is the
+lowest of them, less a margin: it falls wherever all of them do.
 
-In between, sites that are neither surely safe nor surely not, there is nearly always a world that
-decides, and whether there is may change with any feature either way. So no frequency is claimed
-there at all, agreed or not: else worse evidence could enter where more is told.
+It is a frequency where every fit calls a site surely safe, or every fit surely not: then no world by
+itself decides. In between there is nearly always one that does, and whether there is may change with
+any feature either way; so no frequency is claimed there at all, even where fits happen to agree: else
+worse evidence could enter where more is told. How near fits lie to each other where all call a site
+safe says little of a world that none of them has seen.
 """
 
 from __future__ import annotations
@@ -31,12 +31,10 @@ from lunarsim.safety.logistic import Logistic
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Fits agree on a site where their probabilities lie no farther apart.
-MOST_APART = 0.05
-# Log odds that a world unlike all others may take off the lowest of them.
-MARGIN = 0.25
-# From this probability on sites are surely safe.
-SURE = 0.9
+# A world unlike all others may double the odds that a site is unsafe.
+MARGIN = float(np.log(2.0))
+# Sites are surely safe from this probability on, and surely not up to that.
+SURE, HOPELESS = 0.9, 0.05
 # No fit gives a feature, which is about 1, more log odds than this.
 _HEAVIEST = 1e6
 
@@ -57,9 +55,7 @@ class Odds:
     def verdict(self, most: Array) -> Verdict:
         """Return what is told of the sites, of which none is safer than `most` (n,)."""
         p = told(self.low, most)
-        high = expit(self.high)
-        near = high - expit(self.low) <= MOST_APART
-        return Verdict(p, near & ((p >= SURE) | (high <= MOST_APART)))
+        return Verdict(p, (p >= SURE) | (expit(self.high) <= HOPELESS))
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ class Verdict:
     p
         Probability that they are safe: the lowest.
     agreed
-        Where no world by itself decides whether they are surely safe, or surely not.
+        Where every fit calls them surely safe, or every one surely not.
     """
 
     p: Array

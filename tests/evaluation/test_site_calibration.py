@@ -12,6 +12,7 @@ from lunarsim.evaluation.site_calibration import Sites, drawn_sites, judged_by_f
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap
+from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE
 from lunarsim.world.truth import Truth
 from tests.map_evidence import evidence
 
@@ -47,10 +48,11 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     z = rng.normal(0.0, 3.0, n)
     inside = rng.random(n) < known
     return Sites(
-        flight=np.full(n, flight), log_odds=z, agreed=np.abs(z - 0.5) > 0.1, ceiling=np.ones(n),
+        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n),
+        agreed=(expit(z - MARGIN) >= SURE) | (expit(z) <= HOPELESS),
         bound=np.full(n, 0.1), known=inside, hazards=np.where(inside, 0.01, 0.2),
         tilting=np.full(n, 0.1), noise=np.full(n, 0.05), spacing=np.full(n, 0.2),
-        safe=rng.random(n) < expit(z + shift),
+        safe=rng.random(n) < expit(z - MARGIN + shift),
     )  # fmt: skip
 
 
@@ -96,7 +98,7 @@ def test_figures_are_those_of_plain_counting():
 
 def test_what_drawing_flights_adds_to_the_error_is_taken_off_its_interval():
     # Hardly any sites and as sure as they should be: nearly all of the error is chance.
-    parts = [sites(i, n=60, known=1.0, seed=3) for i in range(3)]
+    parts = [sites(i, n=60, known=1.0, seed=6) for i in range(3)]
     found = judged(*parts).packaged_domain.packaged.ece
 
     def error(times) -> float:

@@ -119,18 +119,19 @@ def fits_of(*odds):
 
 
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
-    e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
+    e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0, curve=rocky(0.01))
     assert in_domain(e).all()
-    for odds, claims in (((2.5, 5.0), False), ((2.5, 2.6), True)):
+    assert (bound(e) > 0.95).all()
+    for odds, claims in (((2.0, 5.0), False), ((3.0, 5.0), True)):
         p, known = calibrated_safety(e, fits_of(*odds))
-        assert p == pytest.approx(expit(2.5 - MARGIN), rel=1e-5)
+        assert p == pytest.approx(expit(odds[0] - MARGIN), rel=1e-5)
         assert (known == claims).all()
 
 
 def test_of_what_is_not_surely_safe_no_more_is_told_than_the_bound():
     e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
     assert (bound(e) < 0.1).all()
-    for odds in (-1.0, 0.5, 2.2):
+    for odds in (-1.0, 0.5, 2.8):
         p, known = calibrated_safety(e, fits_of(odds, odds))
         assert p == pytest.approx(np.minimum(expit(odds - MARGIN), bound(e)), rel=1e-5)
         assert not known.any()

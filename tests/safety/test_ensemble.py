@@ -13,7 +13,7 @@ from scipy.special import expit
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.ensemble import MARGIN, MOST_APART, SURE, Ensemble, Odds
+from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, Ensemble, Odds
 from lunarsim.safety.logistic import Logistic
 
 
@@ -40,13 +40,14 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
 
 
 def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
-    low = np.array([-9.0, -9.0, -3.0, 0.0, 2.4, 2.5, 2.5, 9.0])
+    low = np.array([-9.0, -9.0, -3.0, 0.0, 2.8, 3.0, 3.0, 9.0])
     apart = np.array([2.0, 6.5, 0.05, 0.0, 0.1, 0.8, 2.5, 5.0])
     said = Odds(low, low + apart).verdict(np.ones(8))
-    assert expit(2.4 - MARGIN) < SURE < expit(2.5 - MARGIN)
-    assert expit(3.3) - expit(2.5) < MOST_APART < expit(5.0) - expit(2.5)
-    assert said.agreed.tolist() == [True, False, True, False, False, True, False, True]
-    assert said.p == pytest.approx(expit(low - MARGIN))
+    assert expit(2.8 - MARGIN) < SURE < expit(3.0 - MARGIN)
+    assert expit(-2.95) < HOPELESS < expit(-2.5)
+    assert said.agreed.tolist() == [True, False, True, False, False, True, True, True]
+    # Twice as often unsafe as by the lowest.
+    assert (1.0 / said.p - 1.0) == pytest.approx(2.0 * np.exp(-low))
     # What is fatal by itself leaves it neither safe nor told.
     said = Odds(low, low + apart).verdict(np.full(8, 0.5))
     assert said.p.max() == 0.5

@@ -198,15 +198,15 @@ def fits_of(*odds: float) -> Ensemble:
 
 
 def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
-    for odds, claims in (((2.5, 5.0), False), ((2.5, 2.6), True)):
+    for odds, claims in (((2.0, 5.0), False), ((3.0, 5.0), True)):
         p, known = site_safety(site(0.02), fits_of(*odds))
-        assert p[0] == pytest.approx(expit(2.5 - MARGIN))
+        assert p[0] == pytest.approx(expit(odds[0] - MARGIN))
         assert known[0] == claims
     doubtful = site(0.4, fitted_slope=0.7)
     assert doubtful.in_domain.all()
     nothing = np.exp(-doubtful.piercing() - doubtful.tilting())
     assert 0.8 < nothing < 0.9
-    p, known = site_safety(doubtful, fits_of(2.4, 2.4))
+    p, known = site_safety(doubtful, fits_of(2.8, 2.8))
     assert p == pytest.approx(nothing)
     assert not known.any()
 
