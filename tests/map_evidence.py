@@ -23,7 +23,16 @@ def rocky(times: float = 1.0) -> HeightCurve:
 
 
 def evidence(
-    *, slope=0.5, rough=0.5, level=1.0, planes=2.0, curve=None, holes=None, density=30.0, noise=0.01, seen=None
+    *,
+    slope=0.5,
+    rough=0.5,
+    level=1.0,
+    planes=2.0,
+    curve=None,
+    holes=None,
+    density=30.0,
+    noise=0.01,
+    seen=None,
 ) -> Evidence:
     """Return a map all of whose sites are alike, or as the arrays (SIDE, SIDE) say.
 
@@ -44,6 +53,6 @@ def evidence(
         grid, np.arctan(tangent), raster(rough) * LANDER.roughness_limit, seen, seen
     )
     return Evidence(
-        *tests, nominal, LANDER, curve or rocky(), holes or rocky(0.01), raster(density).astype(float), noise,
-        1.0 / np.sqrt(np.mean(density)),
+        *tests, nominal, LANDER, curve or rocky(), holes or rocky(0.01),
+        raster(density).astype(float), noise, 1.0 / np.sqrt(np.mean(density)),
     )  # fmt: skip

@@ -7,9 +7,9 @@ dimensionless: heights count by the lander's limits, distances by its legs, rock
 
 The regression was fitted once to all worlds and once without each of them, and the lowest counts
 (`lunarsim.safety.ensemble`). It is a frequency where these fits agree that a site is surely safe or
-surely not, and few hazards stand or gape unseen. Elsewhere no fit to other worlds can know how often
-a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance that
-no unseen rock stands there. Both edges are crossed one way only as the evidence gets worse. A
+surely not, and few hazards stand or gape unseen. Elsewhere no fit to other worlds can know how
+often a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance
+that no unseen rock stands there. Both edges are crossed one way only as the evidence gets worse. A
 calibration of a scenario's own (`lunarsim.safety.refit`) brings its own last stage and its own
 domain.
 """
@@ -56,6 +56,7 @@ COUNT = FREE + RISING
 
 # See `ceiling`.
 _ODDS = 4.0
+_LEFT_OF_SLOPE = np.array([[0.94, 0.96], [1.0, 0.85]])
 # In the domain at most so many hazards stand unseen in a footprint, and so many rocks, or holes,
 # under the pads that would tilt the lander over its limit.
 MOST_HAZARDS = 0.003
@@ -323,11 +324,12 @@ def ceiling(evidence: Evidence) -> Array:
     """Return what the probability cannot exceed, by what was seen (rows, cols).
 
     Sums of evidence let much that is good make up for one thing that is fatal. Where the support
-    planes give slope or roughness less than one chance in so many, that is all there is.
+    planes give slope or roughness less than one chance in so many, that is all there is. Just under
+    the limit of the slope no fit has seen enough ground to call any surely safe.
     """
     e = evidence
     least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
-    return np.minimum(1.0, _ODDS * least)
+    return np.asarray(np.minimum(np.interp(e.slope, *_LEFT_OF_SLOPE), _ODDS * least))
 
 
 def bound(evidence: Evidence) -> Array:

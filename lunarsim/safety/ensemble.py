@@ -1,14 +1,14 @@
 """Regressions fitted to all worlds and to all but one: what a single world decides is not known.
 
-Worlds differ in more than their features say, and no count of sites of one world tells how the next
-will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). What is told is the
-lowest of them, less a margin: it falls wherever all of them do.
+Worlds differ in more than their features say, and no count of sites of one world tells how the
+next will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). What is told
+is the lowest of them, less a margin: it falls wherever all of them do.
 
-It is a frequency where every fit calls a site surely safe, or every fit surely not: then no world by
-itself decides. In between there is nearly always one that does, and whether there is may change with
-any feature either way; so no frequency is claimed there at all, even where fits happen to agree: else
-worse evidence could enter where more is told. How near fits lie to each other where all call a site
-safe says little of a world that none of them has seen.
+It is a frequency where every fit calls a site surely safe, or every fit surely not: then no world
+by itself decides. In between there is nearly always one that does, and whether there is may change
+with any feature either way; so no frequency is claimed there at all, even where fits happen to
+agree: else worse evidence could enter where more is told. How near fits lie to each other where all
+call a site safe says little of a world that none of them has seen.
 """
 
 from __future__ import annotations

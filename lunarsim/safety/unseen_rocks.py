@@ -33,7 +33,7 @@ _DIAMETERS = np.geomspace(0.04, 6.0, 240)
 _TALLEST = 0.8
 # Of the most rocks that a share lets stand: where it falls as a power of 3 to 6 of the height.
 _OF_MOST = 0.25
-# Heights of rocks above a height h: the share of those is thinned as if H^2 / h^2 - 1 had this mean.
+# Samples thin rocks of heights H above h out as if H^2 / h^2 - 1 had this mean.
 _SPREAD = 1.0 / 3.0
 # A rock just wider than needed to rise above a height h has a top of about this times h^2 above it.
 _TOP = 1.5 * np.pi
@@ -82,8 +82,9 @@ class HeightCurve:
         A rock that is half an ellipsoid of height H raises ``a (H^2 - x^2)`` of ground above a
         height x, a = pi / (4 ratio^2). So no more than ``S(x) / (a (h^2 - x^2))`` are higher than
         h, whichever x below h is taken; the least of these counts, and of it what a share that
-        falls as a power of x would have. A sample misses what stands above h of a rock with probability ``exp(-density a (H^2 - h^2))``: of a rock that is hardly
-        higher nearly always. With H^2 - h^2 spread exponentially, as of a law, that leaves
+        falls as a power of x would have. A sample misses what stands above h of a rock with
+        probability ``exp(-density a (H^2 - h^2))``: of a rock that is hardly higher nearly always.
+        With H^2 - h^2 spread exponentially, as of a law, that leaves
         ``1 / (1 + density a mean)``. Never falls as `height` or `density` does, nor where the share
         rises at any height: neither more rocks nor higher ones ever make it less.
 

@@ -206,7 +206,8 @@ def table_of(rows: list[Row]) -> Table:
     table = Table(title="Sites in the domain; each row judged by the fit without it")
     for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE", "Brier\nskill",
                     "p > 0.95", "mean p less\nshare safe", "p > 0.99", "share\nsafe",
-                    "not claimed,\np > 0.5", "mean p", "share\nsafe", "least skill\nof a stratum", "where"):  # fmt: skip
+                    "not claimed,\np > 0.5", "mean p", "share\nsafe",
+                    "least skill\nof a stratum", "where"):  # fmt: skip
         table.add_column(heading, justify="right")
     for row in rows:
         p, k, sites = row.p, row.claimed, row.sites

@@ -118,7 +118,7 @@ def test_what_drawing_flights_adds_to_the_error_is_taken_off_its_interval():
 def test_no_flight_is_judged_by_a_fit_to_itself():
     # Two flights that say the opposite: each refit is wrong about the other.
     found = judged(sites(0, shift=4.0), sites(1, shift=-4.0))
-    assert found.packaged_domain.refit.ece[0] > 0.4
+    assert found.packaged_domain.refit.ece[0] > 0.3
     assert found.packaged_domain.gain[0] < 0.0
     assert not found.packaged_domain.better
 

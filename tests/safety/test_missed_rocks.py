@@ -36,7 +36,9 @@ def test_rocks_of_one_size_are_never_more_than_the_share_lets_stand():
     share = np.maximum(number * area * (high**2 - height**2), 1e-12)
     found = HeightCurve(height, share).missed([0.1, 0.2, 0.25], 0.0)
     # A quarter of the most that there can be.
-    assert found == pytest.approx(0.25 * number * high**2 / np.array([0.1, 0.2, 0.25]) ** 2, rel=0.1)
+    assert found == pytest.approx(
+        0.25 * number * high**2 / np.array([0.1, 0.2, 0.25]) ** 2, rel=0.1
+    )
 
 
 def test_missed_rocks_never_fall_with_less_height_or_thinner_samples_or_more_rocks():
@@ -48,7 +50,9 @@ def test_missed_rocks_never_fall_with_less_height_or_thinner_samples_or_more_roc
         h, density = np.sort(rng.uniform(0.0, 2.2, 50)), np.sort(rng.uniform(0.01, 3000.0, 50))
         assert (np.diff(curve.missed(h, 20.0)) <= 1e-12).all()
         assert (np.diff(curve.missed(0.3, density)) <= 1e-12).all()
-        taller = HeightCurve(height, np.maximum.accumulate((share * rng.uniform(1, 3, 40))[::-1])[::-1])
+        taller = HeightCurve(
+            height, np.maximum.accumulate((share * rng.uniform(1, 3, 40))[::-1])[::-1]
+        )
         assert (taller.missed(h, density) >= curve.missed(h, density)).all()
         assert (more.missed(h, 20.0) >= curve.missed(h, 20.0)).all()
         assert curve.missed(h[:, None], density).shape == (50, 50)

@@ -19,6 +19,8 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
     COUNT,
     FREE,
     MOST_HAZARDS,
+    MOST_NOISE,
+    MOST_SINKING,
     SiteEvidence,
     evidence_of,
     measured,
@@ -174,7 +176,8 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
 
 
 @given(
-    weights, st.integers(0, 10_000), st.floats(1.0, 3.0), st.floats(0.0, 0.95), st.floats(2.0, 200.0),
+    weights, st.integers(0, 10_000), st.floats(1.0, 3.0), st.floats(0.0, 0.95),
+    st.floats(2.0, 200.0),
 )  # fmt: skip
 def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slope, density):
     """Some of the points that met a rock, or fell into a hole, met a greater one."""
@@ -202,7 +205,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
         p, known = site_safety(site(0.02), fits_of(*odds))
         assert p[0] == pytest.approx(expit(odds[0] - MARGIN))
         assert known[0] == claims
-    doubtful = site(0.4, fitted_slope=0.7)
+    doubtful = site(0.2, fitted_slope=0.7)
     assert doubtful.in_domain.all()
     nothing = np.exp(-doubtful.piercing() - doubtful.tilting())
     assert 0.8 < nothing < 0.9
@@ -230,14 +233,26 @@ def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
 
 def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
     assert site(0.02).in_domain.all()
-    assert not site(0.02, noise=0.6 * Lander().roughness_limit).in_domain.any()
-    assert site(0.2).in_domain.all()
-    assert not site(0.2, thinnest=1.0).in_domain.any()
+    limit = Lander().roughness_limit
+    assert site(0.02, noise=0.9 * MOST_NOISE * limit).in_domain.all()
+    assert not site(0.02, noise=1.1 * MOST_NOISE * limit).in_domain.any()
+    assert site(0.25).in_domain.all()
+    assert not site(0.25, thinnest=1.0).in_domain.any()
     assert not site(20.0).in_domain.any()
     # Few hazards, but at the limit of the slope any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
     assert steep.hazards()[0] < MOST_HAZARDS
     assert not steep.in_domain.any()
+    # Holes that no point has met under the pads, or much ground that is known to lie deep.
+    gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, thinnest=1.0)
+    assert gaping.sinking()[0] > MOST_SINKING
+    assert not gaping.in_domain.any()
+    sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, thinnest=1000.0)
+    assert sunk.sinking()[0] < MOST_SINKING
+    assert not sunk.in_domain.any()
+    for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
+        other = replace(site(0.02), lander=replace(Lander(), slope_limit=np.deg2rad(degrees)))
+        assert other.in_domain.all() == inside
     # Outside, p is no more than the chance that nothing stands there.
     unknown = site(20.0)
     nothing = np.exp(-unknown.piercing() - unknown.tilting())
@@ -271,6 +286,24 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
     inside = (np.abs(mapper.selection.position[:, :2]) < 2.0).all(axis=1)
     assert np.nanmedian(evidence.density[inside]) == pytest.approx(count, rel=0.1)
     assert np.nanmedian(evidence.thinnest[inside]) == pytest.approx(count, rel=0.35)
+
+
+def test_noise_that_the_points_do_not_have_excuses_nothing():
+    mapper = QuadtreeMapper(MAP)
+    for scan, estimate in flashes(tilted(0.0, 60)):
+        mapper.update(scan, estimate)
+    stated = mapper.noise
+    told = (mapper.map, mapper.select(), mapper.selector.settings.zone)
+    true, more = (
+        evidence_of(*told, noise, Lander(), RockExpectation()) for noise in (stated, 8.0 * stated)
+    )
+    assert true.noise <= stated
+    assert more.noise < 1.5 * stated
+    p, q = (site_safety(e)[0][true.judged] for e in (true, more))
+    assert len(p) > 50
+    assert (q - p).max() < 0.05
+    less = evidence_of(*told, 0.1 * stated, Lander(), RockExpectation())
+    assert less.noise == 0.1 * stated
 
 
 def test_the_packaged_weights_of_the_quadtree_do_not_fall():

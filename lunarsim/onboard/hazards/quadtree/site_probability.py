@@ -39,18 +39,20 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # See `ceiling`: from a share of the limit on, what chance is left.
-_LEFT_OF_SLOPE = np.array([[0.95, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.9, 0.75, 0.45, 0.2, 0.0]])
-_LEFT_OF_PLANE = np.array([[0.97, 1.05, 1.15], [1.0, 0.3, 0.0]])
+_LEFT_OF_SLOPE = np.array(
+    [[0.93, 0.96, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.75, 0.6, 0.4, 0.2, 0.1, 0.0]]
+)
+_LEFT_OF_PLANE = np.array([[0.91, 0.95, 1.0, 1.05, 1.15], [1.0, 0.4, 0.2, 0.1, 0.0]])
 _LEFT_OF_ROUGHNESS = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
 _LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
 # In the domain at most so many hazards may be expected unseen in a footprint, and so many rocks, or
 # holes, under the pads that would tilt the lander over its limit. Counts of rocks are those of
 # `HeightCurve.missed`, three times and more those of the Gaussian DEM.
 MOST_HAZARDS = 0.1
-MOST_TILTING = 0.3
+MOST_TILTING = 0.1
 MOST_SINKING = 0.03
-# Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes there
-# depends on widths that no share tells.
+# Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes
+# there depends on widths that no share tells.
 MOST_SUNK = 0.016
 # Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
 # what stands out of the ground.
@@ -77,9 +79,7 @@ _ABOVE = np.array([0.3, 0.6, 1.0, 1.6])
 _DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, density and its square: nothing is claimed for these.
 FREE = 4
-RISING = sum(len(knots) - 1 for knots in _BENDS) + (len(_ABOVE) + len(_DEPTHS)) * (
-    len(_COVER) - 1
-)
+RISING = sum(len(knots) - 1 for knots in _BENDS) + (len(_ABOVE) + len(_DEPTHS)) * (len(_COVER) - 1)
 COUNT = FREE + RISING
 
 
@@ -340,7 +340,8 @@ def ceiling(evidence: SiteEvidence) -> Array:
     """Return what the probability cannot exceed, by what was seen (n,).
 
     Sums of evidence let much that is good make up for one thing that is fatal. Of sites with a
-    slope or roughness beyond the limit so few were safe in the worlds of the fit, whatever else.
+    slope or roughness near the limit or beyond it so few were safe in the worlds of the fit,
+    whatever else.
     """
     e = evidence
     left = (
