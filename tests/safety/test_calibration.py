@@ -172,6 +172,17 @@ def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
         assert (calibrated_safety(doubtful)[0] <= 0.0401).all()
 
 
+def test_just_under_the_limit_of_the_slope_nothing_is_surely_safe():
+    good = {"rough": 0.05, "level": 6.0, "planes": 6.0, "curve": rocky(0.001)}
+    told = [
+        calibrated_safety(evidence(**good, slope=s), fits_of(6.0))[0].max() for s in (0.92, 0.97)
+    ]
+    assert told[0] > 0.99
+    # All the rest says that it is safe; no rocks can be unseen.
+    assert told[1] <= 0.85 + 1e-6
+    assert not calibrated_safety(evidence(**good, slope=0.97), fits_of(6.0))[1].any()
+
+
 def test_unobserved_ground_is_not_safe():
     seen = np.zeros((SIDE, SIDE), bool)
     seen[1:3] = True

@@ -205,7 +205,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
         p, known = site_safety(site(0.02), fits_of(*odds))
         assert p[0] == pytest.approx(expit(odds[0] - MARGIN))
         assert known[0] == claims
-    doubtful = site(0.2, fitted_slope=0.7)
+    doubtful = site(0.16, fitted_slope=0.7)
     assert doubtful.in_domain.all()
     nothing = np.exp(-doubtful.piercing() - doubtful.tilting())
     assert 0.8 < nothing < 0.9
@@ -229,6 +229,14 @@ def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
     fatal = {"slope": 1.3, "mesh_slope": 1.15, "fitted_slope": 1.15, "roughness": 1.6, "top": 4.0}
     for name, value in fatal.items():
         assert site_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
+
+
+@pytest.mark.parametrize("name", ["slope", "mesh_slope", "fitted_slope"])
+def test_a_site_just_under_the_limit_of_the_slope_is_not_surely_safe(name):
+    for share, sure in ((0.88, True), (0.97, False)):
+        p, known = site_safety(site(0.001, **{name: share}), fits_of(6.0))
+        assert (p[0] > 0.95) == sure
+        assert known[0] == sure
 
 
 def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
