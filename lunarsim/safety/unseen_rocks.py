@@ -118,8 +118,8 @@ class HeightCurve:
             m.
         """
         area = width * width
-        met = np.exp(-np.asarray(density, dtype=np.float64) * area)
-        return np.asarray(self.at(depth) / area * met)
+        missed = np.exp(-np.asarray(density, dtype=np.float64) * area)
+        return np.asarray(self.at(depth) / area * missed)
 
     @cached_property
     def _most(self) -> tuple[Array, Array]:
