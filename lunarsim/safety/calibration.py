@@ -8,8 +8,9 @@ dimensionless: heights count by the lander's limits, distances by its legs, rock
 The regression was fitted once to all worlds and once without each of them, and the lowest counts
 (`lunarsim.safety.ensemble`). It is a frequency where these fits agree that a site is surely safe or
 surely not, and few hazards stand or gape unseen. Elsewhere no fit to other worlds can know how
-often a site is safe: the map then gives the lowest of Eqs. 15 to 17, the regression, and the chance
-that no unseen rock stands there. Both edges are crossed one way only as the evidence gets worse. A
+often a site is safe: near that domain the map takes the odds that it is unsafe twelve times, and
+farther off it gives the lowest of that, Eqs. 15 to 17, and the chance that no unseen rock stands
+there. All edges are crossed one way only as the evidence gets worse. A
 calibration of a scenario's own (`lunarsim.safety.refit`) brings its own last stage and its own
 domain.
 """
@@ -68,6 +69,11 @@ NOISES = (0.0, 0.5)
 SPACINGS = (0.01, 1.0)
 STEEPEST = tuple(np.deg2rad((4.5, 22.0)))
 PACKAGED = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
+# Near the domain fits to all other worlds were still low enough once they took the odds that a site
+# is unsafe so many times.
+FARTHER = float(np.log(12.0))
+_NEAR = Domain(0.1, 2.0, NOISES, SPACINGS)
+_NEAR_SINKING = 0.1
 
 
 @dataclass(frozen=True)
@@ -233,13 +239,19 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
     e = evidence
     if not domain.measured(e.noise_ratio, e.spacing_ratio):
         return np.zeros(e.level.grid.shape, np.bool_)
-    few = e.observed & domain.few(e.hazards(), e.tilting())
-    if domain is not PACKAGED:
-        return few
-    if not STEEPEST[0] <= e.lander.slope_limit <= STEEPEST[1]:
+    if domain is PACKAGED:
+        return _within(e, PACKAGED, MOST_SINKING)
+    return np.asarray(e.observed & domain.few(e.hazards(), e.tilting()))
+
+
+def _within(e: Evidence, domain: Domain, sinking: float) -> BoolMap:
+    """Tell where rocks and holes are few enough (rows, cols), for landers like those of the fit."""
+    known = domain.measured(e.noise_ratio, e.spacing_ratio)
+    if not (known and STEEPEST[0] <= e.lander.slope_limit <= STEEPEST[1]):
         return np.zeros(e.level.grid.shape, np.bool_)
     with np.errstate(invalid="ignore"):
-        return np.asarray(few & (e.sinking() <= MOST_SINKING))
+        few = domain.few(e.hazards(), e.tilting()) & (e.sinking() <= sinking)
+    return np.asarray(e.observed & few)
 
 
 @lru_cache(maxsize=1)
@@ -297,8 +309,8 @@ def judged(
 ) -> Array:
     """Return the probability of sites (n,).
 
-    Where a fit has not seen their like, or does not call them surely safe, it is the lowest of all
-    that there is.
+    Where a fit has not seen their like, or does not call them surely safe, it is the fits' with a
+    wider margin, and at most the bound.
 
     Parameters
     ----------
@@ -313,7 +325,7 @@ def judged(
         As for `calibrated_safety`.
     """
     plain = told(odds, most)
-    lowest = np.minimum(plain, least)
+    lowest = np.minimum(told(odds, most, FARTHER), least)
     if refit is None:
         return np.asarray(np.where(covered & (plain >= SURE), plain, lowest))
     p = np.minimum(refit.probability(odds, known), most)
@@ -333,6 +345,11 @@ def ceiling(evidence: Evidence) -> Array:
 
 
 def bound(evidence: Evidence) -> Array:
-    """Return the lower of Eqs. 15 to 17 and the chance that no unseen rock stands there."""
+    """Return what the probability cannot exceed outside the domain (rows, cols).
+
+    The lower of Eqs. 15 to 17 and the chance that no unseen rock stands there; near the domain,
+    where the fits still tell enough, 1.
+    """
     none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
-    return np.minimum(evidence.level.p_safe.astype(np.float64), none)
+    far = np.minimum(evidence.level.p_safe.astype(np.float64), none)
+    return np.asarray(np.where(_within(evidence, _NEAR, _NEAR_SINKING), 1.0, far))

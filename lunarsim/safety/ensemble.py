@@ -74,9 +74,9 @@ class Verdict:
     agreed: BoolArray
 
 
-def told(low: Array, most: Array) -> Array:
-    """Return the probability (n,) by the lowest log odds (n,), and at most so much (n,)."""
-    return np.asarray(np.minimum(expit(low - MARGIN), most))
+def told(low: Array, most: Array, margin: float = MARGIN) -> Array:
+    """Return the probability (n,) by the lowest log odds (n,) less a margin, at most `most`."""
+    return np.asarray(np.minimum(expit(low - margin), most))
 
 
 @dataclass(frozen=True)

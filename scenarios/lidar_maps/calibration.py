@@ -28,8 +28,8 @@ from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.calibration import RISING, bound, ceiling, features, in_domain
-from lunarsim.safety.ensemble import SURE, Ensemble
+from lunarsim.safety.calibration import FARTHER, RISING, bound, ceiling, features, in_domain
+from lunarsim.safety.ensemble import SURE, Ensemble, told
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -120,12 +120,18 @@ def fitted(
     return Ensemble.fit(x, y, worlds, note, rising=rising, start=start)
 
 
-def probability(model: Ensemble, sites: Sites) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the map would say of all sites, and where it claims a frequency (n,)."""
-    said = model.of_features(sites.features).verdict(sites.ceiling)
+def probability(
+    model: Ensemble, sites: Sites, farther: float = FARTHER
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the map would say of all sites, and where it claims a frequency (n,).
+
+    `farther` is the margin of the log odds where it does not.
+    """
+    odds = model.of_features(sites.features)
+    said = odds.verdict(sites.ceiling)
     surely = sites.known & (said.p >= SURE)
-    p = np.where(surely, said.p, np.minimum(said.p, sites.bound))
-    return p, sites.known & said.agreed
+    low = np.minimum(told(odds.low, sites.ceiling, farther), sites.bound)
+    return np.where(surely, said.p, low), sites.known & said.agreed
 
 
 def nearest_range(scene: Scene) -> str:
@@ -278,6 +284,7 @@ def report(
     picture: Path | None,
     jobs: int,
     console: Console,
+    farther: float = FARTHER,
 ) -> None:
     """Fit to all scenes and write that model; judge every row of the matrix by a fit without it."""
     model = fitted(judged, rising, note)
@@ -290,7 +297,7 @@ def report(
     rows = []
     for (name, inside), own in zip(kept, models, strict=False):
         sites = Sites.of(inside)
-        p, claimed = probability(own, sites)
+        p, claimed = probability(own, sites, farther)
         if claimed.any():
             rows.append(Row(name, p, claimed, sites))
     console.print(table_of(rows))

@@ -28,6 +28,7 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
 )
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
+from lunarsim.safety.ensemble import MARGIN
 
 FLASHES = 4
 # Half side of the landing zone over that of the lander's footprint, as in the paper.
@@ -89,7 +90,7 @@ def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | 
     judged = gathered(judge, drawn(count, seed), jobs, console, "scenes")
     note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
     path = None if picture is None else picture / "quadtree_calibration.png"
-    report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console)
+    report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console, MARGIN)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from lunarsim.grid import Grid
 from lunarsim.rocks.laws import golombek_number
 from lunarsim.safety.calibration import (
     COUNT,
+    FARTHER,
     FREE,
     MOST_HAZARDS,
     MOST_SINKING,
@@ -101,11 +102,12 @@ def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
 
 
 def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
-    sparse = evidence(slope=0.1, rough=0.1, level=3.0, planes=6.0, density=1.0)
-    assert (sparse.hazards() > MOST_HAZARDS).all()
+    sparse = evidence(slope=0.1, rough=0.1, level=3.0, planes=6.0, density=0.01)
+    assert (sparse.hazards() > 30.0 * MOST_HAZARDS).all()
     p, known = calibrated_safety(sparse)
     assert not known.any()
     none = np.exp(-sparse.piercing())
+    assert (bound(sparse) == np.minimum(sparse.level.p_safe, none)).all()
     assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
     # A noise or a spacing that no scan of the fit had.
     for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
@@ -121,20 +123,23 @@ def fits_of(*odds):
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0, curve=rocky(0.01))
     assert in_domain(e).all()
-    assert (bound(e) > 0.95).all()
-    for odds, claims in (((2.0, 5.0), False), ((3.0, 5.0), True)):
+    for odds, claims, margin in (((2.0, 5.0), False, FARTHER), ((3.0, 5.0), True, MARGIN)):
         p, known = calibrated_safety(e, fits_of(*odds))
-        assert p == pytest.approx(expit(odds[0] - MARGIN), rel=1e-5)
+        assert p == pytest.approx(expit(odds[0] - margin), rel=1e-5)
         assert (known == claims).all()
 
 
-def test_of_what_is_not_surely_safe_no_more_is_told_than_the_bound():
+def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most():
     e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
-    assert (bound(e) < 0.1).all()
+    far = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, density=0.01)
+    assert (bound(e) == 1.0).all()
+    assert (bound(far) < 0.1).all()
     for odds in (-1.0, 0.5, 2.8):
-        p, known = calibrated_safety(e, fits_of(odds, odds))
-        assert p == pytest.approx(np.minimum(expit(odds - MARGIN), bound(e)), rel=1e-5)
-        assert not known.any()
+        for site in (e, far):
+            p, known = calibrated_safety(site, fits_of(odds, odds))
+            told = np.minimum(expit(odds - FARTHER), bound(site))
+            assert p == pytest.approx(np.minimum(told, ceiling(site)), rel=1e-5)
+            assert not known.any()
     # Surely unsafe is a frequency again.
     p, known = calibrated_safety(e, fits_of(-4.0, -3.5))
     assert (p < 0.02).all()

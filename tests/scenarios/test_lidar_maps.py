@@ -16,6 +16,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.safety import SafetyMap
 from lunarsim.safety.calibration import COUNT, FREE
+from lunarsim.safety.ensemble import MARGIN, SURE
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world import World
@@ -79,8 +80,11 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
     model = study.fitted(others)
     assert name not in model.without
     assert set(model.without) <= {row for row, _, _ in rows}
+    plain, _ = study.probability(model, sites, MARGIN)
+    assert study.figures(plain, sites.safe)["skill"] > 0.0
     p, claimed = study.probability(model, sites)
-    assert study.figures(p, sites.safe)["skill"] > 0.0
+    assert (p <= plain).all()
+    assert np.array_equal(p[claimed & (p >= SURE)], plain[claimed & (plain >= SURE)])
     assert not claimed[~sites.known].any()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no error of calibration, and no skill.

@@ -207,9 +207,15 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
         assert known[0] == claims
     doubtful = site(0.16, fitted_slope=0.7)
     assert doubtful.in_domain.all()
-    nothing = np.exp(-doubtful.piercing() - doubtful.tilting())
-    assert 0.8 < nothing < 0.9
     p, known = site_safety(doubtful, fits_of(2.8, 2.8))
+    assert p == pytest.approx(expit(2.8 - MARGIN))
+    assert not known.any()
+    # Far from the domain no more than the chance that no unseen rock stands there.
+    far = site(30.0)
+    assert not far.near_domain.any()
+    nothing = np.exp(-far.piercing() - far.tilting())
+    assert nothing < 0.5
+    p, known = site_safety(far, fits_of(2.8, 2.8))
     assert p == pytest.approx(nothing)
     assert not known.any()
 

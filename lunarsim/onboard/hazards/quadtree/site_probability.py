@@ -51,6 +51,8 @@ _LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]]
 MOST_HAZARDS = 0.1
 MOST_TILTING = 0.1
 MOST_SINKING = 0.03
+# Near it, with up to so many, fits to all other worlds were low enough; see `bound`.
+_NEAR = (1.0, 2.0, 1.0)
 # Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes
 # there depends on widths that no share tells.
 MOST_SUNK = 0.016
@@ -145,14 +147,22 @@ class SiteEvidence:
         Noise, the ground's own holes, and the lander's limit of the slope, must be within those of
         the fit.
         """
+        return self._within(MOST_HAZARDS, MOST_TILTING, MOST_SINKING)
+
+    @property
+    def near_domain(self) -> BoolArray:
+        """Where they are few enough for the regression to be no more than cautious (n,)."""
+        return self._within(*_NEAR)
+
+    def _within(self, hazards: float, tilting: float, sinking: float) -> BoolArray:
         noise = self.noise / self.lander.roughness_limit
         sunk = self.holes.at(_DEPTHS[0] * self.lander.roughness_limit)
         steep = self.lander.slope_limit
         if not (noise <= MOST_NOISE and sunk < MOST_SUNK and STEEPEST[0] <= steep <= STEEPEST[1]):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
-            few = (self.hazards() <= MOST_HAZARDS) & (self.tilting() <= MOST_TILTING)
-            few &= self.sinking() <= MOST_SINKING
+            few = (self.hazards() <= hazards) & (self.tilting() <= tilting)
+            few &= self.sinking() <= sinking
         return np.asarray(self.judged & few)
 
     def highest(self) -> Array:
@@ -354,5 +364,10 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
 
 def bound(evidence: SiteEvidence) -> Array:
-    """Return the chance that no unseen rock stands there (n,)."""
-    return np.nan_to_num(np.exp(-evidence.piercing() - evidence.tilting()), nan=0.0)
+    """Return what the probability cannot exceed outside the domain (n,).
+
+    The chance that no unseen rock stands there; near the domain, where the regression still tells
+    enough, 1.
+    """
+    none = np.nan_to_num(np.exp(-evidence.piercing() - evidence.tilting()), nan=0.0)
+    return np.asarray(np.where(evidence.near_domain, 1.0, none))
