@@ -279,13 +279,8 @@ class OnboardComputer:
         after = self.navigation.estimate(self.time, self.mass)
         for name, mapper in self.mappers.items():
             if self.briefing.software.mappers[name].sensor == sensor:
-                mapper.update(*self._as_seen(sensor, measurement, after))
+                mapper.update(*self.navigation.corrected(sensor, measurement, after))
                 self.mapped.add(name)
-
-    def _as_seen(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and where it was taken, less what the sensor is known to err by."""
-        corrected = getattr(self.navigation, "corrected", None)
-        return (measurement, now) if corrected is None else corrected(sensor, measurement, now)
 
     def _follow_navigation(self) -> None:
         """Note what navigation reports, and move the briefed target where it is known to lie."""

@@ -29,6 +29,8 @@ POSE = np.r_[0:3, 9:12]
 # Name of a block: where the site frame lies in that of the lander's pose, position (m) and azimuth
 # about up (rad). Without it both are one frame.
 MAP = "map"
+# Name of a block: the pose at the scan that later ones are compared with.
+KEY = "key"
 # One thread for the small products of an update: more would wait for each other, and the bits must
 # not depend on how many there are.
 BLAS = ThreadpoolController()
