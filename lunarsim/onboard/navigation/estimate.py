@@ -46,6 +46,35 @@ class Estimate:
     covariance: Array
     lost: bool = False
 
+    @property
+    def tilt_sigma(self) -> float:
+        """Greatest standard deviation of the tilt about a level axis, rad."""
+        return float(np.sqrt(max(np.diag(self.covariance)[6:8].max(), 0.0)))
+
+
+@dataclass(frozen=True)
+class GroundTurn:
+    """By what the ground as it was seen has turned, since the lander's tilt was corrected.
+
+    What was seen with a tilt that is known to be wrong now lies where it does by that tilt; scans
+    that lie one on the other all turn alike, about the point on which the local frame hangs.
+
+    Attributes
+    ----------
+    rotation
+        Sum of all corrections so far (3, 3), ENU.
+    pivot
+        Of the turn, local frame (3,), m.
+    """
+
+    rotation: Array
+    pivot: Array
+
+    def since(self, before: Array) -> tuple[Array, float]:
+        """Return the turn (3, 3) since the rotation was another (3, 3), and its angle, rad."""
+        turn = self.rotation @ before.T
+        return turn, float(np.linalg.norm(turn - turn.T) / np.sqrt(8.0))
+
 
 @dataclass(frozen=True)
 class NavigationEvent:
@@ -107,6 +136,11 @@ class Navigation(ABC):
             The estimate after it was taken in.
         """
         return measurement, now
+
+    @property
+    def ground_turn(self) -> GroundTurn | None:
+        """By what mapped ground has turned; None where nothing is known of it."""
+        return None
 
 
 @runtime_checkable

@@ -9,14 +9,19 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import Shift, quat_to_matrix
+from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import KEY, ErrorState
-from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
-from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.estimate import (
+    Estimate,
+    GroundTurn,
+    Navigation,
+    NavigationEvent,
+)
+from lunarsim.onboard.navigation.inertial import ATTITUDE, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
 from lunarsim.onboard.navigation.parts import Part, Shared, most_of, scanner_blocks
@@ -104,6 +109,8 @@ class Navigator(Navigation):
         self.rocks = RockFilter(self.state, self._aids) if rocks else None
         self._shared = shared
         self._hangs = False
+        self._ground_turn: GroundTurn | None = None
+        self.state.listeners.append(self._turn_ground)
 
     # --- state ----------------------------------------------------------------------------
 
@@ -191,6 +198,19 @@ class Navigator(Navigation):
         self.state.propagate(angle, velocity)
         self._aids.travel()
 
+    @property
+    def ground_turn(self) -> GroundTurn | None:
+        """By what ground seen since the first scan has turned, as tilts were corrected."""
+        return self._ground_turn
+
+    def _turn_ground(self, error: Array) -> None:
+        """Note by how much a correction turns what has been seen: tilts alone, not azimuths."""
+        if self._ground_turn is None:
+            return
+        tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]
+        turn = quat_to_matrix(quat_from_rotation_vector(tilt))
+        self._ground_turn = replace(self._ground_turn, rotation=turn @ self._ground_turn.rotation)
+
     def _hang(self, sensor: str, scan: LidarScan) -> None:
         """Let the local frame hang on the ground of the first scan."""
         if self._hangs:
@@ -199,6 +219,7 @@ class Navigator(Navigation):
         seen = self._shared.seen(sensor, scan)
         columns, jacobian = self._shared.local_errors(sensor)
         middle = np.nanmean(seen.points(), axis=0)
+        self._ground_turn = GroundTurn(np.eye(3), middle)
         places = [self.state.block(KEY).start]
         if self.rocks is not None:
             places += self.rocks.places()[:, 0].tolist()
