@@ -310,8 +310,11 @@ class ErrorState:
         if not (distance <= gate and chi2.sf(distance, max(degrees, 1)) >= chance):
             return Outcome(distance, degrees, False)
         error = p[:, part] @ innovation
-        p -= p[:, part] @ gain @ p[part]
-        p[:] = 0.5 * (p + p.T)
+        # The gain is symmetric and not negative: by its root the product stays so too.
+        share, axes = np.linalg.eigh(0.5 * (gain + gain.T))
+        root = axes * np.sqrt(np.maximum(share, 0.0))
+        with BLAS.limit(limits=1, user_api="blas"):
+            subtract_square(p, root.T @ p[part])
         self.correct(error)
         return Outcome(distance, degrees, True, white)
 
