@@ -34,8 +34,9 @@ def navigation() -> None:
         prior_map={"posting_m": 0.5, "size_m": 100.0},
         mappers={"dem": None, "rocks": {"size_m": 60.0}}, decisions={"map": "rocks"},
     )  # fmt: skip
-    print(f"  camera and flashes at 10 Hz, rocks, prior map: {_share(Simulation, eyes):.3f} of real "
-          "time, without what finds rocks in pictures")  # fmt: skip
+    share = _share(Simulation, eyes)
+    print(f"  camera and flashes at 10 Hz, rocks, prior map: {share:.3f} of real time, "
+          "without what finds rocks in pictures")  # fmt: skip
     rocks = Scenario.load(SCENARIOS / "shadow_nominal.toml")
     print(f"  camera, rocks by their shadows: {_share(Simulation, rocks):.3f} of real time, "
           "without what finds them in pictures")  # fmt: skip
