@@ -26,7 +26,7 @@ from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
-from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.policies.candidates import candidate_sites
@@ -118,6 +118,7 @@ class OnboardComputer:
         self._events = 0
         self._arrivals = Arrivals(briefing.step, lambda *told: self.telemetry.append(told))
         self._barred, self._mapped_lost = False, False
+        self._levelled = np.eye(3)
 
     # --- what is known --------------------------------------------------------------------
 
@@ -281,13 +282,8 @@ class OnboardComputer:
         after = self.navigation.estimate(self.time, self.mass)
         for name, mapper in self.mappers.items():
             if self.briefing.software.mappers[name].sensor == sensor:
-                mapper.update(*self._as_seen(sensor, measurement, after))
+                mapper.update(*self.navigation.corrected(sensor, measurement, after))
                 self.mapped.add(name)
-
-    def _as_seen(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and where it was taken, less what the sensor is known to err by."""
-        corrected = getattr(self.navigation, "corrected", None)
-        return (measurement, now) if corrected is None else corrected(sensor, measurement, now)
 
     def _follow_navigation(self) -> None:
         """Note what navigation reports, and move the briefed target where it is known to lie."""
@@ -299,6 +295,7 @@ class OnboardComputer:
                 self.site = target
                 for mapper in self.mappers.values():
                     mapper.recentre(target)
+        self._level_maps()
         for event in self.navigation.events[self._events :]:
             self.telemetry.append((event.time, event.name, dict(event.details)))
             if event.name in {"lock", "relock"} and self.approach.time_to_go is None:
@@ -306,6 +303,19 @@ class OnboardComputer:
                 self.estimate = self.navigation.estimate(self.time, self.mass)
                 self._retime()
         self._events = len(self.navigation.events)
+
+    def _level_maps(self) -> None:
+        """Turn what was mapped with a tilt that is known to have been wrong."""
+        found = self.navigation.ground_turn
+        if found is None:
+            return
+        turn, angle = found.since(self._levelled)
+        if angle < SURE_TILT:
+            return
+        self._levelled = found.rotation
+        sigma = self.navigation.estimate(self.time, self.mass).tilt_sigma
+        for mapper in self.mappers.values():
+            mapper.level(turn, found.pivot, sigma)
 
     def _level_site(self) -> None:
         """Take the height of the site from the ground as it has been mapped there.

@@ -85,7 +85,7 @@ CONTRACTS: dict[str, Contract] = {
             "prior-map": "lunarsim.onboard.navigation.kinds:PriorMapNavigation",
             "ukf": "lunarsim.onboard.navigation.unscented:UnscentedNavigation",
         },
-        ("build", "needs", "takes", "uses_prior_map"),
+        ("build", "needs", "takes", "needs_prior_map", "uses_prior_map"),
     ),
     "mapper": Contract(
         "where it is safe to land",

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.messages.measurements import InertialSamples, NavigationFix
+from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix
 from lunarsim.parts import loadable
 
 
@@ -180,7 +180,7 @@ def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:
                 "navigation.kind", scenario.navigation.kind,
                 f"needs a sensor of kind {_kinds_giving(wanted)}: add it under [sensors.NAME]",
             )  # fmt: skip
-    if navigation.uses_prior_map and scenario.prior_map is None:
+    if navigation.needs_prior_map and scenario.prior_map is None:
         raise InputError(
             "prior_map", None,
             f"a table [prior_map]: navigation of kind {scenario.navigation.kind!r} finds its place "
@@ -249,6 +249,12 @@ def _check_effect(scenario: Tables, sensors: dict[str, Any]) -> None:
                 "a sensor that some part uses: no mapper maps it, and navigation of kind "
                 f"{scenario.navigation.kind!r} does not take {sensor.gives.__name__}",
             )  # fmt: skip
+    if scenario.prior_map is not None and not _gives(sensors, LidarScan):
+        raise InputError(
+            "prior_map", "given",
+            f"left out, or a sensor of kind {_kinds_giving(LidarScan)}: its scans find their "
+            "place on the map",
+        )  # fmt: skip
     if scenario.prior_map is not None and not navigation.uses_prior_map:
         raise InputError(
             "prior_map", "given",

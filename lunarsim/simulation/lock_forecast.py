@@ -10,7 +10,7 @@ _UNSWEPT = 40.0
 
 
 def lock_forecast(briefing: Briefing) -> LockForecast | None:
-    """Return what the prior map promises for the sweep of a flight; None if it needs no map."""
+    """Return what the prior map promises for the sweep of a flight; None if none is used."""
     software = briefing.software
     if briefing.prior_map is None or not software.navigation.uses_prior_map:
         return None

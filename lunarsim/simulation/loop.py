@@ -182,7 +182,7 @@ class Simulation:
         A local frame with an azimuth of its own is turned besides, by what the lander's is off.
         """
         e, turn = self.estimate, 0.0
-        if getattr(self.computer.navigation, "own_azimuth", False):
+        if self.computer.navigation.own_azimuth:
             off = quat_multiply(e.attitude, quat_conjugate(self.state.attitude))
             turn = float(quat_to_rotation_vector(off)[2])
         return Shift(e.position - Shift(turn=turn).to_local(self.state.position), turn)

@@ -28,7 +28,6 @@ from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -93,7 +92,7 @@ def fly(task: Task) -> Flown:
         scenario = scenario.changed(navigation={"kind": task.kind})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     navigation = simulation.computer.navigation
-    if not isinstance(navigation, Navigator | RockFilter | UnscentedFilter):
+    if not isinstance(navigation, Navigator | UnscentedFilter):
         raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]

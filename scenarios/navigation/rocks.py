@@ -28,6 +28,7 @@ from lunarsim.frames import turned_about_up
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import ShadowMapper
 from lunarsim.onboard.navigation.aids import GROUND
+from lunarsim.onboard.navigation.error_state import MAP
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -148,22 +149,23 @@ class Errors:
 
     def now(self) -> tuple[float, float, float, float]:
         """Return what they are now."""
-        state, rocks = self.simulation.state, self.simulation.computer.navigation
-        error, p = error_of(self.simulation), rocks.covariance
-        sigma = np.sqrt(np.diag(p))
-        velocity, attitude = np.abs(error[3:6]) / sigma[3:6], np.abs(error[6:9]) / sigma[9:12]
-        ground = rocks.state.block(GROUND).start
+        state, rocks = self.simulation.state, self.mapper.tracker.filter
+        off = np.abs(error_of(self.simulation))[3:]
+        off = off / np.sqrt(np.diag(self.simulation.estimate.covariance)[3:])
+        # The ground's height in the lander's frame, by the mission's word and where that lies.
+        at = [2, rocks.state.block(GROUND).start, rocks.state.block(MAP).start + 2]
+        over = np.array([1.0, -1.0, -1.0])
         # The altimeter may see the ground or the top of a rock that stands there.
         below = [float(t.elevation(state.position[:2])) for t in (self.bare, self.rough)]
         above = state.position[2] - np.array(below)
         height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.ground)))
-        spread = np.sqrt(max(p[2, 2] + p[ground, ground] - 2.0 * p[2, ground], 1e-12))
+        spread = np.sqrt(max(over @ rocks.covariance[np.ix_(at, at)] @ over, 1e-12))
         off_height = height / spread if np.isfinite(height) else 0.0
-        return float(velocity.max()), float(attitude.max()), float(off_height), self.among_rocks()
+        return float(off[:3].max()), float(off[3:].max()), float(off_height), self.among_rocks()
 
     def among_rocks(self) -> float:
         """Return by how many deviations the place among the rocks near the lander is off."""
-        tracker, rocks = self.mapper.tracker, self.simulation.computer.navigation
+        tracker, rocks = self.mapper.tracker, self.mapper.tracker.filter
         away = np.hypot(*(rocks.xy - rocks.inertial.position[:2]).T)
         at = np.flatnonzero((tracker.existence > 0.9) & (rocks.radius > 0.25) & (away < 30.0))
         if len(at) < 5:

@@ -174,6 +174,7 @@ class ArrivalOnly:
 
     needs = ()
     takes = ()
+    needs_prior_map = False
     uses_prior_map = False
 
     def build(self, briefing):

@@ -133,6 +133,80 @@ def test_rocks_and_scans_are_taken_into_one_filter(seed):
     assert nees.ratio < nees.bounds(0.999)[1]
 
 
+@pytest.fixture(scope="module")
+def on_a_map():
+    """Flights on a prior map: by camera and flash together, and by either, three of each."""
+    flown = {}
+    for eyes in (("camera", "flash"), ("flash",), ("camera",)):
+        never = {"kind": "at-altitudes", "altitudes_m": [1.0]}
+        tasks = {"camera": {}, "flash": {"kind": "periodic", "rate_hz": 5.0}}
+        tasks = {name: task if name in eyes else never for name, task in tasks.items()}
+        flown[eyes] = []
+        for seed in (1, 2, 3):
+            simulation = Simulation(
+                scenario("dem").changed(
+                    terrain={"rms_slope_deg": 1.5}, rocks={"cover": 0.08},
+                    sensors={"flash": {"rows": 64, "cols": 64}}, tasking=tasks,
+                    prior_map={"posting_m": 0.5, "size_m": 100.0},
+                    start_knowledge={"velocity_m_s": 0.1, "attitude_deg": 0.2},
+                ), seed, "no-divert",
+            )  # fmt: skip
+            while simulation.time < 12.0:
+                simulation.step()
+            flown[eyes].append(simulation)
+    return flown
+
+
+def test_rocks_scans_and_a_prior_map_are_in_one_state(on_a_map):
+    for simulation in on_a_map["camera", "flash"]:
+        navigation = simulation.computer.navigation
+        kinds = {key.split()[-1] for key, w in navigation.watches.items() if w.total > 0.0}
+        assert {"places", "map", "range"} <= kinds
+        assert "lock" in {event.name for event in navigation.events}
+        assert not navigation.lost
+        assert navigation.rocks.count > 100
+        # Rocks stand where they are, not where the start was thought to be.
+        assert np.abs(error_of(simulation)[:3]).max() < 0.5
+
+
+def test_with_both_eyes_on_a_map_errors_are_no_larger_than_with_either(on_a_map):
+    spread, nees = {}, Consistency()
+    for eyes, flights in on_a_map.items():
+        sigma = [np.sqrt(np.diag(s.estimate.covariance)) for s in flights]
+        spread[eyes] = np.sqrt(np.mean(np.square(sigma), axis=0))
+        for s in flights:
+            nees = nees.plus(normalised_square(error_of(s), s.estimate.covariance), 9)
+    both = spread.pop(("camera", "flash"))
+    for eyes, alone in spread.items():
+        # Place, velocity: what either tells is not lost in the other.
+        assert (both[:6] <= 1.1 * alone[:6]).all(), eyes
+    assert np.linalg.norm(both[3:6]) < 0.8 * np.linalg.norm(spread[("flash",)][3:6])
+    assert np.linalg.norm(both[:3]) < 0.2 * np.linalg.norm(spread[("camera",)][:3])
+    assert nees.ratio < nees.bounds(0.999)[1]
+
+
+def test_from_a_start_that_is_far_off_nothing_is_told_of_place_and_yaw():
+    """Rocks and scans, 3 m/s and 0.5 deg off: Jacobians about wrong places tell no more either."""
+    simulation = Simulation(
+        scenario("dem").changed(
+            sensors={"flash": {"rows": 64, "cols": 64}},
+            tasking={"flash": {"kind": "periodic", "rate_hz": 5.0}},
+            start_knowledge={"position_m": 5.0, "velocity_m_s": 3.0, "attitude_deg": 0.5},
+        ), 2, "no-divert",
+    )  # fmt: skip
+    told = np.diag(simulation.estimate.covariance)
+    taken = set()
+    while simulation.time < 13.0:
+        simulation.step()
+        now = np.diag(simulation.estimate.covariance)
+        # East, north and yaw; the way that the start's velocity points tells of yaw, 11 m/s by 3.
+        assert (now[[0, 1, 8]] > 0.998 * told[[0, 1, 8]]).all(), simulation.time
+        watches = simulation.computer.navigation.watches
+        taken |= {key.split()[-1] for key, w in watches.items() if w.degrees > 5}
+    assert {"places", "scans"} <= taken
+    assert now[3:6].max() < 0.1**2, "speed is told"
+
+
 def test_the_other_map_can_decide(flown):
     _, by_dem = flown
     simulation = Simulation(scenario("rocks"), 4, "safest")

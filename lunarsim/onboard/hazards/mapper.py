@@ -18,6 +18,8 @@ from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 
 Array = NDArray[np.float64]
 
+# A tilt known so well (1 sigma) need not be made good any more, rad: at 50 m it is 4 cm of height.
+SURE_TILT = float(np.deg2rad(0.05))
 # Along a side of a map.
 _MOST_CELLS = 8000
 
@@ -43,6 +45,20 @@ class HazardMapper(ABC):
 
         Called whenever navigation has learnt that the target lies elsewhere. What has been mapped
         stays where it is; what lies off the new map may be dropped.
+        """
+
+    def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:  # noqa: B027
+        """Turn ground that was mapped while the lander's tilt was not known.
+
+        Called whenever navigation has learnt of a tilt. What was mapped with a tilt known to
+        `SURE_TILT` stays.
+
+        Parameters
+        ----------
+        turn, pivot
+            Rotation (3, 3) about a point (3,), local frame, m.
+        tilt_sigma
+            To which the tilt is known now, rad.
         """
 
     def ground_height(self, xy: Array) -> float | None:

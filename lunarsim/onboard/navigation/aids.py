@@ -288,12 +288,11 @@ class Aids:
         before = watch.lost
         verdict = watch.note(time, found)
         if verdict is Verdict.DRIFT:
-            # A bias of the inertial unit or of the sensor is what drifts: let it be found anew.
-            if drifting is None:
-                place, sigma = _BIASES[kind]
-                self.state.inflate(np.arange(place.start, place.stop), _MOST_GROWTH, sigma)
-            else:
-                self.state.let_go(*drifting)
+            # A bias of the inertial unit or of the sensor is what drifts: let it be found anew. It
+            # has moved by itself, so what else errs must not be told from where it is found.
+            place, sigma = _BIASES.get(kind, (slice(0), 0.0))
+            own = np.arange(place.start or 0, place.stop), sigma
+            self.state.let_go(*(own if drifting is None else drifting))
             self._note(time, "drift", sensor, kind)
         elif verdict is not Verdict.WELL:
             growth = float(np.clip(watch.excess, _LEAST_GROWTH, _MOST_GROWTH))

@@ -29,6 +29,8 @@ POSE = np.r_[0:3, 9:12]
 # Name of a block: where the site frame lies in that of the lander's pose, position (m) and azimuth
 # about up (rad). Without it both are one frame.
 MAP = "map"
+# Name of a block: the pose at the scan that later ones are compared with.
+KEY = "key"
 # One thread for the small products of an update: more would wait for each other, and the bits must
 # not depend on how many there are.
 BLAS = ThreadpoolController()
@@ -308,8 +310,11 @@ class ErrorState:
         if not (distance <= gate and chi2.sf(distance, max(degrees, 1)) >= chance):
             return Outcome(distance, degrees, False)
         error = p[:, part] @ innovation
-        p -= p[:, part] @ gain @ p[part]
-        p[:] = 0.5 * (p + p.T)
+        # The gain is symmetric and not negative: by its root the product stays so too.
+        share, axes = np.linalg.eigh(0.5 * (gain + gain.T))
+        root = axes * np.sqrt(np.maximum(share, 0.0))
+        with BLAS.limit(limits=1, user_api="blas"):
+            subtract_square(p, root.T @ p[part])
         self.correct(error)
         return Outcome(distance, degrees, True, white)
 

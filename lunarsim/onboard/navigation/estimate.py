@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -45,6 +46,35 @@ class Estimate:
     covariance: Array
     lost: bool = False
 
+    @property
+    def tilt_sigma(self) -> float:
+        """Greatest standard deviation of the tilt about a level axis, rad."""
+        return float(np.sqrt(max(np.diag(self.covariance)[6:8].max(), 0.0)))
+
+
+@dataclass(frozen=True)
+class GroundTurn:
+    """By what the ground as it was seen has turned, since the lander's tilt was corrected.
+
+    What was seen with a tilt that is known to be wrong now lies where it does by that tilt; scans
+    that lie one on the other all turn alike, about the point on which the local frame hangs.
+
+    Attributes
+    ----------
+    rotation
+        Sum of all corrections so far (3, 3), ENU.
+    pivot
+        Of the turn, local frame (3,), m.
+    """
+
+    rotation: Array
+    pivot: Array
+
+    def since(self, before: Array) -> tuple[Array, float]:
+        """Return the turn (3, 3) since the rotation was another (3, 3), and its angle, rad."""
+        turn = self.rotation @ before.T
+        return turn, float(np.linalg.norm(turn - turn.T) / np.sqrt(8.0))
+
 
 @dataclass(frozen=True)
 class NavigationEvent:
@@ -65,29 +95,52 @@ class NavigationEvent:
     details: dict[str, Any]
 
 
-class Navigation(Protocol):
+class Navigation(ABC):
     """Anything that turns measurements into an `Estimate`.
 
     Attributes
     ----------
     events
         What it has reported so far.
+    own_azimuth
+        Whether the local frame points where the lander says that it began to, not as the site
+        frame does.
     """
 
     events: list[NavigationEvent]
+    own_azimuth: ClassVar[bool] = False
 
     @property
+    @abstractmethod
     def site_to_local(self) -> Shift:
         """Where the site frame is taken to lie in the local one."""
-        ...
 
+    @abstractmethod
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Take in one measurement of a named sensor; what it cannot use changes nothing."""
-        ...
 
+    @abstractmethod
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the estimate at `time` with the mass (kg) that the computer keeps."""
-        ...
+
+    def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
+        """Return a measurement and where it was taken, less what its sensor is known to err by.
+
+        As mappers are to take it. Without an estimate of such errors it is as it came.
+
+        Parameters
+        ----------
+        sensor, measurement
+            What was measured.
+        now
+            The estimate after it was taken in.
+        """
+        return measurement, now
+
+    @property
+    def ground_turn(self) -> GroundTurn | None:
+        """By what mapped ground has turned; None where nothing is known of it."""
+        return None
 
 
 @runtime_checkable
@@ -108,12 +161,13 @@ class NavigationPart(Protocol):
         Types of measurements without which it cannot work.
     takes
         Types that it uses if there are any, besides.
-    uses_prior_map
-        Whether it cannot work without a prior map.
+    needs_prior_map, uses_prior_map
+        Whether it cannot work without a prior map, and whether it makes something of one.
     """
 
     needs: ClassVar[tuple[type, ...]]
     takes: ClassVar[tuple[type, ...]]
+    needs_prior_map: ClassVar[bool]
     uses_prior_map: ClassVar[bool]
 
     def build(self, briefing: Briefing) -> Navigation:

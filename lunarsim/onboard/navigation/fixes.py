@@ -10,7 +10,7 @@ import numpy as np
 from lunarsim.frames import Shift
 from lunarsim.messages.briefing import Briefing, StartEstimate
 from lunarsim.messages.measurements import InertialSamples, NavigationFix
-from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 
 # Without a fix for so long nobody knows where the lander is, s.
 _LONGEST = 2.0
@@ -22,6 +22,7 @@ class Fixes:
 
     needs: ClassVar[tuple[type, ...]] = (NavigationFix,)
     takes: ClassVar[tuple[type, ...]] = (InertialSamples,)
+    needs_prior_map: ClassVar[bool] = False
     uses_prior_map: ClassVar[bool] = False
 
     def build(self, briefing: Briefing) -> FixNavigation:
@@ -29,7 +30,7 @@ class Fixes:
         return FixNavigation(briefing.start, briefing.step)
 
 
-class FixNavigation:
+class FixNavigation(Navigation):
     """The last fix is the estimate; before the first it is the start's.
 
     A fix that is not finite tells nothing. After 2 s without one it is lost.

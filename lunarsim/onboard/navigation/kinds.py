@@ -19,13 +19,15 @@ from lunarsim.messages.measurements import (
 from lunarsim.onboard.navigation.aids import LevelGround
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.parts.quantity import check_bounds, quantity
 
 
 @dataclass(frozen=True)
 class InertialNavigation:
-    """Inertial unit, scans against each other, ranges, speeds and stars: whatever there is."""
+    """Inertial unit, scans against each other and against a prior map, ranges, speeds, stars.
+
+    Whatever of these there is.
+    """
 
     relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
 
@@ -33,16 +35,15 @@ class InertialNavigation:
     takes: ClassVar[tuple[type, ...]] = (
         LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
     )  # fmt: skip
-    uses_prior_map: ClassVar[bool] = False
+    needs_prior_map: ClassVar[bool] = False
+    uses_prior_map: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> Navigator:
         """Return the filter of one flight."""
-        state, sigmas = StrapdownState.of(briefing)
-        ground = LevelGround.of(briefing, float(np.tan(self.relief)))
-        return Navigator(state, sigmas, None, instruments=briefing.instruments, ground=ground)
+        return _navigator(briefing, float(np.tan(self.relief)))
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class PriorMapNavigation:
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples, LidarScan)
     takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    needs_prior_map: ClassVar[bool] = True
     uses_prior_map: ClassVar[bool] = True
 
     def build(self, briefing: Briefing) -> Navigator:
@@ -63,35 +65,33 @@ class PriorMapNavigation:
         """
         if briefing.prior_map is None:
             raise InputError("prior_map", None, "a table: this navigation finds its place on it")
-        state, sigmas = StrapdownState.of(briefing)
-        return Navigator(
-            state, sigmas, briefing.prior_map, instruments=briefing.instruments,
-            ground=LevelGround.of(briefing, LevelGround().relief),
-        )  # fmt: skip
+        return _navigator(briefing, LevelGround().relief)
 
 
 @dataclass(frozen=True)
 class RockNavigation:
-    """Inertial unit, rocks by their shadows, scans against each other, ranges, speeds, stars."""
+    """Inertial unit, rocks by their shadows, scans, a prior map, ranges, speeds and stars."""
 
-    ground_sigma: float = quantity(
-        10.0, "m", gt=0, le=1000, help="of the ground's height under the start, 1 sigma"
-    )
     relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
     takes: ClassVar[tuple[type, ...]] = (
         LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
     )  # fmt: skip
-    uses_prior_map: ClassVar[bool] = False
+    needs_prior_map: ClassVar[bool] = False
+    uses_prior_map: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")
 
-    def build(self, briefing: Briefing) -> RockFilter:
+    def build(self, briefing: Briefing) -> Navigator:
         """Return the filter of one flight."""
-        state, sigmas = StrapdownState.of(briefing)
-        ground = LevelGround(
-            float(briefing.target[2]), self.ground_sigma, float(np.tan(self.relief))
-        )
-        return RockFilter.of(state, sigmas, ground=ground, instruments=briefing.instruments)
+        return _navigator(briefing, float(np.tan(self.relief)), rocks=True)
+
+
+def _navigator(briefing: Briefing, relief: float, *, rocks: bool = False) -> Navigator:
+    state, sigmas = StrapdownState.of(briefing)
+    return Navigator(
+        state, sigmas, briefing.prior_map, instruments=briefing.instruments,
+        ground=LevelGround.of(briefing, relief), rocks=rocks,
+    )  # fmt: skip

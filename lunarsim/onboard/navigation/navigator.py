@@ -9,18 +9,24 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.frames import Shift, quat_to_matrix
+from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import InertialSamples, LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.error_state import ErrorState
-from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.error_state import KEY, ErrorState
+from lunarsim.onboard.navigation.estimate import (
+    Estimate,
+    GroundTurn,
+    Navigation,
+    NavigationEvent,
+)
+from lunarsim.onboard.navigation.inertial import ATTITUDE, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
-from lunarsim.onboard.navigation.parts import KEY, Part, Shared, most_of, scanner_blocks
+from lunarsim.onboard.navigation.parts import Part, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.scan_odometry import (
     ScanOdometry,
     key_block,
@@ -32,14 +38,15 @@ from lunarsim.onboard.navigation.watch import Watch
 Array = NDArray[np.float64]
 
 
-class Navigator:
+class Navigator(Navigation):
     """Error-state filter: inertial samples carry it, its parts take in what else is measured.
 
     The lander's pose is kept in the local frame, which begins where the lander says that it is and
     then hangs on the ground of the first scan; where the site lies in it is estimated with it
     (`LocalFrame`). Each measurement goes to the parts in their order; what one has used counts no
     second time. Scans are fitted to the map; where that fails, they are compared with an earlier
-    one.
+    one. Rocks by their shadows are states behind all others; what pictures show of them comes from
+    the mapper that tracks them, and corrects the same state.
 
     Parameters
     ----------
@@ -55,6 +62,8 @@ class Navigator:
         Calibrations of the sensors, by name.
     ground
         What is known of the ground's height.
+    rocks
+        Whether rocks are tracked.
 
     Attributes
     ----------
@@ -66,8 +75,8 @@ class Navigator:
         In the order in which they are offered measurements.
     matcher
         The part that knows the map; None without one.
-    own_azimuth
-        The local frame points where the lander says that it began to, not as the site frame does.
+    rocks
+        The rocks; None if none are tracked.
     """
 
     own_azimuth: ClassVar[bool] = True
@@ -81,6 +90,7 @@ class Navigator:
         *,
         instruments: Mapping[str, Any] | None = None,
         ground: LevelGround | None = None,
+        rocks: bool = False,
     ) -> None:
         level, known, limits = ground or LevelGround(), instruments or {}, settings
         limits = limits or RegistrationSettings()
@@ -96,8 +106,11 @@ class Navigator:
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
         self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
         self.parts += [ScanOdometry(shared, limits), self._aids]
+        self.rocks = RockFilter(self.state, self._aids) if rocks else None
         self._shared = shared
         self._hangs = False
+        self._ground_turn: GroundTurn | None = None
+        self.state.listeners.append(self._turn_ground)
 
     # --- state ----------------------------------------------------------------------------
 
@@ -108,13 +121,19 @@ class Navigator:
 
     @property
     def covariance(self) -> Array:
-        """Of the error state: the lander's (15) in the local frame, then all blocks."""
+        """Of the error state: the lander's (15) in the local frame, all blocks, rocks (3 n)."""
         return self.state.covariance
 
     @property
     def watches(self) -> dict[str, Watch]:
-        """What watches over the kinds of measurements, by "sensor kind"."""
-        return self._aids.watches
+        """What watches over the kinds of measurements, by "sensor kind"; of rocks as "rocks"."""
+        seen = {} if self.rocks is None else self.rocks.pictures.watches
+        return {**self._aids.watches, **{f"rocks' {kind}": w for kind, w in seen.items()}}
+
+    @property
+    def lost(self) -> bool:
+        """Whether what was measured or seen cannot be explained."""
+        return self._aids.lost or (self.rocks is not None and self.rocks.lost)
 
     @property
     def locked(self) -> bool:
@@ -133,7 +152,7 @@ class Navigator:
         turn = np.eye(9)
         turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)
         covariance = turn @ self.frame.covariance_in_site() @ turn.T
-        return replace(found, covariance=covariance, lost=self._aids.lost)
+        return replace(found, covariance=covariance, lost=self.lost)
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
         """Return the lander's state in the site frame: what its covariance refers to."""
@@ -179,6 +198,19 @@ class Navigator:
         self.state.propagate(angle, velocity)
         self._aids.travel()
 
+    @property
+    def ground_turn(self) -> GroundTurn | None:
+        """By what ground seen since the first scan has turned, as tilts were corrected."""
+        return self._ground_turn
+
+    def _turn_ground(self, error: Array) -> None:
+        """Note by how much a correction turns what has been seen: tilts alone, not azimuths."""
+        if self._ground_turn is None:
+            return
+        tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]
+        turn = quat_to_matrix(quat_from_rotation_vector(tilt))
+        self._ground_turn = replace(self._ground_turn, rotation=turn @ self._ground_turn.rotation)
+
     def _hang(self, sensor: str, scan: LidarScan) -> None:
         """Let the local frame hang on the ground of the first scan."""
         if self._hangs:
@@ -187,7 +219,10 @@ class Navigator:
         seen = self._shared.seen(sensor, scan)
         columns, jacobian = self._shared.local_errors(sensor)
         middle = np.nanmean(seen.points(), axis=0)
-        key = self.state.block(KEY)
+        self._ground_turn = GroundTurn(np.eye(3), middle)
+        places = [self.state.block(KEY).start]
+        if self.rocks is not None:
+            places += self.rocks.places()[:, 0].tolist()
         self.frame.hang(
-            seen.point_jacobian(middle) @ jacobian, columns, [slice(key.start, key.start + 3)]
+            seen.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aids import Aids
-from lunarsim.onboard.navigation.error_state import POSE, ErrorState
+from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
 from lunarsim.onboard.navigation.seen_scan import (
@@ -24,8 +24,8 @@ from lunarsim.onboard.navigation.seen_scan import (
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# The pose at the scan that odometry keeps, in the error state.
-KEY = "key"
+# Standard deviation beyond which a doubt widens no coordinate of a rock, m.
+_MOST_PLACE = 100.0
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,13 @@ class Shared:
         """Watch what came of a scan.
 
         Where it is doubted the whole state grows alike: what is wrong is in the pose, the pose at
-        the scan kept, the map's place and all that errs with them, and what had not grown would
-        draw the rest back. Where it drifts the scanner's errors are let go.
+        the scan kept, the map's place, rocks and all that errs with them, and what had not grown
+        would draw the rest back. Where it drifts the scanner's errors are let go.
         """
-        own, every = self.scanner(sensor), np.arange(self.state.head)
+        own, every = self.scanner(sensor), np.arange(self.state.size)
+        most = np.concatenate((self.most, np.full(self.state.tail, _MOST_PLACE)))
         self.aids.judge(
-            sensor, kind, outcome, every, self.most, time, drifting=(own, LET_GO[: len(own)])
+            sensor, kind, outcome, every, most, time, drifting=(own, LET_GO[: len(own)])
         )
 
 

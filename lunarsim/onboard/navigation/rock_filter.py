@@ -8,34 +8,21 @@ one update, which equals the sequential one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
-from lunarsim.frames import Shift
-from lunarsim.messages.measurements import (
-    InertialSamples,
-    LidarScan,
-)
+from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
-from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.error_state import BLAS, KEY, MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.parts import KEY, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse
-from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.rock_sight import Sight, sight_of
 from lunarsim.onboard.navigation.rock_states import AXES, RockStates
-from lunarsim.onboard.navigation.scan_odometry import ScanOdometry, key_block, plausible, width_of
-from lunarsim.onboard.navigation.watch import Watch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,14 +59,9 @@ class RockFilter(RockStates):
 
     def __init__(self, state: ErrorState, aids: Aids, *, capacity: int = 128) -> None:
         super().__init__(state, aids.ground, capacity)
-        self.state.listeners.append(self._corrected)
         self.events = aids.events
         self.pictures = PictureWatch(self.events)
         self._aids = aids
-        self._shared = Shared(state, aids, self.events, most_of(state))
-        # Scans are compared where the state has room for the pose at an earlier one.
-        self._scans = ScanOdometry(self._shared, RegistrationSettings()) if state.has(KEY) else None
-        self._raised = 0.0
         self._eye: Array | None = None
 
     @classmethod
@@ -90,9 +72,8 @@ class RockFilter(RockStates):
         *,
         ground: LevelGround | None = None,
         capacity: int = 128,
-        instruments: Mapping[str, Any] | None = None,
     ) -> RockFilter:
-        """Return a filter with a state of its own.
+        """Return a filter of lander and rocks alone, in the frame that the lander is told in.
 
         Parameters
         ----------
@@ -104,15 +85,10 @@ class RockFilter(RockStates):
             What is known of its height; left out: level, at 0 m.
         capacity
             Rocks for which room is made at first.
-        instruments
-            Calibrations of LiDARs, altimeters, velocimeters and star trackers, by name.
         """
-        known = instruments or {}
         level = ground or LevelGround(0.0, None)
-        scanners = scanner_blocks(known)
-        blocks = blocks_of(known, level) | scanners | (key_block() if scanners else {})
-        state = ErrorState(inertial, errors, blocks=blocks)
-        return cls(state, Aids(state, known, level, []), capacity=capacity)
+        state = ErrorState(inertial, errors, blocks=blocks_of({}, level))
+        return cls(state, Aids(state, {}, level, []), capacity=capacity)
 
     @property
     def inertial(self) -> StrapdownState:
@@ -145,54 +121,16 @@ class RockFilter(RockStates):
             height[seen] = self.ground_at(xy[seen])
         return np.column_stack((xy, height))
 
-    def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state as the rest of the loop takes it, local frame."""
-        found = self.inertial.estimate(self.covariance, time, mass)
-        position = self.site_to_local.to_local(found.position)
-        return replace(found, position=position, lost=self.lost)
-
-    @property
-    def watches(self) -> dict[str, Watch]:
-        """The watch over each kind of measurement, by "sensor kind"; those of rocks as "rocks"."""
-        rocks = {f"rocks' {kind}": watch for kind, watch in self.pictures.watches.items()}
-        return {**self._aids.watches, **rocks}
+    def in_frame(self, direction: Array) -> Array:
+        """Return a direction (3,) of the site frame in that of lander and rocks."""
+        if not self.state.has(MAP):
+            return direction
+        return turned_about_up(-float(self.state.value(MAP)[3])) @ direction
 
     @property
     def lost(self) -> bool:
         """Whether what was measured or seen cannot be explained."""
         return self._aids.lost or self.pictures.lost
-
-    def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state in the site frame: what its covariance refers to."""
-        return replace(self.estimate(time, mass), position=self.inertial.position.copy())
-
-    @property
-    def site_to_local(self) -> Shift:
-        """The local frame: the filter's own, less all corrections of the height so far.
-
-        The altimeter corrects the height by metres while the lander is high. In the local frame
-        the ground moves instead, so that scans made before and after lie one on the other.
-        """
-        return Shift(np.array([0.0, 0.0, -self._raised]))
-
-    def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; pictures come through the tracker."""
-        if isinstance(measurement, InertialSamples):
-            self.propagate(measurement.angle, measurement.velocity)
-        elif isinstance(measurement, LidarScan):
-            scan = plausible(measurement)
-            if self._scans is not None and np.isfinite(width_of(scan)):
-                self._scans.take(sensor, scan, time, used=False)
-        else:
-            self._aids.take(sensor, measurement, time)
-
-    def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and where it was taken, less what its sensor is known to err by."""
-        if not isinstance(measurement, LidarScan):
-            return measurement, now
-        seen = self._shared.seen(sensor, measurement)
-        position = self.site_to_local.to_local(seen.position)
-        return seen.scan, replace(now, position=position, attitude=seen.attitude)
 
     # --- time -----------------------------------------------------------------------------
 
@@ -298,10 +236,6 @@ class RockFilter(RockStates):
         innovation = (pixel - sight.pixel[index]).ravel()
         return self.state.absorb(hp, s, innovation, 2 * m * gate)
 
-    def _corrected(self, error: Array) -> None:
-        """Note by how much a correction raises the lander."""
-        self._raised += float(error[2])
-
     def turn(self, sun: Array, wander: float) -> None:
         """Let what shadows tell of rocks' centres wander as the view turns.
 
@@ -346,11 +280,13 @@ class RockFilter(RockStates):
             most = np.full(size, _MOST_PLACE)
             most[VELOCITY], most[ATTITUDE] = _MOST_SPEED, _MOST_TURN
             columns = np.r_[0:6, 9:12, self.first : size]
-            if self.state.has(KEY):
-                # Had only the pose grown, scans would draw it back to the pose that is kept.
-                key = self.state.block(KEY)
-                most[key.start + 3 : key.stop] = _MOST_TURN
-                columns = np.r_[columns, key]
+            # Had only the pose grown, scans would draw it back to the pose that is kept, and to
+            # where the map was taken to lie.
+            for name in (KEY, MAP):
+                if self.state.has(name):
+                    block = self.state.block(name)
+                    most[block.start + 3 : block.stop] = _MOST_TURN
+                    columns = np.r_[columns, block]
             self.state.inflate(columns, growth, most[columns])
         return remedy
 

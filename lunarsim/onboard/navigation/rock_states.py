@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.aids import GROUND, LevelGround
-from lunarsim.onboard.navigation.error_state import ErrorState
+from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
 
 Array = NDArray[np.float64]
@@ -122,8 +122,16 @@ class RockStates:
     @property
     def ground(self) -> float:
         """Height of the ground under the lander, m."""
-        below = self.state.value(GROUND)[0] if self.state.has(GROUND) else 0.0
-        return float(self._level.elevation + below)
+        below = sum(float(self.state.value(name)[at]) for name, at in self._level_parts())
+        return self._level.elevation + below
+
+    def _level_parts(self) -> list[tuple[str, int]]:
+        """Return of what the ground's height under the lander is made: blocks and places there.
+
+        Elevations are told in the site frame, which may lie higher or lower in the filter's own.
+        """
+        parts = ((GROUND, 0), (MAP, 2))
+        return [(name, at) for name, at in parts if self.state.has(name)]
 
     def ground_at(self, xy: ArrayLike) -> Array:
         """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
@@ -179,10 +187,11 @@ class RockStates:
         near = np.argsort(away, kind="stable")[:NEIGHBOURS]
         places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
         weights, variance = kriging(places[None], at[None], self._level.growth)
-        below = [self.state.block(GROUND).start]
+        below = [self.state.block(name).start + at for name, at in self._level_parts()]
         sources = np.concatenate((below, self.places(near)[:, 2]))
+        shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
         self.state.follow(
-            int(self.places(np.array([rock]))[0, 2]), sources, weights[0], float(variance[0])
+            int(self.places(np.array([rock]))[0, 2]), sources, shares, float(variance[0])
         )
 
     def remove(self, index: Index) -> Index:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.navigation.error_state import POSE
-from lunarsim.onboard.navigation.parts import KEY, Shared
+from lunarsim.onboard.navigation.error_state import KEY, POSE
+from lunarsim.onboard.navigation.parts import Shared
 from lunarsim.onboard.navigation.registration import fit
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan

@@ -42,7 +42,7 @@ from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import Outcome, compared
-from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
     ACCELEROMETER,
     ATTITUDE,
@@ -81,6 +81,7 @@ class UnscentedNavigation:
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
     takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    needs_prior_map: ClassVar[bool] = False
     uses_prior_map: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -97,7 +98,7 @@ class UnscentedNavigation:
         )  # fmt: skip
 
 
-class UnscentedFilter:
+class UnscentedFilter(Navigation):
     """Ten states by sigma points, attitude as instruments give it.
 
     Parameters

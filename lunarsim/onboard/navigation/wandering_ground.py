@@ -42,8 +42,8 @@ def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
         Of what the height is besides that mean (b,), m^2.
     """
     b, k = places.shape[:2]
-    gap = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
-    away = np.linalg.norm(places - at[:, None], axis=-1)
+    gap = _lengths(places[:, :, None] - places[:, None])
+    away = _lengths(places - at[:, None])
     system = np.ones((b, k + 1, k + 1))
     system[:, :k, :k] = (0.5 * growth * gap + _OWN**2) * (1.0 - np.eye(k))
     system[:, k, k] = 0.0
@@ -51,6 +51,11 @@ def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
     right[:, :k] = 0.5 * growth * away + _OWN**2
     found = np.linalg.solve(system, right[..., None])[..., 0]
     return found[:, :k], np.einsum("bk,bk->b", found, right)
+
+
+def _lengths(way: Array) -> Array:
+    """Return the lengths of vectors (..., 2)."""
+    return np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
 
 
 def heights(places: Array, known: Array, at: Array, growth: float) -> Array:

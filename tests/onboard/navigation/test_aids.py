@@ -121,6 +121,27 @@ def test_a_drift_lets_go_of_the_bias_behind_it(kind):
     assert (after[other] <= before[other] * (1.0 + 1e-9)).all()
 
 
+def test_a_bias_that_is_let_go_takes_no_tilt_along():
+    """It moved by itself: where it is found tells nothing of the tilt that it erred with."""
+    state, aids, events = made()
+    both = np.sqrt(state.covariance[6, 6] * state.covariance[10, 10])
+    state.covariance[6, 10] = state.covariance[10, 6] = 0.95 * both
+    for k in range(100):
+        before = state.covariance.copy()
+        seen = np.array(BEAMS) @ (state.inertial.velocity + [0.05, 0.0, 0.0])
+        nothing = np.full(3, np.nan)
+        reading = DopplerReading(0.0, seen, nothing, np.full(3, 0.03), nothing)
+        aids.take("doppler", reading, 0.1 * k)
+        if events:
+            break
+    assert events[0].name == "drift"
+    after = state.covariance
+    assert after[6, 6] > 10.0 * before[6, 6]
+    assert 0.5 < after[6, 10] / before[6, 10] < 1.001
+    assert after[10, 10] == pytest.approx(before[10, 10], rel=1e-3)
+    assert np.linalg.eigvalsh(after).min() > -1e-12
+
+
 def test_gates_refuse_alike_whatever_the_number_of_beams():
     rng = np.random.default_rng(0)
     for degrees in (1, 3, 8):

@@ -260,6 +260,53 @@ def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
     assert np.linalg.norm(descent.filter.site_to_local.offset) < 1.5
 
 
+@pytest.mark.parametrize(("speed", "turn"), [(3.0, 0.5), (3.0, 2.0)])
+def test_from_a_start_that_is_far_off_scans_tell_nothing_of_place_and_yaw(world, speed, turn):
+    errors = StartSigmas(15.0, speed, np.deg2rad(turn))
+    descent = Descent(world, 0, errors=errors)
+    descent.filter = Navigator(descent.inertial, errors, instruments={"flash": LIDAR.calibration()})
+    told = np.diag(descent.estimate().covariance)
+    # All that can be had: the way that the told velocity points.
+    way = np.linalg.norm(descent.inertial.velocity[:2]) * np.deg2rad(turn) / speed
+    for _ in range(8):
+        descent.fly(0.5)
+        now = np.diag(descent.estimate().covariance)
+        assert (now[:2] > 0.998 * told[:2]).all()
+        assert now[8] > 0.998 * told[8] / (1.0 + way**2)
+    assert descent.filter.watches["flash scans"].degrees > 100
+    assert now[3:6].max() < 0.3**2
+    assert now[6:8].max() < 1.02 * told[6:8].max()
+
+
+def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
+    """Points of the first scans, turned as the navigator says, lie on the ground as it is."""
+    off = {}
+    descent = Descent(world, 2, errors=StartSigmas(5.0, 0.05, np.deg2rad(0.5)))
+    seen = []
+    for _ in range(3):
+        before = descent.filter.ground_turn
+        scan = descent.scan(np.array([25.0, 10.0 * len(seen), 0.0]))
+        descent.filter.take("flash", scan, descent.time)
+        now = descent.filter.estimate(descent.time, 1.0)
+        seen.append(scan.points(now.position, now.attitude)[::37])
+        descent.fly(0.1, scans=False)
+    assert before is not None
+    turn = descent.filter.ground_turn.rotation
+    descent.fly(5.0)
+    assert descent.filter.locked
+    after = descent.filter.ground_turn
+    learnt, angle = after.since(turn)
+    assert angle > np.deg2rad(0.2)
+    points = np.vstack(seen)
+    for name, local in (
+        ("as seen", points), ("turned", (points - after.pivot) @ learnt.T + after.pivot)
+    ):  # fmt: skip
+        site = descent.filter.frame.to_site(local)
+        height = site[:, 2] - np.array([descent.world.terrain.elevation(p) for p in site[:, :2]])
+        off[name] = float(np.nanstd(height))
+    assert off["turned"] < 0.5 * off["as seen"]
+
+
 def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
     nees, values = Consistency(), Consistency()
     for seed in range(6):

@@ -15,9 +15,9 @@ from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
-from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
-from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.parts import KEY
+from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from tests.reference.shadows import consider_update
@@ -256,8 +256,7 @@ def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
 @pytest.mark.parametrize("reading", [np.nan, np.inf, -5.0, 1e6, 0.0])
 def test_a_wrong_altitude_changes_nothing(reading):
     flight = Flight(np.random.default_rng(8))
-    fly(flight, 1.0)
-    f = flight.filter
+    f = Navigator(flight.filter.inertial, StartSigmas(), ground=LevelGround(0.0, 3.0), rocks=True)
     p, z = f.covariance.copy(), f.inertial.position.copy()
     f.take("altimeter", AltimeterReading(1.0, reading, 1.0), 1.0)
     assert np.array_equal(f.covariance, p)
@@ -465,10 +464,12 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
 
 def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
     """Else the next scan would draw the lander back to where rocks say that it is not."""
-    f = RockFilter.of(
+    f = Navigator(
         StrapdownState([0.0, 0.0, 100.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0, 1.0], GRAVITY),
-        instruments={"flash": LidarInstrument(np.pi)},
-    )
+        StartSigmas(), instruments={"flash": LidarInstrument(np.pi)}, rocks=True,
+    ).rocks  # fmt: skip
+    for _ in range(3):
+        f.propagate(np.zeros((100, 3)), np.tile([0.0, 0.0, 0.01 * GRAVITY], (100, 1)))
     f.state.clone(KEY, POSE)
     key = f.state.block(KEY)
     before, between = f.covariance.copy(), np.s_[key, POSE]

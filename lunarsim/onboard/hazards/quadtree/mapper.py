@@ -14,7 +14,7 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
+from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
@@ -128,6 +128,7 @@ class QuadtreeMapper(HazardMapper):
         self._target = np.array(grid.centre)
         self._rocks = rocks or RockExpectation()
         self._interval = interval
+        self._unsure = 0
         self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = self._nothing(grid)
@@ -157,19 +158,41 @@ class QuadtreeMapper(HazardMapper):
         self._target = self._target + by
         if self._interest is not None:
             self._interest = InterestMap(self._interest.grid.moved(by), self._interest.value)
-        g = self.grid.about(centre)
-        points, noise = self.map.points, self.noise
-        self._lay(g, float(centre[2]))
+        self._lay_anew(self.grid.about(centre), float(centre[2]), self.map.points)
+
+    def _lay_anew(self, grid: Grid, elevation: float, points: Array) -> None:
+        """Begin anew over a grid, with points (n, 3) of which the first are not sure."""
+        noise = self.noise
+        self._lay(grid, elevation)
         if len(points):
-            self.map.insert(points)
+            # One after the other: the tree keeps the order of batches alone.
+            self.map.insert(points[: self._unsure])
+            sure = points[self._unsure :]
+            self._unsure = self.map.count
+            self.map.insert(sure)
             self.noise = noise
         self.selection, self._judged = None, -1
-        self._drawn = self._nothing(g)
+        self._drawn = self._nothing(grid)
+
+    def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
+        """Turn the points that came while the tilt was not known; see `HazardMapper.level`."""
+        points, first = self.map.points, self._unsure
+        if first == 0:
+            return
+        points[:first] = (points[:first] - pivot) @ turn.T + pivot
+        self._lay_anew(self.grid, float(self.map.centre[2]), points)
+        if tilt_sigma <= SURE_TILT:
+            self._unsure = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; without returns nothing changes."""
-        if np.isfinite(measurement.range).any():
-            self._insert(measurement, estimate.position, estimate.attitude)
+        if not np.isfinite(measurement.range).any():
+            return
+        before = self.map.count
+        self._insert(measurement, estimate.position, estimate.attitude)
+        if estimate.tilt_sigma > SURE_TILT and self._unsure == before:
+            # Nothing came yet with a tilt that was known.
+            self._unsure = self.map.count
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
         self.map.insert(_returns(scan, position, attitude))

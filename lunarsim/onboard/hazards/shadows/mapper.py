@@ -9,19 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
 from lunarsim.onboard.navigation.aids import gate_of
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.navigation.kinds import RockNavigation
-from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -71,20 +72,16 @@ class ShadowMapping:
         InputError
             If the Sun is too low or too high for shadows, or the map too small or too coarse.
         """
-        if not isinstance(navigation, RockFilter):
+        if not isinstance(navigation, Navigator) or navigation.rocks is None:
             raise InputError("navigation.kind", type(navigation).__name__, "rocks")
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
         model = ShadowModel(elevation, briefing.rocks.model())
-        west, east, south, north = grid.extent
-        settings = TrackerSettings(
-            least_radius=0.42 * self.hazard_diameter,
-            region=(west - _MARGIN, east + _MARGIN, south - _MARGIN, north + _MARGIN),
-        )
-        tracker = RockTracker(navigation, model, settings=settings)
+        settings = TrackerSettings(least_radius=0.42 * self.hazard_diameter, region=_tracked(grid))
+        tracker = RockTracker(navigation.rocks, model, settings=settings)
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
-        probability = ProbabilityMap(grid, model, prior, ground=navigation.ground)
+        probability = ProbabilityMap(grid, model, prior, ground=navigation.rocks.ground)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
         return ShadowMapper(tracker, probability, briefing.sun, reach, interval=self.interval)
 
@@ -95,11 +92,11 @@ class ShadowMapper(HazardMapper):
     Parameters
     ----------
     tracker
-        The rocks; its filter is also the lander's navigation.
+        The rocks; its filter is part of the lander's navigation.
     probability
         The map.
     sun
-        Direction towards the Sun as the lander believes it (3,), ENU.
+        Direction towards the Sun as the lander believes it (3,), ENU of the site frame.
     footprint
         Radius of the disc into which no rock may reach under the lander, m.
     detector
@@ -152,21 +149,20 @@ class ShadowMapper(HazardMapper):
         self._time = picture.time
         if _is_dead(picture.counts):
             return
-        # Rocks and their plane are the filter's: so is the pose that they are seen from.
-        pose = replace(estimate, position=rocks.site_to_local.to_site(estimate.position))
+        sun = rocks.in_frame(self.sun)
         self.seen = detect_rocks(
-            picture.counts, picture.camera, pose, self.sun,
+            picture.counts, picture.camera, estimate, sun,
             ground=self._plane(picture.camera), model=self.tracker.model, settings=self.detector,
         )  # fmt: skip
-        view = picture.camera.view(pose)
-        self._check_sun(picture, view)
-        self.tracker.update(self.seen, picture.camera, self.sun, picture.time)
+        view = picture.camera.view(estimate)
+        self._check_sun(picture, view, sun)
+        self.tracker.update(self.seen, picture.camera, sun, picture.time)
         if self.tracker.renewals > self._renewals:
             # Rocks that were mapped are no longer tracked: their ground is not clear.
             self._renewals = self.tracker.renewals
             self.probability.forget()
         self.probability.ground = self._plane(picture.camera)
-        self.probability.see(picture.camera, view, self.sun, self.seen)
+        self.probability.see(picture.camera, view, sun, self.seen)
 
     def _plane(self, camera: CameraModel) -> float:
         """Return the height of the ground in the middle of the image, as the rocks tell it, m."""
@@ -175,7 +171,7 @@ class ShadowMapper(HazardMapper):
         height = float(rocks.ground_points(camera, middle)[0, 2])
         return height if np.isfinite(height) else rocks.ground
 
-    def _check_sun(self, picture: Picture, view: View) -> None:
+    def _check_sun(self, picture: Picture, view: View, sun: Array) -> None:
         """Compare where shadows fall with where the Sun is taken to be."""
         rocks, seen = self.tracker.filter, self.seen
         if seen is None or len(seen) < _LEAST_SHADOWS or picture.time < self._checked + _CHECKS:
@@ -184,7 +180,7 @@ class ShadowMapper(HazardMapper):
         points = rocks.ground_points(picture.camera, seen.pixel)
         if not np.isfinite(points).all():
             return
-        angle, sigma, number = turn_from_sun(picture.counts, seen, view, points, self.sun)
+        angle, sigma, number = turn_from_sun(picture.counts, seen, view, points, sun)
         if number < _LEAST_SHADOWS:
             return
         nis = float(angle**2 / (sigma**2 + _SHADOWS_OFF**2))
@@ -204,8 +200,20 @@ class ShadowMapper(HazardMapper):
 
     def ground_height(self, xy: Array) -> float:
         """Return the local height of the ground at a point (2,), as the rocks tell it, m."""
-        rocks = self.tracker.filter
-        return float(rocks.ground_at(xy)[0] + rocks.site_to_local.offset[2])
+        return float(self.tracker.filter.ground_at(xy)[0])
+
+    def recentre(self, centre: Array) -> None:
+        """Lay the map about another point (3,), local frame, m.
+
+        Rocks that lie off it are tracked as before; no more of them are begun.
+        """
+        if not (self.blank or is_aside(self.grid, centre)):
+            return
+        self.probability.recentre(centre)
+        self.grid = self.probability.grid
+        tracker = self.tracker
+        tracker.settings = replace(tracker.settings, region=_tracked(self.grid))
+        self._map, self._mapped = HazardMap.unobserved(self.grid), -np.inf
 
     def _level(self, drawn: HazardMap) -> HazardMap:
         """Return a map with level ground where its middle now lies in the local frame."""
@@ -230,6 +238,12 @@ class ShadowMapper(HazardMapper):
                 "existence": self.tracker.existence.copy(),
             }
         }  # fmt: skip
+
+
+def _tracked(grid: Grid) -> tuple[float, float, float, float]:
+    """Return the west, east, south and north limits of where rocks are tracked for a map, m."""
+    west, east, south, north = grid.extent
+    return west - _MARGIN, east + _MARGIN, south - _MARGIN, north + _MARGIN
 
 
 def _is_dead(counts: NDArray[np.unsignedinteger[Any]]) -> bool:

@@ -119,6 +119,22 @@ class ProbabilityMap:
         """Take back all that was seen: rocks that were mapped there are no longer tracked."""
         self._sharpness[:] = 0.0
 
+    def recentre(self, centre: Array) -> None:
+        """Lay the map about another point (2,) or (3,), m; what was seen stays where it is.
+
+        To whole blocks, so that none is cut.
+        """
+        b = self._blocks
+        off = np.asarray(centre, np.float64)[:2] - self.grid.centre
+        cols, rows = (int(v) for v in np.rint(off / b.posting))
+        by = b.posting * np.array([cols, rows])
+        self.grid, self._blocks = self.grid.moved(by), b.moved(by)
+        moved = np.zeros_like(self._sharpness)
+        keep_to = _overlap(rows, b.rows), _overlap(cols, b.cols)
+        keep_from = _overlap(-rows, b.rows), _overlap(-cols, b.cols)
+        moved[keep_to] = self._sharpness[keep_from]
+        self._sharpness = moved
+
     def see(self, camera: CameraModel, view: View, sun: Array, seen: Detections) -> None:
         """Note with what sharpness each place is in view.
 
@@ -245,3 +261,8 @@ class ProbabilityMap:
             observed,
             np.full(self.grid.shape, self.ground, np.float32),
         )
+
+
+def _overlap(by: int, count: int) -> slice:
+    """Return which of so many places in a row lie on the row moved back by some."""
+    return slice(max(-by, 0), max(min(count, count - by), 0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.hazards.quadtree import (
@@ -239,3 +240,33 @@ def test_costs_that_are_no_numbers_are_refused():
         best_apart(np.array([1.0, np.nan, 2.0]), xy, 2, 1.0)
     with pytest.raises(InputError, match=r"sites\.xy"):
         best_apart(np.array([1.0, 2.0]), xy, 2, 1.0)
+
+
+def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
+    tilt, pivot = np.deg2rad(1.5), np.array([2.0, 0.0, 0.0])
+    wrong = quat_from_rotation_vector([0.0, tilt, 0.0])
+    turn = quat_to_matrix(quat_from_rotation_vector([0.0, -tilt, 0.0]))
+    found = mapper()
+    flat = scan(bump=False)
+    # Above the pivot: turned about it, the pose is where it would be without the tilt.
+    found.update(flat, estimate((2.0 + 30.0 * np.sin(tilt), 0.0, 30.0 * np.cos(tilt)), wrong,
+                                sigma=np.deg2rad(1.0)))  # fmt: skip
+    first = found.map.points
+    assert np.ptp(first[:, 2]) > 0.3
+    found.update(flat, estimate(sigma=np.deg2rad(0.01)))
+    count = found.map.count
+    found.level(turn, pivot, np.deg2rad(0.01))
+    assert np.abs(found.map.points[:, 2]).max() < 0.01
+    # Nothing but what slid over the edge of the map is gone.
+    assert count - 600 < found.map.count <= count
+    assert found.noise > 0.0
+    assert not found.select().ranked or found.select().ranked[0].slope < np.deg2rad(0.5)
+    # By then the tilt is known: another turn moves nothing.
+    before = found.map.points
+    found.level(turn, pivot, np.deg2rad(0.01))
+    assert np.array_equal(found.map.points, before)
+    # Nor does what comes with a doubtful tilt after that take the rest along.
+    found.update(flat, estimate(sigma=np.deg2rad(1.0)))
+    before = found.map.points
+    found.level(turn, pivot, np.deg2rad(1.0))
+    assert np.array_equal(found.map.points, before)
