@@ -158,6 +158,9 @@ class Navigator:
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
             return
+        overdue = self._arrivals.overdue(getattr(measurement, "time", time))
+        if overdue is not None:
+            self.propagate(overdue[1].angle, overdue[1].velocity)
         if isinstance(measurement, LidarScan):
             measurement = plausible(measurement)
             if not np.isfinite(width_of(measurement)):

@@ -25,8 +25,9 @@ from lunarsim.messages.measurements import (
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.parts import KEY, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
@@ -76,6 +77,9 @@ class RockFilter(RockStates):
         self.events = aids.events
         self.pictures = PictureWatch(self.events)
         self._aids = aids
+        self._arrivals = Arrivals(
+            state.inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
+        )
         self._shared = Shared(state, aids, self.events, most_of(state))
         # Scans are compared where the state has room for the pose at an earlier one.
         self._scans = ScanOdometry(self._shared, RegistrationSettings()) if state.has(KEY) else None
@@ -176,10 +180,25 @@ class RockFilter(RockStates):
         return Shift(np.array([0.0, 0.0, -self._raised]))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; pictures come through the tracker."""
+        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+
+        Pictures come through the tracker.
+
+        Raises
+        ------
+        InputError
+            If `time` (s) runs backwards.
+        """
+        measurement = self._arrivals.admit(sensor, measurement, time)
+        if measurement is None:
+            return
         if isinstance(measurement, InertialSamples):
             self.propagate(measurement.angle, measurement.velocity)
-        elif isinstance(measurement, LidarScan):
+            return
+        overdue = self._arrivals.overdue(getattr(measurement, "time", time))
+        if overdue is not None:
+            self.propagate(overdue[1].angle, overdue[1].velocity)
+        if isinstance(measurement, LidarScan):
             scan = plausible(measurement)
             if self._scans is not None and np.isfinite(width_of(scan)):
                 self._scans.take(sensor, scan, time, used=False)

@@ -39,7 +39,7 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of
+from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of, one_each
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
@@ -294,6 +294,9 @@ class UnscentedFilter:
         if isinstance(given, InertialSamples):
             self.propagate(given.angle, given.velocity)
             return
+        overdue = None if given is None else self._arrivals.overdue(getattr(given, "time", time))
+        if overdue is not None:
+            self.propagate(overdue[1].angle, overdue[1].velocity)
         before = self.inertial.position.copy()
         if isinstance(given, AltimeterReading):
             self._judge(sensor, "range", self._range(sensor, given), time)
@@ -304,6 +307,7 @@ class UnscentedFilter:
         self._offset -= self.inertial.position - before
 
     def _range(self, sensor: str, reading: AltimeterReading) -> Outcome:
+        one_each(sensor, reading)
         beam = np.asarray(self._beams.get(sensor, (0.0, 0.0, -1.0)))
         down = float(quat_to_matrix(self.inertial.attitude)[2] @ beam)
         r, sigma = reading.range, reading.sigma
