@@ -48,9 +48,7 @@ class FixNavigation:
 
     def __init__(self, start: StartEstimate, step: float) -> None:
         self._step = step
-        self._arrivals = Arrivals(
-            step, lambda *told: self.events.append(NavigationEvent(*told))
-        )
+        self._arrivals = Arrivals(step, lambda *told: self.events.append(NavigationEvent(*told)))
         self._rate = np.zeros(3)
         self.events: list[NavigationEvent] = []
         sigmas = np.repeat([start.position_sigma, start.velocity_sigma, start.attitude_sigma], 3)
