@@ -85,6 +85,29 @@ class Arrivals:
         elapsed, self._unit, self._flown = stamp - self._flown, sensor, stamp
         return self._filled(sensor, measurement, elapsed, time)
 
+    def carried(
+        self, sensor: str, measurement: Any, time: float, propagate: Callable[[Any, Any], None]
+    ) -> Any:
+        """Return a measurement that is to correct a state, which has been carried to its time.
+
+        None if it was inertial samples, by which the state has been carried, or was left out.
+
+        Parameters
+        ----------
+        sensor, measurement, time
+            See `admit`.
+        propagate
+            Carries the state over increments of angle and velocity (n, 3), (n, 3).
+        """
+        given = self.admit(sensor, measurement, time)
+        if isinstance(given, InertialSamples):
+            propagate(given.angle, given.velocity)
+            return None
+        overdue = None if given is None else self.overdue(float(getattr(given, "time", time)))
+        if overdue is not None:
+            propagate(overdue[1].angle, overdue[1].velocity)
+        return given
+
     def overdue(self, time: float) -> tuple[str, InertialSamples] | None:
         """Return inertial samples that should have come by `time` (s) as missing ones, if any.
 

@@ -146,7 +146,8 @@ class ErrorState:
         No standard deviation grows beyond `most` (k,).
         """
         at, p = np.asarray(columns), self.covariance
-        sigma = np.sqrt(p[at, at])
+        # Where rounding has eaten a variance all is refused; what is left is not spoilt besides.
+        sigma = np.sqrt(np.maximum(p[at, at], 0.0))
         room = np.maximum(np.asarray(most) / np.maximum(sigma, 1e-300), 1.0)
         times = np.minimum(np.sqrt(factor), room)
         p[at] *= times[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import Shift, quat_to_matrix
-from lunarsim.messages.measurements import InertialSamples, LidarScan
+from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
@@ -152,15 +152,9 @@ class Navigator:
         InputError
             If `time` (s) runs backwards.
         """
-        measurement = self._arrivals.admit(sensor, measurement, time)
+        measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
         if measurement is None:
             return
-        if isinstance(measurement, InertialSamples):
-            self.propagate(measurement.angle, measurement.velocity)
-            return
-        overdue = self._arrivals.overdue(getattr(measurement, "time", time))
-        if overdue is not None:
-            self.propagate(overdue[1].angle, overdue[1].velocity)
         if isinstance(measurement, LidarScan):
             measurement = plausible(measurement)
             if not np.isfinite(width_of(measurement)):

@@ -18,10 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift
-from lunarsim.messages.measurements import (
-    InertialSamples,
-    LidarScan,
-)
+from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
@@ -189,15 +186,9 @@ class RockFilter(RockStates):
         InputError
             If `time` (s) runs backwards.
         """
-        measurement = self._arrivals.admit(sensor, measurement, time)
+        measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
         if measurement is None:
             return
-        if isinstance(measurement, InertialSamples):
-            self.propagate(measurement.angle, measurement.velocity)
-            return
-        overdue = self._arrivals.overdue(getattr(measurement, "time", time))
-        if overdue is not None:
-            self.propagate(overdue[1].angle, overdue[1].velocity)
         if isinstance(measurement, LidarScan):
             scan = plausible(measurement)
             if self._scans is not None and np.isfinite(width_of(scan)):

@@ -290,13 +290,7 @@ class UnscentedFilter:
         InputError
             If `time` (s) runs backwards, or a reading is not of the shape that its sensor gives.
         """
-        given = self._arrivals.admit(sensor, measurement, time)
-        if isinstance(given, InertialSamples):
-            self.propagate(given.angle, given.velocity)
-            return
-        overdue = None if given is None else self._arrivals.overdue(getattr(given, "time", time))
-        if overdue is not None:
-            self.propagate(overdue[1].angle, overdue[1].velocity)
+        given = self._arrivals.carried(sensor, measurement, time, self.propagate)
         before = self.inertial.position.copy()
         if isinstance(given, AltimeterReading):
             self._judge(sensor, "range", self._range(sensor, given), time)

@@ -213,6 +213,8 @@ def test_information_on_a_covariance_that_is_none_is_refused():
     state.p[0, 0] = -1.0
     found = state.inform(POSE, np.eye(6), np.zeros(6))
     assert (found.nis, found.taken) == (np.inf, False)
+    state.inflate(POSE, 4.0, np.full(6, 10.0))
+    assert np.isfinite(state.covariance).all()
 
 
 def test_information_is_judged_as_the_measurement_of_the_same():
