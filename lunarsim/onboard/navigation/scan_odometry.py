@@ -142,7 +142,8 @@ def plausible(scan: LidarScan) -> LidarScan:
         given = np.shape(getattr(scan, name))
         if given != shape:
             raise InputError(f"scan.{name}", given, f"an array {shape}")
-    if not np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS:
+    turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS
+    if not (turns and np.linalg.det(scan.mount) > 0.0):
         return replace(scan, range=np.full(n, np.nan))
     with np.errstate(invalid="ignore"):
         good = (scan.range > 0.0) & (scan.range < _FARTHEST)

@@ -243,7 +243,10 @@ def test_scans_whose_arrays_do_not_fit_are_refused(name, value):
         navigation.take("flash", replace(scan(2.0), **{name: value}), 2.0)
 
 
-@pytest.mark.parametrize("mount", [np.zeros((3, 3)), 2.0 * np.eye(3), np.full((3, 3), np.nan)])
+@pytest.mark.parametrize(
+    "mount",
+    [np.zeros((3, 3)), 2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)],
+)
 def test_a_scan_whose_mount_turns_nothing_tells_nothing(mount):
     given = replace(scan(1.0), mount=mount)
     assert np.isnan(plausible(given).range).all()
