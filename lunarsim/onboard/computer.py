@@ -249,8 +249,12 @@ class OnboardComputer:
         self.mass = max(self.mass - burnt, self.lander.dry_mass)
         self.time = measurements.time
         self.mapped = set()
-        for sensor, measurement in measurements.items:
+        # The state is carried to now before anything corrects it, in whatever order things came.
+        for sensor, measurement in sorted(
+            measurements.items, key=lambda item: not isinstance(item[1], InertialSamples)
+        ):
             self._take(sensor, measurement)
+        self._carry_on()
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
@@ -269,6 +273,13 @@ class OnboardComputer:
             name = "diverts-barred" if self._barred else "diverts-allowed"
             self.telemetry.append((self.time, name, {"site": self.site.copy()}))
 
+    def _carry_on(self) -> None:
+        """Let navigation know of inertial samples that did not come in this cycle."""
+        overdue = self._arrivals.overdue(self.time)
+        if overdue is not None:
+            self.navigation.take(*overdue, self.time)
+            self._follow_navigation()
+
     def _take(self, sensor: str, given: Any) -> None:
         measurement = self._arrivals.admit(sensor, given, self.time)
         if measurement is None:
@@ -277,6 +288,7 @@ class OnboardComputer:
             self.navigation.take(sensor, measurement, self.time)
             self._follow_navigation()
             return
+        self._carry_on()
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
         after = self.navigation.estimate(self.time, self.mass)

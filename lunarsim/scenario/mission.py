@@ -41,10 +41,12 @@ class StartKnowledge:
         Of the target's elevation as the mission knows it, m.
     """
 
-    position: float = quantity(5.0, "m", ge=0, help="1 sigma an axis")
-    velocity: float = quantity(0.02, "m/s", ge=0, help="1 sigma an axis")
-    attitude: float = quantity(0.03, "deg", ge=0, help="1 sigma an axis")
-    ground: float = quantity(0.0, "m", ge=0, help="of the target's elevation as told, 1 sigma")
+    position: float = quantity(5.0, "m", ge=0, le=1e5, help="1 sigma an axis")
+    velocity: float = quantity(0.02, "m/s", ge=0, le=1e3, help="1 sigma an axis")
+    attitude: float = quantity(0.03, "deg", ge=0, le=30, help="1 sigma an axis")
+    ground: float = quantity(
+        0.0, "m", ge=0, le=1e4, help="of the target's elevation as told, 1 sigma"
+    )
 
 
 @dataclass(frozen=True)

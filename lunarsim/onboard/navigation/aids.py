@@ -132,6 +132,20 @@ def _mount(sensor: str) -> str:
     return f"mount of {sensor}"
 
 
+def one_each(sensor: str, reading: AltimeterReading) -> None:
+    """Refuse a reading that is not one range and one deviation.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    for name in ("range", "sigma"):
+        shape = np.shape(getattr(reading, name))
+        if shape:
+            raise InputError(f"{sensor}.{name}", shape, "one number")
+
+
 class Aids:
     """Takes in altimeters, velocimeters and star trackers, and says when they cannot be believed.
 
@@ -209,6 +223,7 @@ class Aids:
         if used:
             return False
         if isinstance(measurement, AltimeterReading):
+            one_each(sensor, measurement)
             beam = self._beams[sensor].boresight if sensor in self._beams else (0.0, 0.0, -1.0)
             self._range(sensor, measurement.range, measurement.sigma, beam, time)
         elif isinstance(measurement, DopplerReading):

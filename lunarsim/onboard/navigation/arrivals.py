@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.messages.measurements import InertialSamples
+from lunarsim.messages.measurements import InertialSamples, Picture
 
 # A stamp may lie this far ahead of the clock: rounding of sums of steps, s.
 _ROUNDING = 1e-6
 # Samples missing for longer than this are not filled in: the lander has long been lost, s.
 _LONGEST_GAP = 60.0
+# What was measured longer ago tells of another place, s: at 30 m/s a metre off.
+_STALE = 0.03
 
 
 class Arrivals:
@@ -22,8 +24,13 @@ class Arrivals:
 
     A measurement that was made before the last one of its sensor, in the future, or at no time at
     all, is left out and reported as "out-of-order": to take it for one of now would be wrong, and
-    to take it back in time is more than any filter here can do. Inertial samples that never came
-    are put in as missing ones, so that state and covariance are carried over the gap.
+    to take it back in time is more than any filter here can do. So is what was made more than
+    0.03 s before the time until which inertial samples have come ("stale"), pictures apart, which
+    are stamped with the middle of their exposure. Inertial samples that never came are put in as
+    missing ones ("samples-missing"), so that state and covariance are carried over the gap; of more
+    than time has passed for, the last ones are kept ("samples-surplus").
+
+    Inertial samples are to come before what else was measured by their end: see `overdue`.
 
     Parameters
     ----------
@@ -38,6 +45,8 @@ class Arrivals:
         self._report = report
         self._now = -np.inf
         self._last: dict[str, float] = {}
+        # The inertial unit, and until when its samples have been let through.
+        self._unit, self._flown = "", -np.inf
 
     def admit(self, sensor: str, measurement: Any, time: float) -> Any:
         """Return the measurement, inertial samples whole; None if it comes out of order.
@@ -52,19 +61,66 @@ class Arrivals:
         Raises
         ------
         InputError
-            If the clock itself runs backwards, or is no number.
+            If the clock itself runs backwards, or is no number, or if inertial samples are not
+            three numbers each, as many of both.
         """
         self.advance(time)
         stamp = float(getattr(measurement, "time", time))
         last = self._last.get(sensor, -np.inf)
         inertial = isinstance(measurement, InertialSamples)
+        if inertial:
+            measurement = _whole(measurement)
         # The same increments twice would be flown twice.
-        again = inertial and stamp <= last and len(np.atleast_1d(measurement.angle)) > 0
+        again = inertial and stamp <= last and len(measurement.angle) > 0
         if again or not last <= stamp <= time + _ROUNDING:
             self._report(time, "out-of-order", {"sensor": sensor, "stamp": stamp, "last": last})
             return None
         self._last[sensor] = stamp
-        return self._filled(sensor, measurement, stamp - last, time) if inertial else measurement
+        if not inertial:
+            now = min(time, self._flown) if np.isfinite(self._flown) else time
+            if stamp < now - _STALE and not isinstance(measurement, Picture):
+                self._report(time, "stale", {"sensor": sensor, "stamp": stamp})
+                return None
+            return measurement
+        elapsed, self._unit, self._flown = stamp - self._flown, sensor, stamp
+        return self._filled(sensor, measurement, elapsed, time)
+
+    def carried(
+        self, sensor: str, measurement: Any, time: float, propagate: Callable[[Any, Any], None]
+    ) -> Any:
+        """Return a measurement that is to correct a state, which has been carried to its time.
+
+        None if it was inertial samples, by which the state has been carried, or was left out.
+
+        Parameters
+        ----------
+        sensor, measurement, time
+            See `admit`.
+        propagate
+            Carries the state over increments of angle and velocity (n, 3), (n, 3).
+        """
+        given = self.admit(sensor, measurement, time)
+        if isinstance(given, InertialSamples):
+            propagate(given.angle, given.velocity)
+            return None
+        overdue = None if given is None else self.overdue(float(getattr(given, "time", time)))
+        if overdue is not None:
+            propagate(overdue[1].angle, overdue[1].velocity)
+        return given
+
+    def overdue(self, time: float) -> tuple[str, InertialSamples] | None:
+        """Return inertial samples that should have come by `time` (s) as missing ones, if any.
+
+        With the name of their unit. What is measured then corrects the state of that time, and not
+        one that stood still. Should the samples come after all they are out of order. None before
+        any came, or if `time` is no number.
+        """
+        if not (np.isfinite(self._flown) and time - self._flown >= 0.5 * self._step):
+            return None
+        none = InertialSamples(time, np.zeros((0, 3)), np.zeros((0, 3)))
+        elapsed, self._flown = time - self._flown, time
+        self._last[self._unit] = time
+        return self._unit, self._filled(self._unit, none, elapsed, time)
 
     def advance(self, time: float) -> None:
         """Let it be `time` (s).
@@ -81,17 +137,35 @@ class Arrivals:
     def _filled(
         self, sensor: str, samples: InertialSamples, elapsed: float, time: float
     ) -> InertialSamples:
-        """Put samples that never came before those that did, as missing ones."""
-        shape = np.shape(samples.angle)
-        if not np.isfinite(elapsed) or len(shape) != 2 or shape != np.shape(samples.velocity):
-            return samples  # the first ones; or of no good shape, which is refused where it counts
-        missing = round(min(elapsed, _LONGEST_GAP) / self._step) - shape[0]
+        """Put samples that never came before those that did, as missing ones; drop what is more."""
+        if not np.isfinite(elapsed):
+            return samples  # the first ones
+        surplus = len(samples.angle) - round(elapsed / self._step)
+        if surplus > 0:
+            self._report(time, "samples-surplus", {"sensor": sensor, "count": surplus})
+            return replace(
+                samples, angle=samples.angle[surplus:], velocity=samples.velocity[surplus:]
+            )
+        missing = round(min(elapsed, _LONGEST_GAP) / self._step) - len(samples.angle)
         if missing <= 0:
             return samples
         self._report(time, "samples-missing", {"sensor": sensor, "count": missing})
-        gap = np.full((missing, shape[1]), np.nan)
+        gap = np.full((missing, 3), np.nan)
         return replace(
             samples,
             angle=np.concatenate((gap, samples.angle)),
             velocity=np.concatenate((gap, samples.velocity)),
         )
+
+
+def _whole(samples: InertialSamples) -> InertialSamples:
+    """Return inertial samples as arrays (n, 3), checked."""
+    angle, velocity = (np.asarray(of, np.float64) for of in (samples.angle, samples.velocity))
+    for name, of in (("angle", angle), ("velocity", velocity)):
+        if of.ndim != 2 or of.shape[1] != 3:
+            shape = of.shape
+            raise InputError(f"inertial.{name}", shape, "samples (n, 3), NaN for a missing one")
+    if len(angle) != len(velocity):
+        lengths = (len(angle), len(velocity))
+        raise InputError("inertial.samples", lengths, "as many of angle as of velocity")
+    return replace(samples, angle=angle, velocity=velocity)

@@ -148,7 +148,8 @@ class ErrorState:
         No standard deviation grows beyond `most` (k,).
         """
         at, p = np.asarray(columns), self.covariance
-        sigma = np.sqrt(p[at, at])
+        # Where rounding has eaten a variance all is refused; what is left is not spoilt besides.
+        sigma = np.sqrt(np.maximum(p[at, at], 0.0))
         room = np.maximum(np.asarray(most) / np.maximum(sigma, 1e-300), 1.0)
         times = np.minimum(np.sqrt(factor), room)
         p[at] *= times[:, None]
@@ -295,26 +296,33 @@ class ErrorState:
     ) -> Outcome:
         """Take in information (k, k) and its vector (k,) on the errors at `part` (k,).
 
-        Written without the inverse of the covariance, which is singular while two poses coincide.
+        Written without the inverse of the covariance, which is singular while two poses coincide:
+        the information is that of independent measurements of unit variance along its axes, and
+        what these take off the covariance is a square, so that rounding leaves it symmetric.
         The outcome's `nis` is the squared Mahalanobis distance of the correction. Nothing changes
         where it exceeds `gate`, or where good information would be as far off with less than a
-        `chance`.
+        `chance`. Nor does it where anything is not finite, `nis` being NaN then, or where the
+        covariance is no longer good, `nis` being infinite.
         """
-        p = self.covariance
+        p, k = self.covariance, len(part)
+        if not (np.isfinite(information).all() and np.isfinite(vector).all()):
+            return Outcome(np.nan, k, False)
         own = p[np.ix_(part, part)]
-        system = np.eye(len(part)) + information @ own
-        inner = np.linalg.solve(system, np.column_stack((information, vector)))
-        gain, innovation = inner[:, :-1], inner[:, -1]
-        white, degrees = _whitened(own, information, vector)
+        try:
+            white, degrees = _whitened(own, information, vector)
+            rows, measured = _as_measurements(information, vector)
+            hp = rows @ p[part]
+            lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, part] @ rows.T)
+        except np.linalg.LinAlgError:
+            # Rounding has eaten the covariance: nothing can be told from it any more.
+            return Outcome(np.inf, k, False)
         distance = float(white @ white)
         if not (distance <= gate and chi2.sf(distance, max(degrees, 1)) >= chance):
             return Outcome(distance, degrees, False)
-        error = p[:, part] @ innovation
-        # The gain is symmetric and not negative: by its root the product stays so too.
-        share, axes = np.linalg.eigh(0.5 * (gain + gain.T))
-        root = axes * np.sqrt(np.maximum(share, 0.0))
+        w = solve_triangular(lower, hp, lower=True, check_finite=False)
+        error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w
         with BLAS.limit(limits=1, user_api="blas"):
-            subtract_square(p, root.T @ p[part])
+            subtract_square(p, w)
         self.correct(error)
         return Outcome(distance, degrees, True, white)
 
@@ -348,6 +356,18 @@ def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, 
     if not nis <= gate:
         return Outcome(nis, m, False), lower
     return Outcome(nis, m, True, white), lower
+
+
+def _as_measurements(information: Array, vector: Array) -> tuple[Array, Array]:
+    """Return the Jacobian (m, k) and the innovation (m,) of measurements of unit variance.
+
+    They tell the same as information (k, k) and its vector (k,), which lies where that is not 0.
+    """
+    told, axes = np.linalg.eigh(0.5 * (information + information.T))
+    kept = told > _SINGULAR**2 * max(float(told[-1]), 0.0)
+    root = np.sqrt(told[kept])
+    along = axes[:, kept].T
+    return root[:, None] * along, along @ vector / root
 
 
 def _whitened(own: Array, information: Array, vector: Array) -> tuple[Array, int]:

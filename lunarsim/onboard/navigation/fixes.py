@@ -7,9 +7,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lunarsim.frames import Shift
+from lunarsim.errors import InputError
+from lunarsim.frames import Shift, is_rotation
 from lunarsim.messages.briefing import Briefing, StartEstimate
 from lunarsim.messages.measurements import InertialSamples, NavigationFix
+from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 
 # Without a fix for so long nobody knows where the lander is, s.
@@ -33,7 +35,9 @@ class Fixes:
 class FixNavigation(Navigation):
     """The last fix is the estimate; before the first it is the start's.
 
-    A fix that is not finite tells nothing. After 2 s without one it is lost.
+    A fix that is not finite, whose attitude is no rotation or whose covariance is negative tells
+    nothing, and one that comes out of order is left out (`Arrivals`). After 2 s without one it is
+    lost.
 
     Parameters
     ----------
@@ -45,6 +49,7 @@ class FixNavigation(Navigation):
 
     def __init__(self, start: StartEstimate, step: float) -> None:
         self._step = step
+        self._arrivals = Arrivals(step, lambda *told: self.events.append(NavigationEvent(*told)))
         self._rate = np.zeros(3)
         self.events: list[NavigationEvent] = []
         sigmas = np.repeat([start.position_sigma, start.velocity_sigma, start.attitude_sigma], 3)
@@ -58,14 +63,21 @@ class FixNavigation(Navigation):
         return Shift()
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Keep a fix, and the rate of gyroscopes."""
+        """Keep a fix, and the rate of gyroscopes.
+
+        Raises
+        ------
+        InputError
+            If `time` (s) runs backwards, or arrays are not of the shapes that they should be.
+        """
+        measurement = self._arrivals.admit(sensor, measurement, time)
         if isinstance(measurement, NavigationFix):
-            whole = (measurement.position, measurement.velocity, measurement.attitude,
-                     measurement.covariance)  # fmt: skip
-            if all(np.isfinite(part).all() for part in whole):
+            if _tells(measurement):
                 self._fix = measurement
         elif isinstance(measurement, InertialSamples):
-            self._rate = measurement.angle[-1] / self._step
+            angle = measurement.angle[np.isfinite(measurement.angle).all(axis=1)]
+            if len(angle):
+                self._rate = angle[-1] / self._step
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the last fix with the given mass (kg)."""
@@ -74,3 +86,14 @@ class FixNavigation(Navigation):
         return Estimate(
             time, f.position, f.velocity, f.attitude, self._rate, mass, f.covariance, lost
         )
+
+
+def _tells(fix: NavigationFix) -> bool:
+    """Tell whether a fix can be believed: finite, a rotation, a covariance that is not negative."""
+    shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
+    for name, shape in shapes.items():
+        given = np.shape(getattr(fix, name))
+        if given != shape:
+            raise InputError(f"fix.{name}", given, f"an array {shape}")
+    finite = all(np.isfinite(getattr(fix, name)).all() for name in shapes)
+    return bool(finite and is_rotation(fix.attitude) and (np.diag(fix.covariance) >= 0.0).all())

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
-from lunarsim.messages.measurements import InertialSamples, LidarScan
+from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
@@ -171,11 +171,8 @@ class Navigator(Navigation):
         InputError
             If `time` (s) runs backwards.
         """
-        measurement = self._arrivals.admit(sensor, measurement, time)
+        measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
         if measurement is None:
-            return
-        if isinstance(measurement, InertialSamples):
-            self.propagate(measurement.angle, measurement.velocity)
             return
         if isinstance(measurement, LidarScan):
             measurement = plausible(measurement)

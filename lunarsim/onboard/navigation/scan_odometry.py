@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.error_state import KEY, POSE
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 # No return comes from farther, m.
 _FARTHEST = 20_000.0
+# A mount differs from a rotation by rounding alone.
+_TURNS = 1e-3
 
 
 def key_block() -> dict[str, Array]:
@@ -127,7 +130,21 @@ class ScanOdometry:
 
 
 def plausible(scan: LidarScan) -> LidarScan:
-    """Return a scan without ranges that no LiDAR could give."""
+    """Return a scan without ranges that no LiDAR could give; with none if its mount turns nothing.
+
+    Raises
+    ------
+    InputError
+        If its arrays do not fit each other.
+    """
+    n = np.size(scan.range)
+    for name, shape in (("range", (n,)), ("direction", (n, 3)), ("sigma", (n,)), ("mount", (3, 3))):
+        given = np.shape(getattr(scan, name))
+        if given != shape:
+            raise InputError(f"scan.{name}", given, f"an array {shape}")
+    turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS
+    if not (turns and np.linalg.det(scan.mount) > 0.0):
+        return replace(scan, range=np.full(n, np.nan))
     with np.errstate(invalid="ignore"):
         good = (scan.range > 0.0) & (scan.range < _FARTHEST)
     return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))

@@ -39,7 +39,7 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of
+from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of, one_each
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
@@ -291,10 +291,7 @@ class UnscentedFilter(Navigation):
         InputError
             If `time` (s) runs backwards, or a reading is not of the shape that its sensor gives.
         """
-        given = self._arrivals.admit(sensor, measurement, time)
-        if isinstance(given, InertialSamples):
-            self.propagate(given.angle, given.velocity)
-            return
+        given = self._arrivals.carried(sensor, measurement, time, self.propagate)
         before = self.inertial.position.copy()
         if isinstance(given, AltimeterReading):
             self._judge(sensor, "range", self._range(sensor, given), time)
@@ -305,6 +302,7 @@ class UnscentedFilter(Navigation):
         self._offset -= self.inertial.position - before
 
     def _range(self, sensor: str, reading: AltimeterReading) -> Outcome:
+        one_each(sensor, reading)
         beam = np.asarray(self._beams.get(sensor, (0.0, 0.0, -1.0)))
         down = float(quat_to_matrix(self.inertial.attitude)[2] @ beam)
         r, sigma = reading.range, reading.sigma

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.aids import GROUND, Aids, LevelGround, blocks_of, gate_of
@@ -37,6 +41,19 @@ def test_ground_wanders_with_the_way_flown():
     assert after - before == pytest.approx(0.2**2 * 10.0 * 50.0)
     aids.travel()
     assert state.covariance[state.block(GROUND), state.block(GROUND)][0, 0] == after
+
+
+def test_ground_under_the_start_is_known_by_the_target_and_the_relief_between():
+    start = StartEstimate(
+        np.array([-300.0, 450.0, 200.0]), np.zeros(3), UPRIGHT, 5.0, 0.1, 0.01, ground_sigma=4.0
+    )
+    given = SimpleNamespace(start=start, target=np.array([0.0, 50.0, 7.0]))
+    # 500 m away; heights so far apart differ by the slope times 500^0.76 m.
+    found = LevelGround.of(given, 0.05)
+    assert found.elevation == 7.0
+    assert found.sigma == pytest.approx(np.hypot(4.0, 0.05 * 112.517), rel=1e-4)
+    level = SimpleNamespace(start=replace(start, ground_sigma=0.0), target=given.target)
+    assert LevelGround.of(level, 0.0).sigma == 0.1
 
 
 def test_a_range_is_along_its_own_beam():
@@ -140,6 +157,22 @@ def test_a_bias_that_is_let_go_takes_no_tilt_along():
     assert 0.5 < after[6, 10] / before[6, 10] < 1.001
     assert after[10, 10] == pytest.approx(before[10, 10], rel=1e-3)
     assert np.linalg.eigvalsh(after).min() > -1e-12
+
+
+@pytest.mark.parametrize("kind", ["range", "speed", "attitude"])
+def test_a_reading_that_no_likely_error_explains_is_refused(kind):
+    state, aids, _ = made(relief=0.0)
+    before, given = state.covariance.copy(), np.full(3, np.nan)
+    if kind == "range":
+        aids.take("down", AltimeterReading(0.0, 140.0, 0.1), 0.0)
+    elif kind == "speed":
+        seen = np.array(BEAMS) @ (state.inertial.velocity + [1.0, 0.0, 0.0])
+        aids.take("doppler", DopplerReading(0.0, seen, given, np.full(3, 0.03), given), 0.0)
+    else:
+        seen = quat_from_rotation_vector([0.01, 0.0, 0.0])
+        aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
+    assert [watch.refused for watch in aids.watches.values() if watch.refused] == [1]
+    assert np.array_equal(state.covariance, before)
 
 
 def test_gates_refuse_alike_whatever_the_number_of_beams():

@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.messages.measurements import AltimeterReading, InertialSamples, LidarScan
+from lunarsim.messages.measurements import (
+    AltimeterReading,
+    AttitudeReading,
+    InertialSamples,
+    LidarScan,
+    Picture,
+)
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.scan_odometry import plausible
+from lunarsim.onboard.navigation.unscented import UnscentedFilter
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -49,7 +58,7 @@ def test_old_and_future_measurements_are_left_out_and_told(stamp):
     ((time, name, details),) = told
     assert (time, name, details["sensor"], details["last"]) == (1.1, "out-of-order", "flash", 1.0)
     # Another sensor has an order of its own, and a later measurement is good again.
-    assert arrivals.admit("other", scan(0.9), 1.1) is not None
+    assert arrivals.admit("other", scan(1.08), 1.1) is not None
     assert arrivals.admit("flash", scan(1.1), 1.1) is not None
 
 
@@ -123,3 +132,127 @@ def test_a_lost_packet_costs_certainty_not_way():
     assert gone.inertial.position == pytest.approx(whole.inertial.position, abs=1e-9)
     grown = np.diag(gone.covariance)[3:6] - np.diag(whole.covariance)[3:6]
     assert grown == pytest.approx(np.full(3, 1.0**2 * 1.0), rel=0.05)
+
+
+def test_what_comes_while_samples_fail_corrects_a_state_that_has_moved_on():
+    """Stars seen while the inertial unit is silent: the turn that was flown is no error of it."""
+    turned = [np.array([0.0, 0.0, np.sin(0.005 * k), np.cos(0.005 * k)]) for k in range(21)]
+    spin = np.tile([0.0, 0.0, 0.001], (10, 1))
+
+    def give(k, silent):
+        if not silent:
+            yield "imu", replace(samples(0.1 * k), angle=spin)
+        yield "stars", AttitudeReading(0.1 * k, turned[k], 1e-8 * np.eye(3))
+
+    gone = flown(lambda k: give(k, 5 <= k < 15))
+    whole = flown(lambda k: give(k, silent=False))
+    names = [event.name for event in gone.events]
+    assert names == ["samples-missing"] * 10
+    assert gone.inertial.rate == pytest.approx(whole.inertial.rate, abs=2e-4)
+    assert gone.inertial.position == pytest.approx(whole.inertial.position, abs=0.01)
+    assert gone.watches["stars attitude"].refused == 0
+    assert not gone.estimate(2.0, 1.0).lost
+
+
+def test_samples_that_come_after_what_was_measured_at_their_end_are_told():
+    arrivals, told = made()
+    arrivals.admit("imu", samples(0.1), 0.1)
+    unit, filled = arrivals.overdue(0.2)
+    assert (unit, len(filled.angle), filled.time) == ("imu", 10, 0.2)
+    assert np.isnan(filled.angle).all()
+    assert np.isnan(filled.velocity).all()
+    assert arrivals.overdue(0.2) is None
+    assert arrivals.overdue(np.nan) is None
+    assert arrivals.admit("imu", samples(0.2), 0.2) is None
+    assert len(arrivals.admit("imu", samples(0.3), 0.3).angle) == 10
+    assert [name for _, name, _ in told] == ["samples-missing", "out-of-order"]
+
+
+def test_nothing_is_overdue_before_the_first_samples():
+    arrivals, told = made()
+    assert arrivals.overdue(5.0) is None
+    assert told == []
+
+
+def test_more_samples_than_time_has_passed_for_are_not_flown():
+    arrivals, told = made()
+    arrivals.admit("imu", samples(0.1), 0.1)
+    many = replace(samples(0.2, 30), angle=np.arange(90.0).reshape(30, 3))
+    found = arrivals.admit("imu", many, 0.2)
+    assert np.array_equal(found.angle, np.arange(60.0, 90.0).reshape(10, 3))
+    assert len(found.velocity) == 10
+    assert told == [(0.2, "samples-surplus", {"sensor": "imu", "count": 20})]
+
+
+def test_a_second_unit_is_not_flown_besides():
+    arrivals, told = made()
+    arrivals.admit("imu", samples(0.1), 0.1)
+    assert len(arrivals.admit("imu", samples(0.2), 0.2).angle) == 10
+    assert len(arrivals.admit("spare", samples(0.2), 0.2).angle) == 0
+    assert [name for _, name, _ in told] == ["samples-surplus"]
+
+
+def test_what_was_measured_long_ago_is_not_taken_for_now():
+    arrivals, told = made()
+    arrivals.admit("imu", samples(1.0), 1.0)
+    assert arrivals.admit("down", AltimeterReading(0.96, 90.0, 1.0), 1.0) is None
+    assert told == [(1.0, "stale", {"sensor": "down", "stamp": 0.96})]
+    assert arrivals.admit("down", AltimeterReading(0.98, 90.0, 1.0), 1.0) is not None
+    # A long exposure's middle lies further back.
+    assert arrivals.admit("eye", Picture(0.9, np.zeros((2, 2), np.uint8), None), 1.0) is not None
+
+
+@pytest.mark.parametrize(
+    ("angle", "velocity", "field"),
+    [((10, 2), (10, 2), "angle"), ((10, 3), (10, 2), "velocity"), ((3,), (3,), "angle"),
+     ((9, 3), (10, 3), "samples")],
+)  # fmt: skip
+def test_samples_of_no_good_shape_are_refused_and_count_as_missing(angle, velocity, field):
+    arrivals, told = made()
+    arrivals.admit("imu", samples(0.1), 0.1)
+    with pytest.raises(InputError, match=rf"inertial\.{field}"):
+        arrivals.admit("imu", InertialSamples(0.2, np.zeros(angle), np.zeros(velocity)), 0.2)
+    assert len(arrivals.admit("imu", samples(0.3), 0.3).angle) == 20
+    assert told == [(0.3, "samples-missing", {"sensor": "imu", "count": 10})]
+
+
+@pytest.mark.parametrize("make", [RockFilter.of, UnscentedFilter])
+def test_every_filter_minds_the_order(make):
+    state = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, -10.0]), UPRIGHT, 1.6)
+    navigation = make(state)
+    navigation.take("imu", samples(0.1), 0.1)
+    navigation.take("down", AltimeterReading(0.5, np.nan, np.nan), 0.5)
+    assert state.position[2] == pytest.approx(95.0, abs=0.01)
+    navigation.take("imu", samples(0.5), 0.5)
+    navigation.take("down", AltimeterReading(0.4, 50.0, 0.1), 0.5)
+    assert state.position[2] == pytest.approx(95.0, abs=0.01)
+    names = [event.name for event in navigation.events]
+    assert names == ["samples-missing", "out-of-order", "out-of-order"]
+    with pytest.raises(InputError, match="time"):
+        navigation.take("imu", samples(0.2), 0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("range", np.full(3, 9.0)), ("direction", np.zeros((2, 2))), ("sigma", np.ones(1)),
+     ("mount", np.eye(2))],
+)  # fmt: skip
+def test_scans_whose_arrays_do_not_fit_are_refused(name, value):
+    navigation = flown(lambda k: [("imu", samples(0.1 * k))])
+    with pytest.raises(InputError, match=r"scan\."):
+        navigation.take("flash", replace(scan(2.0), **{name: value}), 2.0)
+
+
+@pytest.mark.parametrize(
+    "mount",
+    [np.zeros((3, 3)), 2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)],
+)
+def test_a_scan_whose_mount_turns_nothing_tells_nothing(mount):
+    given = replace(scan(1.0), mount=mount)
+    assert np.isnan(plausible(given).range).all()
+
+
+def test_a_reading_of_several_ranges_is_refused():
+    navigation = flown(lambda k: [("imu", samples(0.1 * k))])
+    with pytest.raises(InputError, match=r"down.range = \(2,\): one number"):
+        navigation.take("down", AltimeterReading(2.0, np.ones(2), np.ones(2)), 2.0)

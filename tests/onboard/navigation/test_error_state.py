@@ -26,6 +26,11 @@ def made(rng: np.random.Generator, tail: int = 0) -> ErrorState:
     return state
 
 
+def still() -> StrapdownState:
+    """Return a lander at rest at the origin."""
+    return StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, 1.6)
+
+
 @given(st.integers(0, 10_000), st.integers(0, 9), st.integers(1, 4))
 def test_a_measurement_is_that_of_josephs_form(seed, tail, m):
     rng = np.random.default_rng(seed)
@@ -171,3 +176,87 @@ def test_covariances_that_are_none_are_refused(given):
     inertial = StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, 1.6)
     with pytest.raises(InputError, match=r"navigation\.bias"):
         ErrorState(inertial, blocks={"bias": given})
+
+
+def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
+    """Two poses that nearly coincide, compared again and again to a tenth of a millimetre."""
+    rng = np.random.default_rng(3)
+    state = ErrorState(still(), StartSigmas(30.0, 10.0, 0.2), blocks={"key": np.zeros((6, 6))})
+    state.clone("key", POSE)
+    state.propagate(1e-3 * rng.normal(size=(10, 3)), 1e-2 * rng.normal(size=(10, 3)))
+    part = np.concatenate((POSE, np.arange(15, 21)))
+    own = rng.normal(size=(50, 6)) * [1.0, 1.0, 1.0, 100.0, 100.0, 100.0]
+    jacobian = np.hstack((own, -own + 1e-3 * rng.normal(size=(50, 6))))
+    for _ in range(5):
+        found = state.inform(part, 1e8 * jacobian.T @ jacobian, np.zeros(12))
+        assert found.taken
+    sigma = np.sqrt(state.covariance.diagonal())
+    assert np.linalg.eigvalsh(state.covariance / np.outer(sigma, sigma)).min() > -1e-12
+    moved = jacobian @ state.covariance[np.ix_(part, part)] @ jacobian.T
+    assert np.diag(moved).max() < 1e-8
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf])
+def test_information_that_is_no_number_tells_nothing(broken):
+    state = ErrorState(still())
+    before = state.covariance.copy()
+    information, vector = np.eye(6), np.zeros(6)
+    vector[2] = broken
+    assert np.isnan(state.inform(POSE, information, vector).nis)
+    information[1, 1] = broken
+    assert np.isnan(state.inform(POSE, information, np.zeros(6)).nis)
+    assert np.array_equal(state.covariance, before)
+
+
+def test_information_on_a_covariance_that_is_none_is_refused():
+    state = ErrorState(still())
+    state.p[0, 0] = -1.0
+    found = state.inform(POSE, np.eye(6), np.zeros(6))
+    assert (found.nis, found.taken) == (np.inf, False)
+    state.inflate(POSE, 4.0, np.full(6, 10.0))
+    assert np.isfinite(state.covariance).all()
+
+
+def test_information_is_judged_as_the_measurement_of_the_same():
+    rng = np.random.default_rng(8)
+    one, other = made(np.random.default_rng(5)), made(np.random.default_rng(5))
+    jacobian, innovation = rng.normal(size=(6, 6)), 0.3 * rng.normal(size=6)
+    expected = one.measure(jacobian, POSE, innovation, np.full(6, 0.2))
+    found = other.inform(POSE, jacobian.T @ jacobian / 0.2, jacobian.T @ innovation / 0.2)
+    assert (found.nis, found.degrees) == (pytest.approx(expected.nis, rel=1e-6), 6)
+    assert found.white @ found.white == pytest.approx(found.nis)
+
+
+def test_directions_of_which_nothing_is_told_do_not_count():
+    state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
+    # 1e-4 of what is known of the height, and a vector in it of a hundred deviations.
+    information, vector = np.diag([4.0, 4.0, 1e-4, 0.0, 0.0, 0.0]), np.zeros(6)
+    vector[2] = 1.0
+    found = state.inform(POSE, information, vector, chance=1e-3)
+    assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
+
+
+@pytest.mark.parametrize(("deviations", "taken"), [(3.2, True), (3.4, False)])
+def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
+    """One degree of freedom, a chance of one in a thousand: 3.29 deviations."""
+    state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
+    before = state.covariance.copy()
+    # 1 m before and 0.5 m measured: the innovation has 1.25 m^2.
+    innovation = deviations * np.sqrt(1.25)
+    information, vector = np.diag([4.0, 0, 0, 0, 0, 0]), np.array([4.0 * innovation, 0, 0, 0, 0, 0])
+    found = state.inform(POSE, information, vector, chance=1e-3)
+    assert found.nis == pytest.approx(deviations**2, rel=1e-6)
+    assert found.taken == taken
+    assert np.array_equal(state.covariance, before) != taken
+    assert bool(state.inertial.position.any()) == taken
+
+
+def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
+    state = made(np.random.default_rng(6))
+    before = state.covariance.copy()
+    sigma = np.sqrt(before.diagonal())
+    state.let_go(np.array([3, 16]), [2.0 * sigma[3], 0.5 * sigma[16]])
+    change = state.covariance - before
+    assert change[3, 3] == pytest.approx(3.0 * before[3, 3])
+    change[3, 3] = 0.0
+    assert not change.any()

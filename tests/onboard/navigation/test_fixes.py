@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, InertialSamples, NavigationFix
@@ -69,3 +70,40 @@ def test_without_fixes_it_is_lost_until_one_comes():
     assert navigation.estimate(3.1, 1.0).lost
     navigation.take("fix", NavigationFix(3.2, np.ones(3), np.ones(3), TURN, np.eye(9)), 3.2)
     assert not navigation.estimate(3.2, 1.0).lost
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"attitude": np.zeros(4)},
+        {"attitude": 1.5 * TURN},
+        {"covariance": -np.eye(9)},
+        {"time": 0.9},
+        {"time": 7.0},
+        {"time": np.nan},
+    ],
+)
+def test_a_fix_that_cannot_be_believed_changes_nothing(wrong):
+    navigation = FixNavigation(START, 0.01)
+    good = NavigationFix(1.0, np.ones(3), np.ones(3), TURN, np.eye(9))
+    navigation.take("fix", good, 1.0)
+    bad = replace(good, **({"time": 1.1, "position": np.zeros(3)} | wrong))
+    navigation.take("fix", bad, 1.1)
+    assert np.array_equal(navigation.estimate(1.1, 1.0).position, np.ones(3))
+    assert navigation.estimate(3.1, 1.0).lost
+
+
+@pytest.mark.parametrize("part", ["position", "velocity", "attitude", "covariance"])
+def test_a_fix_of_another_shape_is_refused(part):
+    good = NavigationFix(1.0, np.ones(3), np.ones(3), TURN, np.eye(9))
+    with pytest.raises(InputError, match=f"fix.{part}"):
+        FixNavigation(START, 0.01).take("fix", replace(good, **{part: np.ones(2)}), 1.0)
+
+
+def test_samples_that_are_missing_leave_the_rate():
+    navigation = FixNavigation(START, 0.01)
+    angle = np.array([[0.001, 0.0, 0.0], [np.nan, np.nan, np.nan]])
+    navigation.take("imu", InertialSamples(0.1, angle, np.zeros((2, 3))), 0.1)
+    assert navigation.estimate(0.1, 1.0).rate == pytest.approx([0.1, 0.0, 0.0])
+    navigation.take("imu", InertialSamples(0.2, np.zeros((0, 3)), np.zeros((0, 3))), 0.2)
+    assert navigation.estimate(0.2, 1.0).rate == pytest.approx([0.1, 0.0, 0.0])

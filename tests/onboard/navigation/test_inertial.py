@@ -145,3 +145,14 @@ def test_a_turn_takes_scale_factors_and_misalignments_along():
     assert np.diag(noise)[9:12] == pytest.approx(expected, rel=1e-6)
     _, back = state.propagate(-turn, np.zeros((100, 3)))
     assert np.diag(back)[9:12] == pytest.approx(np.zeros(3), abs=1e-15)
+
+
+def test_scale_factor_and_misalignment_are_biases_under_steady_thrust():
+    """3 m/s^2 times each, beside the bias itself."""
+    unit = TriadErrors(bias=3e-3, random_walk=1e-4, bias_walk=0.0, scale_factor=1e-3,
+                       misalignment=2e-3)  # fmt: skip
+    state = StrapdownState(
+        np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.6, accelerometers=unit
+    )
+    expected = 9e-6 + 9.0 * (1e-6 + 4e-6)
+    assert np.diag(state.covariance(StartSigmas()))[6:9] == pytest.approx(np.full(3, expected))

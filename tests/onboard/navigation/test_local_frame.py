@@ -175,3 +175,44 @@ def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
     assert np.abs(jacobian @ p[np.ix_(columns, columns)] @ jacobian.T).max() < 1e-9
     assert 2.0 < np.sqrt(p[0, 0]) < 6.0
     assert frame.covariance_in_site() == pytest.approx(before, rel=1e-9, abs=1e-9)
+
+
+def test_an_estimate_in_the_site_frame_is_turned_whole():
+    state, frame = own()
+    state.correct(_error(state, 0.5))
+    local = state.inertial.estimate(state.covariance, 1.0, 2.0)
+    there = frame.estimate_in_site(local)
+    turn = quat_from_rotation_vector([0.0, 0.0, 0.5])
+    assert there.velocity == pytest.approx(quat_rotate(turn, local.velocity))
+    assert there.position == pytest.approx(frame.to_site(local.position))
+    assert quat_rotate(there.attitude, [0.0, 1.0, 0.0]) == pytest.approx(
+        quat_rotate(turn, quat_rotate(local.attitude, [0.0, 1.0, 0.0]))
+    )
+
+
+def test_velocity_in_the_site_frame_errs_by_its_azimuth():
+    """Azimuth alone errs, by a: velocity in the site frame errs by a times up x velocity."""
+    state, frame = own()
+    state.covariance[:] = 0.0
+    turned = state.block(MAP).start + 3
+    state.covariance[turned, turned] = 0.04**2
+    p = frame.covariance_in_site()
+    across = np.cross([0.0, 0.0, 1.0], VELOCITY)
+    assert p[3:6, 3:6] == pytest.approx(0.04**2 * np.outer(across, across), abs=1e-12)
+    assert not p[0:3, 0:3].any()  # it is where the turn's pivot is
+
+
+def test_what_else_is_kept_hangs_on_the_ground_too():
+    blocks = {"key": np.zeros((6, 6))} | blank_block()
+    state = ErrorState(strapdown(), ERRORS, blocks=blocks)
+    frame = LocalFrame(state)
+    state.clone("key", np.r_[0:3, 9:12])
+    columns, key = np.r_[0:3, 9:12], state.block("key")
+    jacobian = np.hstack((np.eye(3), 100.0 * np.eye(3)))
+    frame.hang(jacobian, columns, [slice(key.start, key.start + 3)])
+    # The pose kept is that of now: they err as one before and after.
+    p = state.covariance
+    same = np.zeros((3, state.size))
+    same[:, :3], same[:, key.start : key.start + 3] = np.eye(3), -np.eye(3)
+    assert np.abs(same @ p @ same.T).max() < 1e-12
+    assert p[key.start, key.start] > 0.1

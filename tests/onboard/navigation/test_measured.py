@@ -105,6 +105,22 @@ def test_what_readings_share_is_not_averaged_away():
     assert sigma == pytest.approx(1e-3 * 4.0 / np.hypot(1.0, 4.0), rel=0.01)
 
 
+def test_a_mount_that_has_been_found_is_expected():
+    """An attitude known to 0.1 mrad tells how a tracker known to 10 is mounted: 5 mrad off."""
+    sure = StartSigmas(2.0, 0.2, 1e-4)
+    state = ErrorState(
+        StrapdownState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.6), sure,
+        blocks={"stars": 1e-4 * np.eye(3)},
+    )  # fmt: skip
+    mounted = np.array([5e-3, -3e-3, 4e-3])
+    for _ in range(10):
+        found = take_attitude(
+            state, quat_from_rotation_vector(mounted), 1e-10 * np.eye(3), block="stars"
+        )
+    assert state.value("stars") == pytest.approx(mounted, rel=1e-3)
+    assert found.nis < 1e-6
+
+
 def test_beams_tell_the_velocity_and_not_the_place():
     t = Truth(4)
     p = np.diag(t.state.covariance).copy()
