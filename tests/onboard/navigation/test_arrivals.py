@@ -18,7 +18,6 @@ from lunarsim.messages.measurements import (
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.scan_odometry import plausible
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
 
@@ -216,7 +215,14 @@ def test_samples_of_no_good_shape_are_refused_and_count_as_missing(angle, veloci
     assert told == [(0.3, "samples-missing", {"sensor": "imu", "count": 10})]
 
 
-@pytest.mark.parametrize("make", [RockFilter.of, UnscentedFilter])
+SIGMAS = StartSigmas(2.0, 0.1, 2e-3)
+
+
+def with_rocks(state):
+    return Navigator(state, SIGMAS, rocks=True)
+
+
+@pytest.mark.parametrize("make", [with_rocks, UnscentedFilter])
 def test_every_filter_minds_the_order(make):
     state = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, -10.0]), UPRIGHT, 1.6)
     navigation = make(state)
