@@ -24,7 +24,7 @@ from lunarsim.onboard.navigation.kinds import RockNavigation
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
-from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class ShadowMapping:
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
-        model = ShadowModel(elevation, briefing.rocks.model())
+        model = ShapeMixture(elevation, briefing.rocks.shape)
         west, east, south, north = grid.extent
         settings = TrackerSettings(
             least_radius=0.42 * self.hazard_diameter,
@@ -158,6 +158,8 @@ class ShadowMapper(HazardMapper):
             picture.counts, picture.camera, pose, self.sun,
             ground=self._plane(picture.camera), model=self.tracker.model, settings=self.detector,
         )  # fmt: skip
+        if isinstance(self.tracker.model, ShapeMixture):
+            self.tracker.model.learn(self.seen.shapes, self.seen.q)
         view = picture.camera.view(pose)
         self._check_sun(picture, view)
         self.tracker.update(self.seen, picture.camera, self.sun, picture.time)
@@ -166,7 +168,9 @@ class ShadowMapper(HazardMapper):
             self._renewals = self.tracker.renewals
             self.probability.forget()
         self.probability.ground = self._plane(picture.camera)
-        self.probability.see(picture.camera, view, self.sun, self.seen)
+        self.probability.see(
+            picture.camera, view, self.sun, self.seen, self.tracker.filter.ground_at
+        )
 
     def _plane(self, camera: CameraModel) -> float:
         """Return the height of the ground in the middle of the image, as the rocks tell it, m."""

@@ -19,6 +19,7 @@ from lunarsim.onboard.navigation.rock_sight import Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -155,7 +156,7 @@ class RockTracker:
     def __init__(
         self,
         rocks: RockFilter,
-        model: ShadowModel,
+        model: ShadowModel | ShapeMixture,
         rates: DetectionRates | None = None,
         settings: TrackerSettings | None = None,
     ) -> None:
