@@ -1,12 +1,14 @@
 """How often shadows are missed or made up: FN(q) and FP(q) of the shadow detector, measured.
 
-Rendered fields of cubes or other rocks are seen from random places. A rock whose patch should
+Rendered fields of rocks of all shapes, or of one, are seen from random places. A rock whose patch should
 have q pixels (root of the area) is found if a detection lies on it with a radius within a factor
 of two; it is merged if its patch runs into another's, and missed otherwise. A detection with no
 rock under it is false. Lines are fitted to the rates (shadow EKF
 paper, III.C).
 
-python scenarios/shadows/rates.py --images 60 --out out/rates
+The defaults of `DetectionRates` are the lines of
+
+python scenarios/shadows/rates.py
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
 from lunarsim.sensors.camera import Camera
@@ -42,6 +44,9 @@ from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
 FIELD = 160.0
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
+ALL = "all"
+# Pictures taken of one field.
+LOOKS = 8
 
 
 def make_world(shape: str, elevation: float, rng: np.random.Generator) -> World:
@@ -58,7 +63,7 @@ def model_of(shape: str) -> RockModel:
     return RockModel(shape, burial=(0.0, 0.0))  # type: ignore[arg-type]
 
 
-def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str, Any]:
+def look(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
     """Take one picture from a random place; return q and fate of rocks and detections."""
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
@@ -68,6 +73,7 @@ def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str
     camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
     photo = camera.expose(world, state, 0.0, rng)
     seen = detect_rocks(photo.counts, camera, state, world.light.direction, model=model)
+    model.learn(seen.shapes, seen.q)
     rocks = world.terrain.rocks
     xy = np.column_stack((rocks.x, rocks.y))
     away = position[:2] - xy
@@ -156,9 +162,13 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
 
 
 @click.command()
-@click.option("--images", type=click.IntRange(min=4), default=40, show_default=True)
+@click.option("--images", type=click.IntRange(min=4), default=80, show_default=True)
 @click.option(
-    "--shape", type=click.Choice(SHAPES), default="cube", show_default=True, help="Of the rocks."
+    "--shape",
+    type=click.Choice((ALL, *SHAPES)),
+    default=ALL,
+    show_default=True,
+    help="Of the rocks; all: field by field another.",
 )
 @click.option("--sun-elevation", default=20.0, show_default=True, help="deg")
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
@@ -168,12 +178,12 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
     """Measure the rates and fit the lines."""
     console = Console(width=110)
     elevation = np.radians(sun_elevation)
-    model = ShadowModel(elevation, model_of(shape))
     looks = []
     for k in track(range(images), description="images"):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        if k % 8 == 0:
-            world = make_world(shape, elevation, rng)
+        if k % LOOKS == 0:
+            own = SHAPES[k // LOOKS % len(SHAPES)] if shape == ALL else shape
+            world, model = make_world(own, elevation, rng), ShapeMixture(elevation)
         looks.append(look(world, model, rng))
     q, lost, run, seen_q, false = (
         np.concatenate([one[name] for one in looks])

@@ -34,8 +34,11 @@ SHAPES = (
 SLOPES = np.array([0.0, 0.06, 0.15])
 # The start counts as much as so many patches.
 _START = 30.0
+# What earlier pictures said, read under shares that were less well known, counts by this factor
+# less with each picture.
+_KEPT = 0.8
 # No share falls below this: what has not been seen yet may come.
-_LEAST_SHARE = 0.005
+_LEAST_SHARE = 0.01
 # Patches of fewer pixels across say nothing of shapes.
 _LEAST_Q = 4.0
 _LEAST_LENGTH = 0.05
@@ -96,20 +99,22 @@ class ShapeMixture:
         if told is not None:
             share[cubes == (told == "cube")] = 2.0
         start = np.repeat(share / share.sum(), len(SLOPES)) / len(SLOPES)
-        self._count = _START * start
+        self._start = _START * start
+        self._count = np.zeros_like(self._start)
 
     @classmethod
     def known(cls, model: ShadowModel) -> ShapeMixture:
         """Return the mixture of one shape on level ground."""
         one = cls.__new__(cls)
         one.elevation, one.models = model.elevation, (model,)
-        one.slopes, one._count = np.zeros(1), np.ones(1)
+        one.slopes, one._start, one._count = np.zeros(1), np.ones(1), np.zeros(1)
         return one
 
     @property
     def shares(self) -> Array:
         """Of the hypotheses in the population (shapes * slopes,), slopes varying fastest."""
-        share = np.maximum(self._count / self._count.sum(), _LEAST_SHARE)
+        count = self._start + self._count
+        share = np.maximum(count / count.sum(), _LEAST_SHARE)
         return np.asarray(share / share.sum())
 
     @property
@@ -210,7 +215,7 @@ class ShapeMixture:
 
     def learn(self, weight: Array, q: Array) -> None:
         """Take in what patches (n, hypotheses) of q pixels (n,) say of the population."""
-        self._count += weight[q >= _LEAST_Q].sum(0)
+        self._count = _KEPT * self._count + weight[q >= _LEAST_Q].sum(0)
 
 
 def _agreed(

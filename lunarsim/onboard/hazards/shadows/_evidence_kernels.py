@@ -1,4 +1,4 @@
-"""Compiled part of the evidence for clear ground: would a rock here show as a shadow there?"""
+"""Compiled part of the evidence for clear ground: whether a shadow would fall on lit ground."""
 
 from __future__ import annotations
 
@@ -21,29 +21,35 @@ def _between(coarse, i, j, u, v, k):
 def _dark_points(
     coarse, i, j, u, v, east, north, up, radius, axes, fx, fy, cx, cy, labels, largest
 ):  # fmt: skip
-    """Return how many points of a shadow's core are dark enough, -1 if one is out of view."""
+    """Return how many points of a shadow's core are dark, and how many of these are explained.
+
+    -1 if one is out of view. Dark is what may be the shadow of so large a rock.
+    """
     high, wide = labels.shape
-    dark = 0
+    dark = explained = 0
     for k in range(POINTS, coarse.shape[2], 2):
         e = east + radius * _between(coarse, i, j, u, v, k)
         n = north + radius * _between(coarse, i, j, u, v, k + 1)
         z = axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * up
         if z <= 0.0:
-            return -1
+            return -1, 0
         x = axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * up
         y = axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * up
         px, py = to_pixel(x, y, z, fx, fy, cx, cy)
         if not (px >= 0.0 and py >= 0.0 and px <= wide - 1 and py <= high - 1):
-            return -1
-        if largest[labels[int(py + 0.5), int(px + 0.5)]] >= radius:
+            return -1, 0
+        of = largest[labels[int(py + 0.5), int(px + 0.5)]]
+        if abs(of) >= radius:
             dark += 1
-    return dark
+            if of < 0.0:
+                explained += 1
+    return dark, explained
 
 
 @kernel(parallel=True)
 def look(
-    lit, dark, x0, y0, posting, radii, coarse, every, position, axes, fx, fy, cx, cy, labels,
-    largest, least, gain,
+    lit, dark, explained, x0, y0, posting, radii, coarse, every, position, axes, fx, fy, cx, cy,
+    labels, largest, least, gain,
 ):  # fmt: skip
     """Note for every place and size of rock whether its shadow would fall on lit ground.
 
@@ -52,6 +58,8 @@ def look(
     lit, dark
         Sharpness of the sharpest look in which it would fall on lit ground, or on dark
         (sizes, rows, cols); raised.
+    explained
+        Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
     x0, y0, posting
         Of the places, m.
     radii
@@ -64,7 +72,8 @@ def look(
     labels
         Dark patch of each pixel (height, width), 0 where the image is lit.
     largest
-        Radius of the largest rock that each patch may be the shadow of, m.
+        Radius of the largest rock that each patch may be the shadow of, m; negative if it is that
+        of a rock that is tracked.
     least
         Points that must be dark for a rock to be possible.
     gain
@@ -86,11 +95,12 @@ def look(
             for s in range(sizes):
                 if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
                     continue
-                count = _dark_points(
+                count, known = _dark_points(
                     coarse, vi, uj, u, v, east, north, up, radii[s], axes, fx, fy, cx, cy, labels,
                     largest,
                 )  # fmt: skip
                 if count >= least:
                     dark[s, i, j] = sharpness
+                    explained[s, i, j] = 2 * known > count
                 elif count >= 0:
                     lit[s, i, j] = sharpness

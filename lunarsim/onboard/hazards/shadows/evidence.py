@@ -64,6 +64,14 @@ class ClearEvidence:
         Of rocks of these sizes that are expected on a square metre (n,).
     rates
         How often a shadow on lit ground is missed.
+
+    Attributes
+    ----------
+    lit, dark
+        Sharpness, pixels of q for a metre of radius, of the sharpest look in which the shadow of a
+        rock would fall on lit ground, and on dark (sizes, rows, cols); 0: none.
+    explained
+        Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
     """
 
     def __init__(
@@ -82,19 +90,29 @@ class ClearEvidence:
         self._number = number
         # One test for sizes within a factor.
         step = np.log(diameters / diameters[0]) / np.log(_STEP)
-        self._class = np.minimum(step.astype(int), 4)
+        self._class = np.unique(np.minimum(step.astype(int), 4), return_inverse=True)[1]
         classes = int(self._class.max()) + 1
         self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
-        self._lit = np.zeros((classes, *grid.shape), np.float32)
-        self._dark = np.zeros_like(self._lit)
+        self.lit = np.zeros((classes, *grid.shape), np.float32)
+        self.dark = np.zeros_like(self.lit)
+        self.explained = np.zeros(self.lit.shape, np.bool_)
 
     def forget(self) -> None:
         """Take back all that was seen."""
-        self._lit[:] = 0.0
-        self._dark[:] = 0.0
+        self.lit[:] = 0.0
+        self.dark[:] = 0.0
 
-    def see(self, view: View, sun: Array, seen: Detections, heights: Heights) -> None:
+    def see(
+        self,
+        view: View,
+        sun: Array,
+        seen: Detections,
+        heights: Heights,
+        explained: NDArray[np.bool_] | None = None,
+    ) -> None:
         """Take in a picture.
+
+        One that shows no shadow of any rock has not shown that it can: it says nothing.
 
         Parameters
         ----------
@@ -106,7 +124,11 @@ class ClearEvidence:
             Its dark patches, and what rocks they may be the shadows of.
         heights
             Gives the elevation (n,) of the ground at points (n, 2), m.
+        explained
+            Which of its rocks are tracked (rocks,); left out: none.
         """
+        if len(seen) == 0:
+            return
         g = self.grid
         every = max(1, round(_COARSE / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
@@ -120,11 +142,18 @@ class ClearEvidence:
         pixel = np.hypot(level, away[..., 2]) / np.sqrt(view.fx * view.fy)
         sharpness = self.model.visible_pixels(1.0, azimuth, depression, pixel)
         sharpness = np.where(away[..., 2] > 0.0, sharpness, 0.0)
+        largest = seen.largest
+        if explained is not None:
+            # What holds several shadows is not explained by one rock.
+            label = seen.label[explained]
+            label = label[np.isfinite(largest[label])]
+            largest = largest.copy()
+            largest[label] *= -1.0
         coarse = np.dstack((sharpness, height, *self._core(azimuth, depression, sun)))
         kernels.look(
-            self._lit, self._dark, g.x0, g.y0, g.posting, self._tested, coarse, every,
+            self.lit, self.dark, self.explained, g.x0, g.y0, g.posting, self._tested, coarse, every,
             view.position, view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels,
-            seen.largest, _DARK, _SHARPER,
+            largest, _DARK, _SHARPER,
         )  # fmt: skip
 
     def _core(self, azimuth: Array, depression: Array, sun: Array) -> list[Array]:
@@ -139,21 +168,25 @@ class ClearEvidence:
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""
-        lit, dark = self._lit[test], self._dark[test]
+        lit, dark = self.lit[test], self.dark[test]
         return np.asarray((dark > 0.0) & (lit < _SURER * dark))
 
     def _density(self, test: int) -> NDArray[np.float32]:
         """Return rocks a square metre that may be there and are not tracked (rows, cols)."""
         mine = self._class == test
         radius, number = self._radius[mine], self._number[mine]
-        lit, possible = self._lit[test], self._possible(test)
+        lit, possible = self.lit[test], self._possible(test)
         table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
         missed = self.rates.false_negative(radius[:, None] * table)
         density = np.interp(lit, table, number @ missed).astype(np.float32)
-        # All rocks of the size are where one is possible.
-        share = possible.sum() / max(int(((lit > 0.0) | possible).sum()), 1)
+        # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
+        # that is tracked may hide another, no more probably than any ground.
+        hidden = possible & self.explained[test]
+        crowded = possible & ~hidden
+        share = crowded.sum() / max(int(((lit > 0.0) | possible).sum()), 1)
         least = _CROWD * float((number * np.pi * radius**2).sum())
-        density[possible] = number.sum() / max(share, least)
+        density[hidden] = number.sum()
+        density[crowded] = number.sum() / max(share, least)
         return density
 
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
@@ -181,7 +214,7 @@ class ClearEvidence:
 
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
-        missed = self.rates.false_negative(self._radius[0] * self._lit[0])
+        missed = self.rates.false_negative(self._radius[0] * self.lit[0])
         return np.asarray((missed < 0.5) & ~self._possible(0))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,10 @@ from lunarsim.onboard.navigation.kinds import RockNavigation
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
+from lunarsim.rocks.population import RockExpectation
 
 Array = NDArray[np.float64]
 
@@ -52,6 +54,11 @@ class ShadowMapping:
         Least diameter of a hazard, m.
     interval
         Between two evaluations of the map, s.
+    shapes
+        Of the rocks by which shadows are read: inferred from them, as the mission expects them, or
+        the paper's half spheres.
+    form
+        Of the probability that a tracked rock covers a place, see `cover_probability`.
     """
 
     sensor: str = quantity("camera", help="whose pictures it maps")
@@ -59,6 +66,12 @@ class ShadowMapping:
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
     interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
+    shapes: Literal["inferred", "told", "hemisphere"] = quantity(
+        "inferred", help="rocks by which shadows are read; the paper's are half spheres"
+    )
+    form: Literal["rice", "gaussian"] = quantity(
+        "rice", help="of the probability that a rock covers a place; the paper's is gaussian"
+    )
 
     takes: ClassVar[type] = Picture
     navigation: ClassVar[type | None] = RockNavigation
@@ -76,7 +89,7 @@ class ShadowMapping:
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
-        model = ShapeMixture(elevation, briefing.rocks.shape)
+        model = self._model(elevation, briefing.rocks)
         west, east, south, north = grid.extent
         settings = TrackerSettings(
             least_radius=0.42 * self.hazard_diameter,
@@ -84,9 +97,15 @@ class ShadowMapping:
         )
         tracker = RockTracker(navigation, model, settings=settings)
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
-        probability = ProbabilityMap(grid, model, prior, ground=navigation.ground)
+        probability = ProbabilityMap(grid, model, prior, ground=navigation.ground, form=self.form)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
         return ShadowMapper(tracker, probability, briefing.sun, reach, interval=self.interval)
+
+    def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
+        """Return what shadows are read by, the Sun at an elevation, rad."""
+        if self.shapes == "inferred":
+            return ShapeMixture(elevation, rocks.shape)
+        return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
 
 
 class ShadowMapper(HazardMapper):
@@ -169,8 +188,9 @@ class ShadowMapper(HazardMapper):
             self.probability.forget()
         self.probability.ground = self._plane(picture.camera)
         self.probability.see(
-            picture.camera, view, self.sun, self.seen, self.tracker.filter.ground_at
-        )
+            picture.camera, view, self.sun, self.seen, self.tracker.filter.ground_at,
+            self.tracker.explained,
+        )  # fmt: skip
 
     def _plane(self, camera: CameraModel) -> float:
         """Return the height of the ground in the middle of the image, as the rocks tell it, m."""

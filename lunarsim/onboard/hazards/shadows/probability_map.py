@@ -124,13 +124,15 @@ class ProbabilityMap:
         sun: Array,
         seen: Detections,
         heights: Heights | None = None,
+        explained: NDArray[np.bool_] | None = None,
     ) -> None:
         """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
-        `heights` gives the elevation of the ground; left out: `ground` everywhere.
+        `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
+        tells which of the rocks seen are tracked.
         """
         level = heights or (lambda xy: np.full(len(xy), self.ground))
-        self.evidence.see(view, sun, seen, level)
+        self.evidence.see(view, sun, seen, level, explained)
 
     def _residual(self, footprint: float) -> Array:
         """Return the probability that a rock not tracked is there (rows, cols).

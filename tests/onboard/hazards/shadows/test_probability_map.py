@@ -65,34 +65,6 @@ def test_paint_equals_a_plain_loop():
     assert clear[::3, ::3] == pytest.approx(expected[::3, ::3], abs=1e-12)
 
 
-def test_marks_what_the_camera_sees_as_a_plain_loop_does():
-    rng = np.random.default_rng(5)
-    coarse = rng.random((6, 8))
-    before = 0.5 * rng.random((18, 27))
-    position, drop = np.array([3.0, -4.0, 20.0]), -20.0
-    forward = np.array([0.1, 0.25, -1.0]) / np.linalg.norm([0.1, 0.25, -1.0])
-    right = np.cross(forward, [0.0, 1.0, 0.0])
-    right /= np.linalg.norm(right)
-    axes = np.column_stack((right, np.cross(forward, right), forward))
-    labels = (rng.random((30, 40)) < 0.2).astype(np.int32)
-    after = before.copy()
-    kernels.mark_seen(
-        after, -6.0, -7.0, 0.7, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0, drop, labels
-    )
-    marked = 0
-    for i, j in product(range(18), range(27)):
-        ray = np.array([-6.0 + 0.7 * j, -7.0 + 0.7 * i, 0.0]) - [3.0, -4.0, 20.0]
-        x, y, z = axes.T @ ray
-        u, v = 70.0 * x / z + 19.0, 60.0 * y / z + 15.0
-        expected = before[i, j]
-        if 0.0 <= u <= 39.0 and 0.0 <= v <= 29.0 and labels[round(v), round(u)] == 0:
-            line = [np.interp(j / 4, np.arange(8), row) for row in coarse]
-            expected = max(expected, np.interp(i / 4, np.arange(6), line))
-            marked += 1
-        assert after[i, j] == pytest.approx(expected, abs=1e-12)
-    assert 50 < marked < 400
-
-
 def test_map_is_a_probability_and_knows_the_rocks():
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
     path = [(-20.0 + 2.0 * k, 10.0, 80.0 - 3.0 * k) for k in range(12)]
