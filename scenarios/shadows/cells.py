@@ -1,9 +1,9 @@
 """The cells of the shadow map's matrix: one factor at a time, and all of them at once.
 
-One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20 deg
-high behind the camera, level ground). Beside the lines stands an orthogonal array of 25 runs with
-six factors of five levels: in every two factors each pair of levels comes up once, so that a cell
-may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
+One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20
+deg high behind the camera, level ground). Beside the lines stands an orthogonal array of 25 runs
+with six factors of five levels: in every two factors each pair of levels comes up once, so that a
+cell may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
 (Bose 1938).
 """
 

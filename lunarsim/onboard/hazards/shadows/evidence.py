@@ -63,7 +63,7 @@ class ClearEvidence:
     number
         Of rocks of these sizes that are expected on a square metre (n,).
     rates
-        How often a shadow on lit ground is missed.
+        How often the place of a rock is given as free of it.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class ClearEvidence:
         self._number = number
         # One test for sizes within a factor.
         step = np.log(diameters / diameters[0]) / np.log(_STEP)
-        self._class = np.unique(np.minimum(step.astype(int), 4), return_inverse=True)[1]
+        self._class = np.unique(np.minimum((step + 1e-9).astype(int), 4), return_inverse=True)[1]
         classes = int(self._class.max()) + 1
         self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
         self.lit = np.zeros((classes, *grid.shape), np.float32)
@@ -177,7 +177,7 @@ class ClearEvidence:
         radius, number = self._radius[mine], self._number[mine]
         lit, possible = self.lit[test], self._possible(test)
         table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
-        missed = self.rates.false_negative(radius[:, None] * table)
+        missed = self.rates.false_clear(radius[:, None] * table)
         density = np.interp(lit, table, number @ missed).astype(np.float32)
         # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
         # that is tracked may hide another, no more probably than any ground.
@@ -214,7 +214,7 @@ class ClearEvidence:
 
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
-        missed = self.rates.false_negative(self._radius[0] * self.lit[0])
+        missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < 0.5) & ~self._possible(0))
 
 

@@ -88,7 +88,7 @@ def test_unseen_rocks_are_integrated_over_the_disc():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     # The western half was seen so sharply that only the least rate of misses is left.
     evidence.lit[:, :, : GRID.cols // 2] = 1e3
-    least = DetectionRates().missed[2]
+    least = DetectionRates().cleared[2]
     for footprint in (0.0, 1.5):
         whole = float(NUMBER @ (np.pi * (footprint + 0.5 * DIAMETERS) ** 2))
         expected = evidence.expected(footprint)
@@ -101,7 +101,9 @@ def test_unseen_rocks_are_integrated_over_the_disc():
 
 def test_rocks_that_must_be_somewhere_are_where_they_may_be():
     """Over ground of which only a part may hide a rock the expected number is still the law's."""
-    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates((1.0, -9.0, 1e-9)))
+    evidence = ClearEvidence(
+        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(cleared=(1.0, -9.0, 1e-9))
+    )
     evidence.lit[:] = 1e3
     evidence.dark[:, 40:50, 70:90] = 1e3
     per_metre = evidence.expected() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)

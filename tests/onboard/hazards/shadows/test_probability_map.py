@@ -33,7 +33,7 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     assert start == pytest.approx(float(golombek_cover(0.4, 0.07)), rel=1e-5)
     assert not mapping.observed.any()
     # A rate that is 1 below a resolution and 0 above is Eq. 14.
-    step = DetectionRates((1001.0, -500.0, 1e-9))
+    step = DetectionRates(cleared=(1001.0, -500.0, 1e-9))
     sharp = ProbabilityMap(GRID, MODEL, prior, step)
     state, camera, counts = picture(rocks_on_a_plane("hemisphere", count=1), (0.0, 0.0, 150.0))
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
