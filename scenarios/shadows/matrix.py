@@ -19,6 +19,7 @@ from typing import Any
 import click
 import numpy as np
 from cells import CELLS, Cell
+from nominal_vs_modified import METHODS
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
@@ -43,6 +44,8 @@ class Task:
     cell: Cell
     field: int
     seed: int
+    path: str = "modified"
+    method: str = "own"
 
     @property
     def key(self) -> str:
@@ -52,7 +55,8 @@ class Task:
 
 def fly(task: Task) -> dict[str, Any]:
     """Fly once; return what the map said at 50 m and what lay under the lander, as JSON has it."""
-    simulation = Simulation(task.cell.scenario(), flight_seed(task.seed, task.field))
+    scenario = task.cell.scenario(task.path).changed(mappers={"rocks": METHODS[task.method]})
+    simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     while not simulation.done and simulation.altitude > ALTITUDE:
         simulation.step()
     out = {"cell": asdict(task.cell), **judge(simulation)}
@@ -129,19 +133,19 @@ class Results:
     ----------
     path
         Of the file; None: nothing is kept.
-    seed
-        Root seed; a file of another one is refused.
+    settings
+        Seed, path and method of its flights; a file of others is refused.
     """
 
-    def __init__(self, path: Path | None, seed: int) -> None:
+    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
         self._path = path
-        self._seed = seed
+        self._settings = settings
         self.flights: dict[str, dict[str, Any]] = {}
         if path is not None and path.exists():
             data = json.loads(path.read_text(encoding="utf-8"))
-            if data.get("seed") != seed:
+            if data.get("settings") != settings:
                 raise click.BadParameter(
-                    f"{path} holds flights of seed {data.get('seed')}, not {seed}",
+                    f"{path} holds flights of {data.get('settings')}, not of {settings}",
                     param_hint="--json",
                 )
             self.flights = data["flights"]
@@ -157,7 +161,7 @@ class Results:
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             part = self._path.with_suffix(".part")
-            data = {"seed": self._seed, "flights": self.flights}
+            data = {"settings": self._settings, "flights": self.flights}
             part.write_text(json.dumps(data, indent=1), encoding="utf-8")
             part.replace(self._path)
 
@@ -196,18 +200,22 @@ def meets(cell: Cell, figures: dict[str, float]) -> str:
     return ", ".join(misses)
 
 
-def show(cells: list[Cell], results: Results, fields: int, seed: int, console: Console) -> None:
+def show(tasks: list[Task], results: Results, console: Console) -> None:
     """Print a row a cell, and what they make together."""
-    table = Table(title=f"Shadow maps at {ALTITUDE:.0f} m, seed {seed}")
+    first = tasks[0]
+    table = Table(
+        title=f"Shadow maps at {ALTITUDE:.0f} m: {first.path} path, {first.method} method, seed"
+        f" {first.seed}"
+    )
     headings = ("cell", "recall", "false, area", "blind", "hazards", "clear", "occupied right",
                 "unknown", "calibration", "landed on one", "misses")  # fmt: skip
     for heading in headings:
         table.add_column(heading, justify="left" if heading in {"cell", "misses"} else "right")
     landed = on_hazard = missing = shown = 0
     blind = []
-    for cell in cells:
-        tasks = [Task(cell, k, seed) for k in range(fields)]
-        flights = [results.flights[t.key] for t in tasks if results.has(t)]
+    for cell in dict.fromkeys(t.cell for t in tasks):
+        mine = [t for t in tasks if t.cell == cell]
+        flights = [results.flights[t.key] for t in mine if results.has(t)]
         if not flights:
             continue
         f = pooled(flights)
@@ -241,11 +249,23 @@ def show(cells: list[Cell], results: Results, fields: int, seed: int, console: C
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
               help="Fields of rocks a cell.")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--path", "way", type=click.Choice(("nominal", "modified")), default="modified",
+              show_default=True, help="Path flown.")  # fmt: skip
+@click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
+              help="Shapes inferred, as told, or the paper's half spheres and form.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="File that keeps all flights, and that a later run goes on from.")  # fmt: skip
-def main(patterns: str, fields: int, seed: int, jobs: int, json_file: Path | None) -> None:
+def main(
+    patterns: str,
+    fields: int,
+    seed: int,
+    way: str,
+    method: str,
+    jobs: int,
+    json_file: Path | None,
+) -> None:
     """Fly the cells and print how good their maps are."""
     console = Console(width=150)
     wanted = [p.strip() for p in patterns.split(",")]
@@ -254,10 +274,10 @@ def main(patterns: str, fields: int, seed: int, jobs: int, json_file: Path | Non
         raise click.BadParameter(
             f"{patterns!r} names none of: {', '.join(c.name for c in CELLS)}", param_hint="--cells"
         )
-    results = Results(json_file, seed)
+    results = Results(json_file, {"seed": seed, "path": way, "method": method})
     # Field by field: an interrupt leaves something of every cell.
-    tasks = [Task(cell, k, seed) for k in range(fields) for cell in cells]
-    tasks = [t for t in tasks if not results.has(t)]
+    everything = [Task(cell, k, seed, way, method) for k in range(fields) for cell in cells]
+    tasks = [t for t in everything if not results.has(t)]
     with Progress(console=console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
@@ -266,7 +286,7 @@ def main(patterns: str, fields: int, seed: int, jobs: int, json_file: Path | Non
                 progress.advance(bar)
         except KeyboardInterrupt:
             console.print("interrupted; what is done is kept")
-    show(cells, results, fields, seed, console)
+    show(everything, results, console)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 class DetectionRates:
     """Rates linear in q, the root of the number of dark pixels, cut at both ends.
 
-    The defaults are the lines that `python scenarios/shadows/rates.py` prints: rocks of all shapes on
-    level ground, 5 % cover, the Sun 20 deg high. A test repeats it.
+    The defaults are the lines that `python scenarios/shadows/rates.py` prints: rocks of all shapes
+    on level ground, 5 % cover, the Sun 20 deg high. A test repeats it.
 
     The paper takes q along the shadow (III.C); the root of the area equals it for a square patch
     and also tells what is left of a shadow that its rock hides.

@@ -210,7 +210,7 @@ class ShapeMixture:
         radius = (weight * r).sum(-1)
         variance = (weight * (v + (r - radius[:, None]) ** 2)).sum(-1)
         largest = np.where(weight > _IMPROBABLE, r + _LARGEST * np.sqrt(v), 0.0).max(-1)
-        of_shape = weight.reshape(len(length), len(units), -1).sum(-1)
+        of_shape = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
         return Reading(radius, np.sqrt(variance), largest, _mixed(units, of_shape), weight)
 
     def learn(self, weight: Array, q: Array) -> None:

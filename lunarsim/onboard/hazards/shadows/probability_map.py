@@ -22,7 +22,7 @@ from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.rocks.laws import golombek_cover, golombek_exponent, golombek_number
+from lunarsim.rocks.laws import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]
 
@@ -105,10 +105,10 @@ class ProbabilityMap:
         )  # fmt: skip
         self._every = every
         edges = np.geomspace(self.prior.least_diameter, self.prior.largest_diameter, _SIZES + 1)
-        number = golombek_number(edges, self.prior.cover)
+        sizes = np.sqrt(edges[1:] * edges[:-1])
+        cover = golombek_cover(edges, self.prior.cover)
         self.evidence = ClearEvidence(
-            blocks, model, np.sqrt(edges[1:] * edges[:-1]), number[:-1] - number[1:],
-            self.rates,
+            blocks, model, sizes, (cover[:-1] - cover[1:]) / (0.25 * np.pi * sizes**2), self.rates,
         )  # fmt: skip
 
     # --- what has been seen ---------------------------------------------------------------
@@ -141,7 +141,9 @@ class ProbabilityMap:
         they are missed, which is 1 below the resolution. For a footprint of a given radius (m)
         those count whose outline reaches into it.
         """
-        return -np.expm1(-self._fine(self.evidence.expected(footprint)).astype(np.float64))
+        expected = self._fine(self.evidence.expected(footprint)).astype(np.float64)
+        # Rocks do not lie one on the other, but several may reach into a footprint.
+        return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
     def _fine(self, blocks: NDArray[Any]) -> NDArray[Any]:
         """Return the map's cells (rows, cols) from blocks of them."""
