@@ -178,7 +178,7 @@ class ClearEvidence:
         lit, possible = self.lit[test], self._possible(test)
         table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
         missed = self.rates.false_clear(radius[:, None] * table)
-        density = np.interp(lit, table, number @ missed).astype(np.float32)
+        density: NDArray[np.float32] = np.interp(lit, table, number @ missed).astype(np.float32)
         # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
         # that is tracked may hide another, no more probably than any ground.
         hidden = possible & self.explained[test]
