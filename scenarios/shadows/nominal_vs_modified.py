@@ -32,6 +32,12 @@ from lunarsim.simulation import Simulation
 SCENARIOS = Path(__file__).parents[1]
 PATHS = ("nominal", "modified")
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
+# How pictures become maps: what a mapper of kind "shadow" is set to.
+METHODS: dict[str, dict[str, str]] = {
+    "own": {},
+    "told": {"shapes": "told"},
+    "paper": {"shapes": "hemisphere", "form": "gaussian"},
+}
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
 # Paper, Tables 1 and 2 and section V; rates at 50 m.
 PAPER = {
@@ -57,6 +63,7 @@ class Task:
     field: int
     seed: int
     shapes: str | None
+    method: str = "own"
 
 
 def fly(task: Task) -> dict[str, Any]:
@@ -64,6 +71,7 @@ def fly(task: Task) -> dict[str, Any]:
     scenario = Scenario.load(SCENARIOS / f"shadow_{task.path}.toml")
     if task.shapes is not None:
         scenario = scenario.changed(expected_rocks={"shape": task.shapes})
+    scenario = scenario.changed(mappers={"rocks": METHODS[task.method]})
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     pending = list(ALTITUDES)
     levels: dict[float, dict[str, Any]] = {}
@@ -167,17 +175,26 @@ def show(summary: dict[str, Any], console: Console) -> None:
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--shapes", type=click.Choice(SHAPES), default=None,
-              help="Shape by which shadows are read; left out: the scenario's.")  # fmt: skip
+              help="Shape that the mission expects; left out: the scenario's.")  # fmt: skip
+@click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
+              help="Shapes inferred, taken as told, or the paper's half spheres and its form of "
+              "Eq. 21.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Write all figures to this file.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for pictures; left out, none are drawn.")  # fmt: skip
 def main(
-    fields: int, seed: int, jobs: int, shapes: str | None, json_file: Path | None, out: Path | None
+    fields: int,
+    seed: int,
+    jobs: int,
+    shapes: str | None,
+    method: str,
+    json_file: Path | None,
+    out: Path | None,
 ) -> None:
     """Fly both paths over random fields and compare their maps."""
     console = Console(width=140)
-    tasks = [Task(path, field, seed, shapes) for field in range(fields) for path in PATHS]
+    tasks = [Task(path, field, seed, shapes, method) for field in range(fields) for path in PATHS]
     results = gathered(fly, tasks, jobs, console, "flights")
     # A field counts once both paths have flown it.
     results = results[: len(results) // len(PATHS) * len(PATHS)]

@@ -1,12 +1,15 @@
 """How often shadows are missed or made up: FN(q) and FP(q) of the shadow detector, measured.
 
-Rendered fields of cubes or other rocks are seen from random places. A rock whose patch should
-have q pixels (root of the area) is found if a detection lies on it with a radius within a factor
-of two; it is merged if its patch runs into another's, and missed otherwise. A detection with no
-rock under it is false. Lines are fitted to the rates (shadow EKF
+Rendered fields of rocks of all shapes, or of one, are seen from random places. A rock whose patch
+should have q pixels (root of the area) is found if a detection lies on it with a radius within a
+factor of two; it is merged if its patch runs into another's, and missed otherwise. A detection with
+no rock under it is false. The place of a hazard is cleared if the rock is not found and the picture
+says that no such rock stands there (`ClearEvidence`). Lines are fitted to the rates (shadow EKF
 paper, III.C).
 
-python scenarios/shadows/rates.py --images 60 --out out/rates
+The defaults of `DetectionRates` are the lines of
+
+python scenarios/shadows/rates.py
 """
 
 from __future__ import annotations
@@ -29,8 +32,11 @@ from scipy.spatial import cKDTree
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import Detections, detect_rocks
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
 from lunarsim.sensors.camera import Camera
@@ -42,6 +48,11 @@ from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
 FIELD = 160.0
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
+ALL = "all"
+# Diameter of the rocks whose places must not be cleared, m.
+LEAST_HAZARD = 0.5
+# Pictures taken of one field.
+LOOKS = 8
 
 
 def make_world(shape: str, elevation: float, rng: np.random.Generator) -> World:
@@ -58,7 +69,7 @@ def model_of(shape: str) -> RockModel:
     return RockModel(shape, burial=(0.0, 0.0))  # type: ignore[arg-type]
 
 
-def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str, Any]:
+def look(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
     """Take one picture from a random place; return q and fate of rocks and detections."""
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
@@ -68,6 +79,7 @@ def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str
     camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
     photo = camera.expose(world, state, 0.0, rng)
     seen = detect_rocks(photo.counts, camera, state, world.light.direction, model=model)
+    model.learn(seen.shapes, seen.q)
     rocks = world.terrain.rocks
     xy = np.column_stack((rocks.x, rocks.y))
     away = position[:2] - xy
@@ -103,10 +115,33 @@ def look(world: World, model: ShadowModel, rng: np.random.Generator) -> dict[str
     # Too small patches are dark too, but no detections: those are missed.
     size = np.bincount(seen.labels.ravel())
     merged = ~found & (patch > 0) & (size[patch] > 1.7 * q**2) & (size[patch] >= 4)
+    hazard = inside & (2.0 * rocks.a >= LEAST_HAZARD) & (len(seen) > 0)
     return {
+        "hazard_q": q[hazard], "cleared": (cleared(world, view, seen, model) & ~found)[hazard],
         "q": q[inside], "missed": (~found & ~merged)[inside], "merged": merged[inside],
         "seen_q": seen.q, "false": false,
     }  # fmt: skip
+
+
+def cleared(world: World, view: View, seen: Detections, model: ShapeMixture) -> NDArray[np.bool_]:
+    """Return which rocks' places (n,) one picture gives as ground where no such rock stands.
+
+    A rock's place: what lies within half its radius of the centre.
+    """
+    rocks = world.terrain.rocks
+    grid = Grid.centred((0.0, 0.0), FIELD, 0.25)
+    sizes = LEAST_HAZARD * 1.4 ** np.arange(4)
+    evidence = ClearEvidence(grid, model, sizes, np.ones(4), DetectionRates())
+    evidence.see(view, world.light.direction, seen, lambda xy: np.zeros(len(xy)))
+    of = np.clip(np.searchsorted(0.5 * sizes, rocks.a, side="right") - 1, 0, 3)
+    centre = grid.centres().reshape(-1, 2)
+    near = cKDTree(centre).query_ball_point(
+        np.column_stack((rocks.x, rocks.y)), np.maximum(0.5 * rocks.a, 0.18)
+    )
+    lit, dark = evidence.lit.reshape(4, -1), evidence.dark.reshape(4, -1)
+    return np.array(
+        [bool(lit[k, at].any() and not dark[k, at].any()) for k, at in zip(of, near, strict=True)]
+    )
 
 
 def rate(q: NDArray[Any], hit: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -138,10 +173,10 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
     """Print rates and lines."""
     table = Table(title=title)
     for heading in ("q, pixels", "rocks", "merged", "missed", "line", "detections", "false",
-                    "line"):  # fmt: skip
+                    "line", "hazards", "cleared", "line"):  # fmt: skip
         table.add_column(heading, justify="right")
     for k, (low, high) in enumerate(pairwise(data["edges"])):
-        missed, false = (
+        missed, false, clear = (
             float(np.clip(start + slope * 0.5 * (low + high), floor, 1.0))
             for start, slope, floor in data["lines"].values()
         )
@@ -149,6 +184,7 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
             f"{low:g} - {high:g}", str(data["rocks"][k]), f"{data['merged'][k]:.3f}",
             f"{data['missed'][k]:.3f}", f"{missed:.3f}", str(data["detections"][k]),
             f"{data['false'][k]:.4f}", f"{false:.4f}",
+            str(data["hazards"][k]), f"{data['cleared'][k]:.4f}", f"{clear:.4f}",
         )  # fmt: skip
     console.print(table)
     for name, (start, slope, floor) in data["lines"].items():
@@ -156,9 +192,13 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
 
 
 @click.command()
-@click.option("--images", type=click.IntRange(min=4), default=40, show_default=True)
+@click.option("--images", type=click.IntRange(min=4), default=80, show_default=True)
 @click.option(
-    "--shape", type=click.Choice(SHAPES), default="cube", show_default=True, help="Of the rocks."
+    "--shape",
+    type=click.Choice((ALL, *SHAPES)),
+    default=ALL,
+    show_default=True,
+    help="Of the rocks; all: field by field another.",
 )
 @click.option("--sun-elevation", default=20.0, show_default=True, help="deg")
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
@@ -166,32 +206,34 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
               help="Folder for figure and data; left out, only the table is printed.")  # fmt: skip
 def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | None) -> None:
     """Measure the rates and fit the lines."""
-    console = Console(width=110)
+    console = Console(width=130)
     elevation = np.radians(sun_elevation)
-    model = ShadowModel(elevation, model_of(shape))
     looks = []
     for k in track(range(images), description="images"):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        if k % 8 == 0:
-            world = make_world(shape, elevation, rng)
+        if k % LOOKS == 0:
+            own = SHAPES[k // LOOKS % len(SHAPES)] if shape == ALL else shape
+            world, model = make_world(own, elevation, rng), ShapeMixture(elevation)
         looks.append(look(world, model, rng))
-    q, lost, run, seen_q, false = (
+    q, lost, run, seen_q, false, hazard_q, gone = (
         np.concatenate([one[name] for one in looks])
-        for name in ("q", "missed", "merged", "seen_q", "false")
+        for name in ("q", "missed", "merged", "seen_q", "false", "hazard_q", "cleared")
     )
     missed, rocks = rate(q, lost)
     merged, _ = rate(q, run)
     made_up, detections = rate(seen_q, false)
+    clear, hazards = rate(hazard_q, gone)
     middle = 0.5 * (EDGES[1:] + EDGES[:-1])
-    many, some = rocks >= 30, detections >= 30
+    many, some, few = rocks >= 30, detections >= 30, hazards >= 30
     lines = {
         "missed": fit(middle[many], missed[many], rocks[many]),
         "false": fit(middle[some], made_up[some], detections[some]),
+        "cleared": fit(middle[few], clear[few], hazards[few]),
     }
     data = {
         "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),
         "merged": merged.tolist(), "detections": detections.tolist(), "false": made_up.tolist(),
-        "lines": lines,
+        "hazards": hazards.tolist(), "cleared": clear.tolist(), "lines": lines,
     }  # fmt: skip
     show(data, f"{shape}, Sun at {sun_elevation:g} deg, {images} images", console)
     if out is not None:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import io
 import json
+from itertools import combinations
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
+from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.scenario import Scenario
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
 def test_rates_fall_with_size(script, tmp_path):
     rates = script("shadows", "rates")
-    done = CliRunner().invoke(rates.main, ["--images", "5", "--out", str(tmp_path)])
+    done = CliRunner().invoke(
+        rates.main, ["--images", "5", "--shape", "cube", "--out", str(tmp_path)]
+    )
     assert done.exit_code == 0, done.output
     data = json.loads((tmp_path / "rates_cube.json").read_text())
     rocks, missed = np.array(data["rocks"]), np.array(data["missed"])
@@ -73,3 +77,82 @@ def test_bad_requests_are_refused(script):
         done = CliRunner().invoke(experiment.main, arguments)
         assert done.exit_code == 2
         assert "Error" in done.output
+
+
+@pytest.mark.slow
+def test_the_default_rates_are_those_that_the_script_prints(script, tmp_path):
+    rates = script("shadows", "rates")
+    done = CliRunner().invoke(rates.main, ["--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    lines = json.loads((tmp_path / "rates_all.json").read_text())["lines"]
+    for name, line in lines.items():
+        assert getattr(DetectionRates(), name) == pytest.approx(line, abs=6e-4), name
+
+
+def test_the_array_of_cells_has_every_pair_of_levels_once(script):
+    cells = script("shadows", "cells")
+    runs = [c for c in cells.CELLS if c.name.startswith("array")]
+    columns = np.array(
+        [
+            (
+                c.cover, cells.SHAPES.index(c.shape),
+                (cells.SHAPES.index(c.told_shape) - cells.SHAPES.index(c.shape)) % 5,
+                c.elevation, c.turn, c.relief,
+            )
+            for c in runs
+        ]
+    )  # fmt: skip
+    assert columns.shape == (25, 6)
+    for a, b in combinations(range(6), 2):
+        assert len({tuple(row) for row in columns[:, [a, b]]}) == 25
+    assert len({c.name for c in cells.CELLS}) == len(cells.CELLS) == 62
+    for cell in cells.CELLS:
+        scenario = cell.scenario()
+        assert (scenario.rocks.cover, scenario.expected_rocks.shape) == (
+            cell.cover,
+            cell.told_shape,
+        )
+
+
+@pytest.fixture
+def matrix(script, tmp_path, monkeypatch):
+    """The matrix of two cells that are one short descent."""
+    module = script("shadows", "matrix")
+    short = Scenario.from_dict(SMALL_SHADOW_FLIGHT)
+    cells = tuple(module.Cell(f"small {k}", cover=0.05) for k in range(2))
+    monkeypatch.setattr(module, "CELLS", cells)
+    monkeypatch.setattr(module.Cell, "scenario", lambda self, path: short)
+    return module
+
+
+def test_matrix_keeps_each_flight_and_goes_on_from_its_file(matrix, tmp_path, monkeypatch):
+    file = tmp_path / "matrix.json"
+    some = ["--cells", "small 0", "--fields", "1", "--json", str(file)]
+    done = CliRunner().invoke(matrix.main, some)
+    assert done.exit_code == 0, done.output
+    kept = json.loads(file.read_text())["flights"]
+    assert list(kept) == ["small 0 / 0"]
+    flight = kept["small 0 / 0"]
+    counts, table = flight["classes"], np.array(flight["reliability"])
+    assert table[:, 0].sum() == counts["cells"] and table[:, 2].sum() == counts["occupied"]
+    assert flight["landed"] and flight["objects"] >= flight["objects_clear"]
+    # What is done is not flown again; a file of another seed is not mixed in.
+    flown = []
+    monkeypatch.setattr(matrix, "fly", lambda task: flown.append(task.key) or flight)
+    done = CliRunner().invoke(matrix.main, ["--fields", "1", "--json", str(file)])
+    assert done.exit_code == 0, done.output
+    assert flown == ["small 1 / 0"]
+    for other in (["--seed", "2"], ["--method", "paper"]):
+        done = CliRunner().invoke(matrix.main, [*some, *other])
+        assert done.exit_code == 2 and "holds flights of" in done.output
+    assert CliRunner().invoke(matrix.main, ["--cells", "pyramids"]).exit_code == 2
+
+
+def test_matrix_names_the_goals_that_are_missed(matrix):
+    good = {"clear_false": 0.001, "objects_clear": 0.0, "clear_recall": 0.7}
+    cell = matrix.Cell("x")
+    assert matrix.meets(cell, good) == ""
+    bad = {"clear_false": 0.003, "objects_clear": 0.05, "clear_recall": 0.5}
+    assert matrix.meets(cell, bad) == "area, objects, recall"
+    far = matrix.Cell("x", relief=8.0)
+    assert matrix.meets(far, bad | {"clear_false": float("nan")}) == "objects"

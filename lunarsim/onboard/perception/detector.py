@@ -16,6 +16,7 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
 from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
+from lunarsim.onboard.perception.shape_mixture import Reading, ShapeMixture
 
 Array = NDArray[np.float64]
 
@@ -93,6 +94,12 @@ class Detections:
         Dark patch of each pixel (height, width), 0 for none.
     extended
         Labels of dark patches that are no rock's: terrain in its own shadow, or cut by the edge.
+    largest
+        Radius of the largest rock that each label may be the shadow of (labels + 1,), m: 0 for
+        none, infinite where the patch does not tell.
+    shapes
+        Weights of the hypotheses under which each rock was read (n, hypotheses), see
+        `ShapeMixture`.
     """
 
     pixel: Array
@@ -106,6 +113,8 @@ class Detections:
     label: NDArray[np.int32]
     labels: NDArray[np.int32]
     extended: NDArray[np.int32]
+    largest: NDArray[np.float32]
+    shapes: Array
 
     def __len__(self) -> int:
         return int(self.radius.size)
@@ -127,7 +136,7 @@ def detect_rocks(
     sun: ArrayLike,
     *,
     ground: float = 0.0,
-    model: ShadowModel | None = None,
+    model: ShadowModel | ShapeMixture | None = None,
     settings: DetectorSettings | None = None,
 ) -> Detections:
     """Find rocks by their shadows.
@@ -176,9 +185,7 @@ def detect_rocks(
     labels, table = _patches(shade, camera, view, direction, ground, settings)
     if len(table) == 0 or not np.deg2rad(2.0) <= elevation <= np.deg2rad(80.0):
         return _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32))
-    return _measure(
-        labels, table, view, direction, ground, model or _half_spheres(elevation), settings
-    )
+    return _measure(labels, table, view, direction, ground, _mixture_of(model, elevation), settings)
 
 
 def _unit_vector(sun: ArrayLike) -> Array:
@@ -186,6 +193,12 @@ def _unit_vector(sun: ArrayLike) -> Array:
     if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
         raise InputError("sun", sun, "a unit vector (3,), ENU")
     return direction
+
+
+def _mixture_of(model: ShadowModel | ShapeMixture | None, elevation: float) -> ShapeMixture:
+    if isinstance(model, ShapeMixture):
+        return model
+    return ShapeMixture.known(model or _half_spheres(elevation))
 
 
 @lru_cache(maxsize=8)
@@ -197,8 +210,15 @@ def _nothing(labels: NDArray[np.int32], extended: NDArray[np.int32]) -> Detectio
     none = np.empty(0)
     return Detections(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended,
+        np.empty(0, np.int32), labels, extended, _unknown(len(extended)), np.empty((0, 1)),
     )  # fmt: skip
+
+
+def _unknown(count: int) -> NDArray[np.float32]:
+    """Return `Detections.largest` of patches (count,) that do not tell of what they are."""
+    largest = np.full(count + 1, np.inf, np.float32)
+    largest[0] = 0.0
+    return largest
 
 
 def _patches(
@@ -234,7 +254,7 @@ def _measure(
     view: View,
     sun: Array,
     ground: float,
-    model: ShadowModel,
+    model: ShapeMixture,
     settings: DetectorSettings,
 ) -> Detections:
     """Turn the table of patches into rocks."""
@@ -247,11 +267,12 @@ def _measure(
     number = np.flatnonzero(whole).astype(np.int32) + 1
     t = table[whole]
     azimuth, depression = _directions(t, view, sun)
-    unit = model.patch(azimuth, depression)
     along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
     length, width = t[:, k.LENGTH], t[:, k.WIDTH]
-    rocks = _Radius.of(length, width, unit, along_px, across_px, settings.pixel_sigma)
-    rocks = rocks.if_merged(view, ground, model, azimuth, depression, t[:, k.PIXELS])
+    read = model.read(length, width, azimuth, depression, along_px, across_px, settings.pixel_sigma)
+    unit = read.unit
+    share = _share(read, view, ground, depression, t[:, k.PIXELS])
+    rocks = _Radius.if_merged(read, share)
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     frame = _sun_frame(sun)
@@ -260,11 +281,14 @@ def _measure(
     pixel, covariance = _to_pixels(offset, ground - view.position[2], view, frame, spread)
     keep = ~terrain & (unit.length >= _LEAST_LENGTH)
     height = model.height * length / np.maximum(unit.length, _LEAST_LENGTH)
+    largest = _unknown(len(table))
+    alone = keep & (share >= _MERGED)
+    largest[number[alone]] = read.largest[alone]
     extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
     return Detections(
         pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
         rocks.sigma[keep], height[keep], length[keep], np.sqrt(t[keep, k.PIXELS]), number[keep],
-        labels, extended,
+        labels, extended, largest, read.weight[keep],
     )  # fmt: skip
 
 
@@ -287,59 +311,29 @@ def _place(table: Array, rocks: _Radius, unit: ShadowPatch, pixel: float) -> tup
     return centre, np.sqrt(edge**2 + lever**2 + shape**2)
 
 
+def _share(read: Reading, view: View, ground: float, depression: Array, pixels: Array) -> Array:
+    """Return what share of the pixels that they should have patches (n,) have."""
+    slant = (view.position[2] - ground) / np.maximum(np.sin(depression), 1e-3)
+    pixel = slant / np.sqrt(view.fx * view.fy)
+    expected = read.radius**2 * read.unit.area * np.sin(depression) / pixel**2
+    return np.asarray(pixels / np.maximum(expected, 1e-9) / _USUAL)
+
+
 @dataclass(frozen=True)
 class _Radius:
     radius: Array
     sigma: Array
 
     @classmethod
-    def of(
-        cls,
-        length: Array,
-        width: Array,
-        unit: ShadowPatch,
-        along_px: Array,
-        across_px: Array,
-        pixel: float,
-    ) -> _Radius:
-        """Return the radius that explains length and width best.
-
-        Each gives one, with a variance from the pixel and from the spread of shapes; the two are
-        averaged with the inverse variances as weights.
-        """
-        from_length = length / np.maximum(unit.length, 0.05)
-        from_width = width / np.maximum(unit.width, 0.05)
-        var_length = (
-            2.0 * (pixel * along_px) ** 2 + (from_length * unit.length_sigma) ** 2
-        ) / np.maximum(unit.length, 0.05) ** 2
-        var_width = (
-            2.0 * (pixel * across_px) ** 2 + (from_width * unit.width_sigma) ** 2
-        ) / np.maximum(unit.width, 0.05) ** 2
-        weight = var_width / (var_length + var_width)
-        radius = weight * from_length + (1.0 - weight) * from_width
-        return cls(radius, np.sqrt(var_length * weight))
-
-    def if_merged(
-        self,
-        view: View,
-        ground: float,
-        model: ShadowModel,
-        azimuth: Array,
-        depression: Array,
-        pixels: Array,
-    ) -> _Radius:
+    def if_merged(cls, read: Reading, share: Array) -> _Radius:
         """Return the radii, those of patches that hold several shadows set right.
 
         Such a patch has far less area than its length and width promise. Its area is the sum of
         the shadows', so the radius of a rock with that area bounds each of theirs.
         """
-        slant = (view.position[2] - ground) / np.maximum(np.sin(depression), 1e-3)
-        pixel = slant / np.sqrt(view.fx * view.fy)
-        expected = model.visible_pixels(self.radius, azimuth, depression, pixel) ** 2
-        share = pixels / np.maximum(expected, 1e-9) / _USUAL
         merged = share < _MERGED
-        radius = np.where(merged, self.radius * np.sqrt(share), self.radius)
-        return _Radius(radius, np.where(merged, np.maximum(self.sigma, 0.25 * radius), self.sigma))
+        radius = np.where(merged, read.radius * np.sqrt(share), read.radius)
+        return cls(radius, np.where(merged, np.maximum(read.sigma, 0.25 * radius), read.sigma))
 
 
 def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 # Directions that are tabulated: of the camera above the ground, and away from the Sun's azimuth.
 _DEPRESSIONS = np.radians([8.0, 15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
 _AZIMUTHS = np.radians(np.arange(0.0, 181.0, 15.0))
-_SHAPES = 8
+_SHAPES = 5
 # Samples across a radius.
 _DETAIL = 12
 # Standard deviations of radius and centre, in radii, that many looks do not average out, as

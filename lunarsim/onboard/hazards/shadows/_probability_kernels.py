@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from lunarsim._jit import kernel, prange
-from lunarsim.models._pinhole_kernels import to_pixel
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
 
@@ -96,37 +95,3 @@ def paint(clear, x0, y0, posting, xy, reach, profile, weight):
                 if k < last:
                     p = profile[j, k] + (at - k) * (profile[j, k + 1] - profile[j, k])
                     clear[i, c] *= 1.0 - weight[j] * p
-
-
-@kernel(parallel=True)
-def mark_seen(
-    sharpness, x0, y0, posting, coarse, every, position, axes, fx, fy, cx, cy, drop, labels
-):  # fmt: skip
-    """Raise the sharpness of the cells (rows, cols) that the camera sees lit.
-
-    `coarse` holds the sharpness of this look at every `every`-th cell, in between it is linear;
-    `drop` is the elevation of the ground less the camera's, `labels` is 0 where the image is lit.
-    """
-    rows, cols = sharpness.shape
-    high, wide = labels.shape
-    for i in prange(rows):
-        v0 = min(i // every, coarse.shape[0] - 2)
-        fv = i / every - v0
-        n = y0 + i * posting - position[1]
-        for j in range(cols):
-            e = x0 + j * posting - position[0]
-            z = axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * drop
-            if z <= 0.0:
-                continue
-            x = axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * drop
-            y = axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * drop
-            u, v = to_pixel(x, y, z, fx, fy, cx, cy)
-            if not (u >= 0.0 and v >= 0.0 and u <= wide - 1 and v <= high - 1):
-                continue
-            if labels[int(v + 0.5), int(u + 0.5)] != 0:
-                continue
-            u0 = min(j // every, coarse.shape[1] - 2)
-            fu = j / every - u0
-            top = coarse[v0, u0] + fu * (coarse[v0, u0 + 1] - coarse[v0, u0])
-            low = coarse[v0 + 1, u0] + fu * (coarse[v0 + 1, u0 + 1] - coarse[v0 + 1, u0])
-            sharpness[i, j] = max(sharpness[i, j], top + fv * (low - top))

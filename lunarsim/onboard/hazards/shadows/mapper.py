@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,9 @@ from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
+from lunarsim.rocks.population import RockExpectation
 
 Array = NDArray[np.float64]
 
@@ -53,6 +55,11 @@ class ShadowMapping:
         Least diameter of a hazard, m.
     interval
         Between two evaluations of the map, s.
+    shapes
+        Of the rocks by which shadows are read: inferred from them, as the mission expects them, or
+        the paper's half spheres.
+    form
+        Of the probability that a tracked rock covers a place, see `cover_probability`.
     """
 
     sensor: str = quantity("camera", help="whose pictures it maps")
@@ -60,6 +67,12 @@ class ShadowMapping:
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
     interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
+    shapes: Literal["inferred", "told", "hemisphere"] = quantity(
+        "inferred", help="rocks by which shadows are read; the paper's are half spheres"
+    )
+    form: Literal["rice", "gaussian"] = quantity(
+        "rice", help="of the probability that a rock covers a place; the paper's is gaussian"
+    )
 
     takes: ClassVar[type] = Picture
     navigation: ClassVar[type | None] = RockNavigation
@@ -77,13 +90,20 @@ class ShadowMapping:
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
-        model = ShadowModel(elevation, briefing.rocks.model())
+        model = self._model(elevation, briefing.rocks)
         settings = TrackerSettings(least_radius=0.42 * self.hazard_diameter, region=_tracked(grid))
-        tracker = RockTracker(navigation.rocks, model, settings=settings)
+        rocks = navigation.rocks
+        tracker = RockTracker(rocks, model, settings=settings)
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
-        probability = ProbabilityMap(grid, model, prior, ground=navigation.rocks.ground)
+        probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
         return ShadowMapper(tracker, probability, briefing.sun, reach, interval=self.interval)
+
+    def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
+        """Return what shadows are read by, the Sun at an elevation, rad."""
+        if self.shapes == "inferred":
+            return ShapeMixture(elevation, rocks.shape)
+        return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
 
 
 class ShadowMapper(HazardMapper):
@@ -154,6 +174,8 @@ class ShadowMapper(HazardMapper):
             picture.counts, picture.camera, estimate, sun,
             ground=self._plane(picture.camera), model=self.tracker.model, settings=self.detector,
         )  # fmt: skip
+        if isinstance(self.tracker.model, ShapeMixture):
+            self.tracker.model.learn(self.seen.shapes, self.seen.q)
         view = picture.camera.view(estimate)
         self._check_sun(picture, view, sun)
         self.tracker.update(self.seen, picture.camera, sun, picture.time)
@@ -162,7 +184,10 @@ class ShadowMapper(HazardMapper):
             self._renewals = self.tracker.renewals
             self.probability.forget()
         self.probability.ground = self._plane(picture.camera)
-        self.probability.see(picture.camera, view, sun, self.seen)
+        self.probability.see(
+            picture.camera, view, sun, self.seen, self.tracker.filter.ground_at,
+            self.tracker.explained,
+        )  # fmt: skip
 
     def _plane(self, camera: CameraModel) -> float:
         """Return the height of the ground in the middle of the image, as the rocks tell it, m."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +15,19 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
+from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence, Heights
 from lunarsim.onboard.hazards.shadows.probability import Form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
-from lunarsim.rocks.laws import golombek_cover, golombek_exponent, golombek_number
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.rocks.laws import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]
 
 # What has been seen is remembered for squares of this side, m.
-_BLOCK = 0.5
-# The quality of a look is evaluated at every so many of them.
-_COARSE = 8
+_BLOCK = 0.25
 _SIZES = 24
 _DISTANCES = 65
 # A rock's reach ends where its probability is below this.
@@ -84,7 +85,7 @@ class ProbabilityMap:
     def __init__(
         self,
         grid: Grid,
-        model: ShadowModel,
+        model: ShadowModel | ShapeMixture,
         prior: HazardPrior | None = None,
         rates: DetectionRates | None = None,
         *,
@@ -98,92 +99,68 @@ class ProbabilityMap:
         self.ground = float(ground)
         self.form: Form = form
         every = max(1, round(_BLOCK / grid.posting))
-        self._blocks = Grid(
+        blocks = Grid(
             grid.x0 + 0.5 * (every - 1) * grid.posting, grid.y0 + 0.5 * (every - 1) * grid.posting,
             every * grid.posting, -(-grid.rows // every), -(-grid.cols // every),
         )  # fmt: skip
         self._every = every
-        # Pixels of q for a metre of radius: all that matters about the best view of a place.
-        self._sharpness = np.zeros(self._blocks.shape)
         edges = np.geomspace(self.prior.least_diameter, self.prior.largest_diameter, _SIZES + 1)
-        self._sizes = np.sqrt(edges[1:] * edges[:-1])
+        sizes = np.sqrt(edges[1:] * edges[:-1])
         cover = golombek_cover(edges, self.prior.cover)
-        self._cover = cover[:-1] - cover[1:]
-        self._cover[-1] += cover[-1]
-        number = golombek_number(edges, self.prior.cover)
-        self._number = number[:-1] - number[1:]
+        self.evidence = ClearEvidence(
+            blocks, model, sizes, (cover[:-1] - cover[1:]) / (0.25 * np.pi * sizes**2), self.rates,
+        )  # fmt: skip
 
     # --- what has been seen ---------------------------------------------------------------
 
     def forget(self) -> None:
         """Take back all that was seen: rocks that were mapped there are no longer tracked."""
-        self._sharpness[:] = 0.0
+        self.evidence.forget()
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (2,) or (3,), m; what was seen stays where it is.
 
         To whole blocks, so that none is cut.
         """
-        b = self._blocks
-        off = np.asarray(centre, np.float64)[:2] - self.grid.centre
-        cols, rows = (int(v) for v in np.rint(off / b.posting))
-        by = b.posting * np.array([cols, rows])
-        self.grid, self._blocks = self.grid.moved(by), b.moved(by)
-        moved = np.zeros_like(self._sharpness)
-        keep_to = _overlap(rows, b.rows), _overlap(cols, b.cols)
-        keep_from = _overlap(-rows, b.rows), _overlap(-cols, b.cols)
-        moved[keep_to] = self._sharpness[keep_from]
-        self._sharpness = moved
+        self.grid = self.grid.moved(self.evidence.recentre(centre[:2] - self.grid.centre))
 
-    def see(self, camera: CameraModel, view: View, sun: Array, seen: Detections) -> None:
-        """Note with what sharpness each place is in view.
+    def see(
+        self,
+        camera: CameraModel,
+        view: View,
+        sun: Array,
+        seen: Detections,
+        heights: Heights | None = None,
+        explained: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
-        Only the sharpest look counts: what a shadow detector misses once it will often miss again
-        from nearly the same place, so looks are not multiplied. Ground in the dark is not seen,
-        be it in the shadow of a rock or of the terrain: a rock there would not show.
+        `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
+        tells which of the rocks seen are tracked.
         """
-        b = self._blocks
-        x = b.x0 + _COARSE * b.posting * np.arange(-(-b.cols // _COARSE) + 1)
-        y = b.y0 + _COARSE * b.posting * np.arange(-(-b.rows // _COARSE) + 1)
-        xx, yy = np.meshgrid(x, y)
-        away = np.stack((xx, yy), -1) - view.position[:2]
-        level = np.hypot(away[..., 0], away[..., 1])
-        drop = self.ground - view.position[2]
-        if drop >= 0.0:
-            return
-        azimuth = np.arctan2(-away[..., 0], -away[..., 1]) - np.arctan2(sun[0], sun[1])
-        pixel = np.hypot(level, drop) / np.sqrt(view.fx * view.fy)
-        q = self.model.visible_pixels(1.0, azimuth, np.arctan2(-drop, level), pixel)
-        kernels.mark_seen(
-            self._sharpness, b.x0, b.y0, b.posting, q, _COARSE, view.position, view.axes,
-            view.fx, view.fy, view.cx, view.cy, drop, seen.labels,
-        )  # fmt: skip
+        level = heights or (lambda xy: np.full(len(xy), self.ground))
+        self.evidence.see(view, sun, seen, level, explained)
 
     def _residual(self, footprint: float) -> Array:
         """Return the probability that a rock not tracked is there (rows, cols).
 
-        Eqs. 13-15 in one: each size by the share of the ground under it and by the rate at which
-        it is missed, which is 1 below the resolution. For a footprint of a given radius (m) the
-        number of rocks whose outline reaches into it counts.
+        Eqs. 13-15 in one: each size by the rocks of it that are expected and by the rate at which
+        they are missed, which is 1 below the resolution. For a footprint of a given radius (m)
+        those count whose outline reaches into it.
         """
-        table = np.linspace(0.0, max(float(self._sharpness.max()), 1e-6), 513)
-        missed = self.rates.false_negative(0.5 * self._sizes * table[:, None])
-        if footprint > 0.0:
-            area = np.pi * (footprint + 0.5 * self._sizes) ** 2
-            p = -np.expm1(-(missed * self._number * area).sum(1))
-        else:
-            p = (missed * self._cover).sum(1)
-        coarse = np.interp(self._sharpness, table, p)
-        fine = np.repeat(np.repeat(coarse, self._every, 0), self._every, 1)
+        expected = self._fine(self.evidence.expected(footprint)).astype(np.float64)
+        # Rocks do not lie one on the other, but several may reach into a footprint.
+        return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
+
+    def _fine(self, blocks: NDArray[Any]) -> NDArray[Any]:
+        """Return the map's cells (rows, cols) from blocks of them."""
+        fine = np.repeat(np.repeat(blocks, self._every, 0), self._every, 1)
         return fine[: self.grid.rows, : self.grid.cols]
 
     @property
     def observed(self) -> NDArray[np.bool_]:
-        """Whether a rock of the least hazardous size could have been seen (rows, cols)."""
-        q = 0.5 * self.prior.least_diameter * self._sharpness
-        fine = self.rates.false_negative(q) < 0.5
-        fine = np.repeat(np.repeat(fine, self._every, 0), self._every, 1)
-        return fine[: self.grid.rows, : self.grid.cols]
+        """Whether a rock of the least hazardous size would have shown (rows, cols)."""
+        return self._fine(self.evidence.seen())
 
     # --- the map --------------------------------------------------------------------------
 
@@ -261,8 +238,3 @@ class ProbabilityMap:
             observed,
             np.full(self.grid.shape, self.ground, np.float32),
         )
-
-
-def _overlap(by: int, count: int) -> slice:
-    """Return which of so many places in a row lie on the row moved back by some."""
-    return slice(max(-by, 0), max(min(count, count - by), 0))

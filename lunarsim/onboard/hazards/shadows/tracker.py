@@ -19,6 +19,7 @@ from lunarsim.onboard.navigation.rock_sight import Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -148,6 +149,8 @@ class RockTracker:
         Images in which each was found (n,).
     tentative
         What was seen in the last image and is not tracked.
+    explained
+        Which of the detections of the last image are rocks that are surely there (d,).
     renewals
         How often all rocks were let go, since they could not be explained.
     """
@@ -155,7 +158,7 @@ class RockTracker:
     def __init__(
         self,
         rocks: RockFilter,
-        model: ShadowModel,
+        model: ShadowModel | ShapeMixture,
         rates: DetectionRates | None = None,
         settings: TrackerSettings | None = None,
     ) -> None:
@@ -166,6 +169,7 @@ class RockTracker:
         self.existence = np.empty(0)
         self.hits = np.empty(0, np.int64)
         self.tentative = Tentative.none()
+        self.explained = np.zeros(0, np.bool_)
         self.renewals = 0
         self._updated = np.empty(0)
         self._established = np.empty(0, bool)
@@ -241,8 +245,11 @@ class RockTracker:
             s.common_pixels, s.radius_floor, s.most_off,
         )  # fmt: skip
         expected = self._judge(rock, at, seen, d, camera, sun)
+        self.explained = np.zeros(len(seen), np.bool_)
+        self.explained[d] = self.existence[rock] > _SURE
         if not self._explained(found, expected, time):
             self.renew()
+            self.explained[:] = False
         points = self.filter.ground_points(camera, seen.pixel)
         on_ground = _ground_covariance(points, seen, self.filter, camera)
         born = self._birth(~close, seen, points, on_ground, camera, radius_variance)

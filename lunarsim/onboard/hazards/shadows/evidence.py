@@ -1,0 +1,256 @@
+"""What pictures say of rocks that are not tracked: where one could still stand.
+
+A rock that stands at a place darkens the ground behind it. If a picture shows that ground lit,
+there is no rock of that size at the place, whatever became of detections and tracks. If it is
+dark, there may be one, be it that its shadow runs into another's, that it was read as too small or
+too ragged, or that the terrain is in its own shadow: the place is not seen. This is asked for
+every place and some sizes of rocks, of the shadow that even a low rock of the size would cast.
+
+Rocks that are not tracked are then a Poisson field: as many a square metre as the law of sizes
+expects, times the rate at which they are missed where their shadow would fall on lit ground, and
+crowded together where it would fall on dark ground, since there they must all be. The
+probability that none reaches into a disc follows from the field's integral over the disc.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.rocks.field import RockModel
+
+Array = NDArray[np.float64]
+Heights = Callable[[Array], Array]
+
+# Places at which the shadow of a rock and the height of the ground are worked out, m apart.
+_COARSE = 4.0
+# Points of a shadow's core: the middle, and these shares of its length and width off it.
+_ALONG, _ACROSS = 0.25, 0.2
+# As many of the five must be dark for a rock to be possible.
+_DARK = 4
+# A look counts if it is sharper than those before by this factor, and takes back what a dark one
+# said if it is sharper by that.
+_SHARPER, _SURER = 1.03, 1.15
+# Rocks of a size cannot be crowded into less than this many of their own areas.
+_CROWD = 2.0
+# What even a low rock looks like: its shadow lies within that of any higher one.
+LOW = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
+# Greatest ratio of the sizes that one test stands for.
+_STEP = 1.4
+
+
+class ClearEvidence:
+    """For each place, the sharpest looks at where the shadow of a rock there would fall.
+
+    Parameters
+    ----------
+    grid
+        The places.
+    model
+        What rocks look like: how many pixels their shadows have.
+    diameters
+        Of the rocks (n,), rising, m.
+    number
+        Of rocks of these sizes that are expected on a square metre (n,).
+    rates
+        How often the place of a rock is given as free of it.
+
+    Attributes
+    ----------
+    lit, dark
+        Sharpness, pixels of q for a metre of radius, of the sharpest look in which the shadow of a
+        rock would fall on lit ground, and on dark (sizes, rows, cols); 0: none.
+    explained
+        Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        model: ShadowModel | ShapeMixture,
+        diameters: Array,
+        number: Array,
+        rates: DetectionRates,
+    ) -> None:
+        self.grid = grid
+        self.model = model
+        self._low = ShadowModel(model.elevation, LOW)
+        self.rates = rates
+        self._radius = 0.5 * diameters
+        self._number = number
+        # One test for sizes within a factor.
+        step = np.log(diameters / diameters[0]) / np.log(_STEP)
+        self._class = np.unique(np.minimum((step + 1e-9).astype(int), 4), return_inverse=True)[1]
+        classes = int(self._class.max()) + 1
+        self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
+        self.lit = np.zeros((classes, *grid.shape), np.float32)
+        self.dark = np.zeros_like(self.lit)
+        self.explained = np.zeros(self.lit.shape, np.bool_)
+
+    def forget(self) -> None:
+        """Take back all that was seen."""
+        self.lit[:] = 0.0
+        self.dark[:] = 0.0
+
+    def recentre(self, off: Array) -> Array:
+        """Lay the places about a point that is off (2,), m, to whole places; what was seen stays.
+
+        Returns
+        -------
+        by
+            How far they were moved (2,), m.
+        """
+        g = self.grid
+        cols, rows = (int(v) for v in np.rint(np.asarray(off) / g.posting))
+        by = g.posting * np.array([cols, rows], dtype=np.float64)
+        self.grid = g.moved(by)
+        to = (slice(None), _overlap(rows, g.rows), _overlap(cols, g.cols))
+        of = (slice(None), _overlap(-rows, g.rows), _overlap(-cols, g.cols))
+        for name in ("lit", "dark", "explained"):
+            old = getattr(self, name)
+            moved = np.zeros_like(old)
+            moved[to] = old[of]
+            setattr(self, name, moved)
+        return by
+
+    def see(
+        self,
+        view: View,
+        sun: Array,
+        seen: Detections,
+        heights: Heights,
+        explained: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Take in a picture.
+
+        One that shows no shadow of any rock has not shown that it can: it says nothing.
+
+        Parameters
+        ----------
+        view
+            Where it was taken from.
+        sun
+            Direction towards the Sun (3,), ENU.
+        seen
+            Its dark patches, and what rocks they may be the shadows of.
+        heights
+            Gives the elevation (n,) of the ground at points (n, 2), m.
+        explained
+            Which of its rocks are tracked (rocks,); left out: none.
+        """
+        if len(seen) == 0:
+            return
+        g = self.grid
+        every = max(1, round(_COARSE / g.posting))
+        x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
+        y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
+        xy = np.stack(np.meshgrid(x, y), -1)
+        height = heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])
+        away = view.position - np.dstack((xy, height))
+        level = np.hypot(away[..., 0], away[..., 1])
+        azimuth = np.arctan2(away[..., 0], away[..., 1]) - np.arctan2(sun[0], sun[1])
+        depression = np.arctan2(away[..., 2], level)
+        pixel = np.hypot(level, away[..., 2]) / np.sqrt(view.fx * view.fy)
+        sharpness = self.model.visible_pixels(1.0, azimuth, depression, pixel)
+        sharpness = np.where(away[..., 2] > 0.0, sharpness, 0.0)
+        largest = seen.largest
+        if explained is not None:
+            # What holds several shadows is not explained by one rock.
+            label = seen.label[explained]
+            label = label[np.isfinite(largest[label])]
+            largest = largest.copy()
+            largest[label] *= -1.0
+        coarse = np.dstack((sharpness, height, *self._core(azimuth, depression, sun)))
+        kernels.look(
+            self.lit, self.dark, self.explained, g.x0, g.y0, g.posting, self._tested, coarse, every,
+            view.position, view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels,
+            largest, _DARK, _SHARPER,
+        )  # fmt: skip
+
+    def _core(self, azimuth: Array, depression: Array, sun: Array) -> list[Array]:
+        """Return east and north of five points of the shadow's core, in radii, one after other."""
+        unit = self._low.patch(azimuth, depression)
+        s = sun[:2] / np.hypot(sun[0], sun[1])
+        points = []
+        for a, b in ((0, 0), (_ALONG, 0), (-_ALONG, 0), (0, _ACROSS), (0, -_ACROSS)):
+            along, side = unit.along + a * unit.length, unit.side + b * unit.width
+            points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
+        return points
+
+    def _possible(self, test: int) -> NDArray[np.bool_]:
+        """Return where the sharpest look does not rule out a rock (rows, cols)."""
+        lit, dark = self.lit[test], self.dark[test]
+        return np.asarray((dark > 0.0) & (lit < _SURER * dark))
+
+    def _density(self, test: int) -> NDArray[np.float32]:
+        """Return rocks a square metre that may be there and are not tracked (rows, cols)."""
+        mine = self._class == test
+        radius, number = self._radius[mine], self._number[mine]
+        lit, possible = self.lit[test], self._possible(test)
+        table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
+        missed = self.rates.false_clear(radius[:, None] * table)
+        density: NDArray[np.float32] = np.interp(lit, table, number @ missed).astype(np.float32)
+        # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
+        # that is tracked may hide another, no more probably than any ground.
+        hidden = possible & self.explained[test]
+        crowded = possible & ~hidden
+        share = crowded.sum() / max(int(((lit > 0.0) | possible).sum()), 1)
+        least = _CROWD * float((number * np.pi * radius**2).sum())
+        density[hidden] = number.sum()
+        density[crowded] = number.sum() / max(share, least)
+        return density
+
+    def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
+        """Return how many rocks that are not tracked reach into a disc about each place.
+
+        Parameters
+        ----------
+        footprint
+            Radius of the disc, m; 0: rocks that cover the place.
+
+        Returns
+        -------
+        number
+            (rows, cols).
+        """
+        total = np.zeros(self.grid.shape, np.float32)
+        for s in range(len(self._tested)):
+            mine = self._class == s
+            weight = self._number[mine] / self._number[mine].sum()
+            radius = self._radius[mine]
+            reach = footprint + float(weight @ radius)
+            area = np.float32(np.pi * weight @ (footprint + radius) ** 2)
+            total += area * _mean_over_disc(self._density(s), reach / self.grid.posting)
+        return total
+
+    def seen(self) -> NDArray[np.bool_]:
+        """Return whether a rock of the least size would have shown (rows, cols)."""
+        missed = self.rates.false_clear(self._radius[0] * self.lit[0])
+        return np.asarray((missed < 0.5) & ~self._possible(0))
+
+
+def _mean_over_disc(image: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
+    """Return the mean of an image (rows, cols) over discs of a radius in pixels."""
+    half = int(np.ceil(radius + 0.5))
+    at = np.arange(-half, half + 1)
+    away = np.hypot(at[:, None], at[None, :])
+    # Pixels at the rim count by the part that lies within.
+    kernel = np.clip(radius + 0.5 - away, 0.0, 1.0).astype(np.float32)
+    return np.asarray(
+        cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+    )
+
+
+def _overlap(by: int, count: int) -> slice:
+    """Return which of so many places in a row lie on the row moved back by some."""
+    return slice(max(-by, 0), max(min(count, count - by), 0))

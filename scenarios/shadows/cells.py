@@ -1,0 +1,139 @@
+"""The cells of the shadow map's matrix: one factor at a time, and all of them at once.
+
+One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20
+deg high behind the camera, level ground). Beside the lines stands an orthogonal array of 25 runs
+with six factors of five levels: in every two factors each pair of levels comes up once, so that a
+cell may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
+(Bose 1938).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from lunarsim.scenario import Scenario
+
+SCENARIOS = Path(__file__).parents[1]
+SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
+HIRISE = "hirise"
+
+_COVERS = (0.02, 0.03, 0.05, 0.08, 0.15)
+_ELEVATIONS = (5.0, 10.0, 20.0, 45.0, 60.0)
+# Off the camera's azimuth: the Sun behind it, and round to before it.
+_TURNS = (0.0, 45.0, 90.0, 135.0, 180.0)
+_RELIEFS = (0.0, 1.0, 2.0, 4.0, 8.0)
+# By how many places along the list of shapes the told one is off the true one.
+_SHIFTS = (0, 1, 2, 3, 4)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One setting of the experiment.
+
+    Attributes
+    ----------
+    name
+        Of the cell.
+    cover, told_cover
+        True share k of the ground under rocks, and what the mission is told.
+    shape, told_shape
+        Likewise.
+    elevation, turn
+        Of the Sun, deg; 0: it stands behind the camera, 180: before it.
+    relief
+        Slope of the ground at 1 m, deg RMS, or "hirise" for the measured crop.
+    """
+
+    name: str
+    cover: float = 0.05
+    told_cover: float = 0.05
+    shape: str = "cube"
+    told_shape: str = "cube"
+    elevation: float = 20.0
+    turn: float = 0.0
+    relief: float | str = 0.0
+
+    def within_goal(self) -> bool:
+        """Tell whether the goal asks the cell for recall.
+
+        Up to 8 % cover, Sun 10 to 45 deg, relief to 4 deg.
+        """
+        return (
+            self.cover <= 0.08
+            and 10.0 <= self.elevation <= 45.0
+            and self.relief != HIRISE
+            and float(self.relief) <= 4.0
+        )
+
+    def scenario(self, path: str = "modified") -> Scenario:
+        """Return the descent of the paper's experiment over this cell's ground, made small.
+
+        A map of 80 m about the site and two pictures a second: a fifteenth of the time of the whole
+        experiment.
+        """
+        whole = Scenario.load(SCENARIOS / f"shadow_{path}.toml")
+        terrain: dict[str, Any] = {"posting_m": 1.0, "rms_slope_deg": self.relief}
+        if self.relief == HIRISE:
+            terrain = {
+                "kind": "dtm", "posting_m": 0.5, "relief_scale": 0.2,
+                "path": str(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"),
+            }  # fmt: skip
+        level = {"burial": [0.0, 0.0]}
+        return whole.changed(
+            terrain=terrain,
+            rocks={"cover": self.cover, "shape": self.shape, **level},
+            expected_rocks={"cover": self.told_cover, "shape": self.told_shape, **level},
+            sun={"elevation_deg": self.elevation, "azimuth_deg": 225.0 + self.turn},
+            mappers={"rocks": {"size_m": 80.0}},
+            tasking={"camera": {"rate_hz": 2.0}},
+        )
+
+
+HOME = Cell("home")
+
+
+def _lines() -> list[Cell]:
+    """Return the cells that are off home in one factor."""
+    cells = [
+        replace(HOME, name=f"cover {c:g}", cover=c, told_cover=c)
+        for c in (0.02, 0.03, 0.08, 0.10, 0.15)
+    ]
+    cells += [replace(HOME, name=f"cover {c:g} told 0.05", cover=c) for c in (0.02, 0.08, 0.15)]
+    others = [s for s in SHAPES if s != "cube"]
+    cells += [replace(HOME, name=s, shape=s, told_shape=s) for s in others]
+    cells += [replace(HOME, name=f"{s} told cube", shape=s) for s in others]
+    cells += [replace(HOME, name=f"cube told {s}", told_shape=s) for s in others]
+    cells += [
+        replace(HOME, name=f"sun {e:g}", elevation=e) for e in (5.0, 10.0, 15.0, 30.0, 45.0, 60.0)
+    ]
+    cells += [replace(HOME, name=f"sun turned {t:g}", turn=t) for t in (45.0, 90.0, 135.0, 180.0)]
+    cells += [replace(HOME, name=f"relief {r:g}", relief=r) for r in (1.0, 2.0, 4.0, 6.0, 8.0)]
+    return [*cells, replace(HOME, name=HIRISE, relief=HIRISE)]
+
+
+def _array() -> list[Cell]:
+    """Return the 25 runs of the orthogonal array."""
+    cells = []
+    for a, b in product(range(5), repeat=2):
+        cover, shape, shift, sun, turn, relief = (
+            a, b, (a + b) % 5, (a + 2 * b) % 5, (a + 3 * b) % 5, (a + 4 * b) % 5,
+        )  # fmt: skip
+        cells.append(
+            Cell(
+                f"array {a}{b}",
+                cover=_COVERS[cover],
+                told_cover=_COVERS[cover],
+                shape=SHAPES[shape],
+                told_shape=SHAPES[(shape + _SHIFTS[shift]) % 5],
+                elevation=_ELEVATIONS[sun],
+                turn=_TURNS[turn],
+                relief=_RELIEFS[relief],
+            )
+        )
+    return cells
+
+
+CELLS = (HOME, *_lines(), *_array())

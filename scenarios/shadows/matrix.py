@@ -1,0 +1,293 @@
+"""The shadow map off its home: some sixty cells of cover, shapes, Sun and relief.
+
+Every cell is flown over a few fields of rocks on the modified path; the map is judged at 50 m, and
+the landing by whether a hazard lies under the lander. Results are kept flight by flight: an
+interrupt leaves a file that the next run with the same file goes on from.
+
+python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatch
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from cells import CELLS, Cell
+from nominal_vs_modified import METHODS
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from lunarsim.campaign.pool import outcomes
+from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
+from lunarsim.evaluation.reliability import calibration_error, reliability
+from lunarsim.rng import flight_seed
+from lunarsim.simulation import Simulation
+
+ALTITUDE = 50.0
+CLEAR_BELOW = 0.0025
+# What the issue asks of every cell, and of those within the goal's bounds.
+MOST_FALSE, MOST_OBJECTS, LEAST_RECALL = 0.0025, 0.02, 0.6
+
+
+@dataclass(frozen=True)
+class Task:
+    """One flight."""
+
+    cell: Cell
+    field: int
+    seed: int
+    path: str = "modified"
+    method: str = "own"
+
+    @property
+    def key(self) -> str:
+        """Name of the flight in the file."""
+        return f"{self.cell.name} / {self.field}"
+
+
+def fly(task: Task) -> dict[str, Any]:
+    """Fly once; return what the map said at 50 m and what lay under the lander, as JSON has it."""
+    scenario = task.cell.scenario(task.path).changed(mappers={"rocks": METHODS[task.method]})
+    simulation = Simulation(scenario, flight_seed(task.seed, task.field))
+    while not simulation.done and simulation.altitude > ALTITUDE:
+        simulation.step()
+    out = {"cell": asdict(task.cell), **judge(simulation)}
+    simulation.computer.stop_sensors()
+    while not simulation.done:
+        simulation.step()
+    verdict = simulation.verdict
+    out["landed"] = verdict is not None and verdict.touchdown is not None
+    out["on_hazard"] = False
+    if verdict is not None and verdict.touchdown is not None:
+        out["on_hazard"] = bool(reach_into(simulation, verdict.touchdown.position[None, :2]).any())
+    return out
+
+
+def hazards_of(simulation: Simulation) -> NDArray[np.bool_]:
+    """Return which of the true rocks are hazards (n,): those as long as one or longer."""
+    least = simulation.scenario.mappers["rocks"].hazard_diameter_m
+    return np.asarray(2.0 * simulation.world.terrain.rocks.a >= least)
+
+
+def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell at which true places (n, 2) a hazard's outline reaches under the lander (n,).
+
+    The outline is taken as the disc that holds it.
+    """
+    rocks = simulation.world.terrain.rocks
+    large = hazards_of(simulation)
+    centre = np.column_stack((rocks.x, rocks.y))[large]
+    reach = rocks.reach()[large] + simulation.computer.mappers["rocks"].footprint
+    out = np.zeros(len(xy), bool)
+    for c, r in zip(centre, reach, strict=True):
+        out |= np.hypot(xy[:, 0] - c[0], xy[:, 1] - c[1]) < r
+    return out
+
+
+def judge(simulation: Simulation) -> dict[str, Any]:
+    """Compare the map as it stands with the truth, in the frame that the lander lands in.
+
+    A cell is called clear where the probability is under the threshold and the ground observed.
+    """
+    mapper = simulation.computer.mappers["rocks"]
+    p = mapper.probability.probability(mapper.tracker)
+    seen = mapper.probability.observed
+    rock = simulation.world.terrain.rock_raster(mapper.grid.moved(-simulation.navigation_error))
+    large = hazards_of(simulation)
+    occupied = (rock >= 0) & large[np.maximum(rock, 0)]
+    clear = (p < CLEAR_BELOW) & seen
+    # Of each hazard: how much of it is on the map, how much of that is called clear.
+    number = np.where(occupied, rock, -1).ravel() + 1
+    cells = np.bincount(number, minlength=len(large) + 1)[1:]
+    wrong = np.bincount(number, weights=clear.ravel(), minlength=len(large) + 1)[1:]
+    middles = mapper.grid.centres().reshape(-1, 2)[::37]
+    return {
+        "classes": classify(np.where(seen, p, np.maximum(p, CLEAR_BELOW)), occupied).counts(),
+        "reliability": reliability(p, occupied, RELIABILITY_EDGES).tolist(),
+        "objects": int((cells > 0).sum()),
+        "objects_clear": int(((cells > 0) & (wrong == cells)).sum()),
+        "observed": float(seen.mean()),
+        "rocks": mapper.tracker.filter.count,
+        "blind_landing": float(
+            reach_into(simulation, middles - simulation.navigation_error[:2]).mean()
+        ),
+        "lost": bool(simulation.estimate.lost),
+    }
+
+
+# --- the file --------------------------------------------------------------------------------
+
+
+class Results:
+    """Flights that are done, in a file that is whole after each of them.
+
+    Parameters
+    ----------
+    path
+        Of the file; None: nothing is kept.
+    settings
+        Seed, path and method of its flights; a file of others is refused.
+    """
+
+    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
+        self._path = path
+        self._settings = settings
+        self.flights: dict[str, dict[str, Any]] = {}
+        if path is not None and path.exists():
+            data = json.loads(path.read_text(encoding="utf-8"))
+            if data.get("settings") != settings:
+                raise click.BadParameter(
+                    f"{path} holds flights of {data.get('settings')}, not of {settings}",
+                    param_hint="--json",
+                )
+            self.flights = data["flights"]
+
+    def has(self, task: Task) -> bool:
+        """Tell whether a flight was made, of this very cell."""
+        done = self.flights.get(task.key)
+        return done is not None and done["cell"] == asdict(task.cell)
+
+    def keep(self, task: Task, result: dict[str, Any]) -> None:
+        """Add a flight, and write the file anew."""
+        self.flights[task.key] = result
+        if self._path is not None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            part = self._path.with_suffix(".part")
+            data = {"settings": self._settings, "flights": self.flights}
+            part.write_text(json.dumps(data, indent=1), encoding="utf-8")
+            part.replace(self._path)
+
+
+# --- the table -------------------------------------------------------------------------------
+
+
+def pooled(flights: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the figures of one cell over its fields."""
+    of = reduce(Classification.__add__, (Classification(**f["classes"]) for f in flights))
+    table = np.sum([f["reliability"] for f in flights], axis=0)
+    objects = sum(f["objects"] for f in flights)
+    landed = sum(f["landed"] for f in flights)
+    return {
+        **of.rates,
+        "objects": float(objects),
+        "objects_clear": sum(f["objects_clear"] for f in flights) / max(objects, 1),
+        "blind": of.occupied / of.cells,
+        "reliability_error": calibration_error(table),
+        "blind_landing": float(np.mean([f["blind_landing"] for f in flights])),
+        "landed": float(landed),
+        "on_hazard": float(sum(f["on_hazard"] for f in flights)),
+        "lost": float(sum(f["lost"] for f in flights)),
+    }
+
+
+def meets(cell: Cell, figures: dict[str, float]) -> str:
+    """Say which of the goals a cell misses; empty if none."""
+    misses = []
+    if figures["clear_false"] > MOST_FALSE:
+        misses.append("area")
+    if figures["objects_clear"] > MOST_OBJECTS:
+        misses.append("objects")
+    if cell.within_goal() and not figures["clear_recall"] >= LEAST_RECALL:
+        misses.append("recall")
+    return ", ".join(misses)
+
+
+def show(tasks: list[Task], results: Results, console: Console) -> None:
+    """Print a row a cell, and what they make together."""
+    first = tasks[0]
+    table = Table(
+        title=f"Shadow maps at {ALTITUDE:.0f} m: {first.path} path, {first.method} method, seed"
+        f" {first.seed}"
+    )
+    headings = ("cell", "recall", "false, area", "blind", "hazards", "clear", "occupied right",
+                "unknown", "calibration", "landed on one", "misses")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in {"cell", "misses"} else "right")
+    landed = on_hazard = missing = shown = 0
+    blind = []
+    for cell in dict.fromkeys(t.cell for t in tasks):
+        mine = [t for t in tasks if t.cell == cell]
+        flights = [results.flights[t.key] for t in mine if results.has(t)]
+        if not flights:
+            continue
+        f = pooled(flights)
+        lacks = meets(cell, f)
+        shown, missing = shown + 1, missing + bool(lacks)
+        landed, on_hazard = landed + f["landed"], on_hazard + f["on_hazard"]
+        blind += [f["blind_landing"]] * int(f["landed"])
+        table.add_row(
+            cell.name, f"{f['clear_recall']:.3f}", f"{f['clear_false']:.5f}", f"{f['blind']:.4f}",
+            f"{f['objects']:.0f}", f"{f['objects_clear']:.3f}", f"{f['occupied_correct']:.2f}",
+            f"{f['unknown']:.3f}", f"{f['reliability_error']:.4f}",
+            f"{f['on_hazard']:.0f}/{f['landed']:.0f}", lacks,
+        )  # fmt: skip
+    console.print(table)
+    console.print(
+        "false, area: share of the ground called clear that is under a hazard; blind: the same if"
+        " all is called clear; clear: share of hazards wholly called clear; calibration: mean"
+        " distance of stated and found probability."
+    )
+    if landed:
+        console.print(
+            f"{on_hazard:.0f} of {landed:.0f} landings have a hazard under the lander; blind"
+            f" ones would in {100.0 * float(np.mean(blind)):.1f} %."
+        )
+    console.print(f"{missing} of {shown} cells miss a goal.")
+
+
+@click.command()
+@click.option("--cells", "patterns", default="*", show_default=True,
+              help="Which cells, as names with * and ?, comma between them.")  # fmt: skip
+@click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
+              help="Fields of rocks a cell.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--path", "way", type=click.Choice(("nominal", "modified")), default="modified",
+              show_default=True, help="Path flown.")  # fmt: skip
+@click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
+              help="Shapes inferred, as told, or the paper's half spheres and form.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="File that keeps all flights, and that a later run goes on from.")  # fmt: skip
+def main(
+    patterns: str,
+    fields: int,
+    seed: int,
+    way: str,
+    method: str,
+    jobs: int,
+    json_file: Path | None,
+) -> None:
+    """Fly the cells and print how good their maps are."""
+    console = Console(width=150)
+    wanted = [p.strip() for p in patterns.split(",")]
+    cells = [c for c in CELLS if any(fnmatch(c.name, p) for p in wanted)]
+    if not cells:
+        raise click.BadParameter(
+            f"{patterns!r} names none of: {', '.join(c.name for c in CELLS)}", param_hint="--cells"
+        )
+    results = Results(json_file, {"seed": seed, "path": way, "method": method})
+    # Field by field: an interrupt leaves something of every cell.
+    everything = [Task(cell, k, seed, way, method) for k in range(fields) for cell in cells]
+    tasks = [t for t in everything if not results.has(t)]
+    with Progress(console=console) as progress:
+        bar = progress.add_task("flights", total=len(tasks))
+        try:
+            for index, result in outcomes(fly, tasks, jobs):
+                results.keep(tasks[index], result)
+                progress.advance(bar)
+        except KeyboardInterrupt:
+            console.print("interrupted; what is done is kept")
+    show(everything, results, console)
+
+
+if __name__ == "__main__":
+    main()

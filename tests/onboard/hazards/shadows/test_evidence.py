@@ -1,0 +1,182 @@
+"""What pictures say of rocks that are not tracked, against plain loops and pictures of rocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
+from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.rocks.field import RockField
+from lunarsim.world.terrain import Terrain
+from tests.shadow_scene import MODEL, SUN, picture, rocks_on_a_plane
+from tests.worlds import flat_terrain
+
+GRID = Grid.centred((0.0, 0.0), 30.0, 0.25)
+DIAMETERS = np.array([0.5, 0.6, 0.9, 1.5])
+NUMBER = np.array([0.01, 0.005, 0.002, 0.0005])
+
+
+def level(height=0.0):
+    return lambda xy: np.full(len(xy), height)
+
+
+def seen_from(terrain, place):
+    state, camera, counts = picture(terrain, place)
+    return camera.view(state), detect_rocks(counts, camera, state, SUN, model=MODEL)
+
+
+def test_look_does_as_a_plain_loop():
+    rng = np.random.default_rng(5)
+    coarse = rng.normal(0.0, 1.5, (5, 7, 2 + 2 * 3))
+    coarse[..., 0] = rng.uniform(-0.3, 2.0, coarse.shape[:2])
+    coarse[..., 1] *= 0.3
+    radii = np.array([0.3, 0.8])
+    lit, dark = (rng.uniform(0.0, 1.2, (2, 15, 22)).astype(np.float32) for _ in range(2))
+    known = np.zeros(lit.shape, np.bool_)
+    before = lit.copy(), dark.copy()
+    forward = np.array([0.1, 0.25, -1.0]) / np.linalg.norm([0.1, 0.25, -1.0])
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    axes = np.column_stack((right, np.cross(forward, right), forward))
+    position = np.array([3.0, -4.0, 18.0])
+    labels = rng.integers(0, 4, (30, 40)).astype(np.int32)
+    largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
+    kernels.look(
+        lit, dark, known, -6.0, -7.0, 0.7, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0,
+        labels, largest, 2, 1.1,
+    )  # fmt: skip
+    changed = named = 0
+    for s, i, j in product(range(2), range(15), range(22)):
+        node = [
+            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(8))
+        ]
+        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 8))[:, k]) for k in range(8)]
+        want = [before[0][s, i, j], before[1][s, i, j]]
+        if at[0] > 0.0 and at[0] > 1.1 * max(want):
+            count = tracked = 0
+            for k in (2, 4, 6):
+                place = np.array([-6.0 + 0.7 * j, -7.0 + 0.7 * i, at[1]])
+                place[:2] += radii[s] * np.array(at[k : k + 2])
+                x, y, z = axes.T @ (place - position)
+                u, v = 70.0 * x / z + 19.0, 60.0 * y / z + 15.0
+                if not (0.0 <= u <= 39.0 and 0.0 <= v <= 29.0):
+                    count = -99
+                    break
+                of = labels[int(v + 0.5), int(u + 0.5)]
+                count += abs(largest[of]) >= radii[s]
+                tracked += of == 3 and radii[s] <= 0.9
+            if count >= 0:
+                want[int(count >= 2)] = at[0]
+                changed += 1
+            if count >= 2:
+                named += known[s, i, j]
+                assert known[s, i, j] == (tracked > 0.5 * count)
+        assert [lit[s, i, j], dark[s, i, j]] == pytest.approx(want, rel=1e-6)
+    assert 25 < changed < 600
+    assert named > 2
+
+
+def test_unseen_rocks_are_integrated_over_the_disc():
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    # The western half was seen so sharply that only the least rate of misses is left.
+    evidence.lit[:, :, : GRID.cols // 2] = 1e3
+    least = DetectionRates().cleared[2]
+    for footprint in (0.0, 1.5):
+        whole = float(NUMBER @ (np.pi * (footprint + 0.5 * DIAMETERS) ** 2))
+        expected = evidence.expected(footprint)
+        assert expected[60, 10] == pytest.approx(least * whole, rel=1e-3)
+        assert expected[60, -10] == pytest.approx(whole, rel=1e-3)
+        # On the line between them half of the disc was seen.
+        line = 0.5 * (expected[60, 59] + expected[60, 60])
+        assert line == pytest.approx(0.5 * (1.0 + least) * whole, rel=1e-3)
+
+
+def test_rocks_that_must_be_somewhere_are_where_they_may_be():
+    """Over ground of which only a part may hide a rock the expected number is still the law's."""
+    evidence = ClearEvidence(
+        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(cleared=(1.0, -9.0, 1e-9))
+    )
+    evidence.lit[:] = 1e3
+    evidence.dark[:, 40:50, 70:90] = 1e3
+    per_metre = evidence.expected() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
+    assert per_metre.sum() == pytest.approx(GRID.rows * GRID.cols, rel=0.02)
+    assert evidence.seen()[10, 10]
+    assert not evidence.seen()[45, 80]
+
+
+def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_ground():
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    evidence.lit[:] = 1e3
+    evidence.dark[:, 40:60, 40:60] = 1e3
+    evidence.explained[:, 40:60, 40:60] = True
+    prior = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
+    assert evidence.expected()[50, 50] == pytest.approx(prior, rel=1e-3)
+    assert not evidence.seen()[50, 50]
+
+
+@pytest.mark.parametrize("size", [0.3, 0.7])
+def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
+    """Its shadow is there, whatever the detector makes of it; the ground about it is clear."""
+    rocks = RockField.hemispheres([-6.0, 5.0], [2.0, -3.0], 0.0, size)
+    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    for place in [(-9.0, 4.0, 45.0), (2.0, 3.0, 38.0)]:
+        view, seen = seen_from(terrain, place)
+        assert len(seen) == 2
+        hidden = replace(seen, largest=np.where(seen.largest > 0, np.inf, 0.0).astype(np.float32))
+        evidence.see(view, SUN, hidden, level())
+    away = np.min(
+        [np.hypot(*np.moveaxis(GRID.centres() - c, -1, 0)) for c in ((-6.0, 2.0), (5.0, -3.0))], 0
+    )
+    prior = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
+    expected = evidence.expected()
+    assert expected[away < 0.7 * size].min() > prior
+    assert expected[away > 6.0 * size].max() < 0.2 * prior
+    assert evidence.seen()[away > 6.0 * size].all()
+
+
+def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
+    rocks = RockField.hemispheres([-6.0, 5.0], [2.0, -3.0], 0.0, [0.12, 0.6])
+    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
+    view, seen = seen_from(terrain, (0.0, 0.0, 35.0))
+    mapping.evidence.see(view, SUN, seen, level())
+    row, col = GRID.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
+    expected = mapping.evidence.expected()
+    assert expected[row[0], col[0]] < 0.0025
+    assert expected[row[1], col[1]] > 0.0025
+
+
+def test_shadows_are_cast_onto_the_ground_as_it_is_known():
+    """On ground taken for 8 m too low the shadow is looked for beside itself."""
+    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
+    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    view, seen = seen_from(terrain, (-25.0, 0.0, 30.0))
+    middle = {}
+    for height in (0.0, -8.0):
+        evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+        evidence.see(view, SUN, seen, level(height))
+        middle[height] = bool(evidence.seen()[58:62, 58:62].any())
+    assert middle == {0.0: False, -8.0: True}
+
+
+def test_a_picture_without_any_shadow_says_nothing():
+    empty = Terrain(flat_terrain(400.0, 10.0).relief)
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    view, seen = seen_from(empty, (0.0, 0.0, 40.0))
+    evidence.see(view, SUN, seen, level())
+    assert not evidence.seen().any()
+    # One shadow shows that the picture can show shadows.
+    view, seen = seen_from(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
+    evidence.see(view, SUN, seen, level())
+    assert evidence.seen().mean() > 0.8
+    evidence.forget()
+    assert not evidence.seen().any()

@@ -1,0 +1,103 @@
+"""Shapes that are not known: patches of drawn rocks, read without being told what they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import SHAPES, ShapeMixture
+
+SUN = np.radians(20.0)
+HALF_SPHERES = ShadowModel(SUN)
+NAMES = ("low", "round", "sunk", "cube")
+
+
+@pytest.fixture(scope="module")
+def models():
+    return {name: ShadowModel(SUN, shape) for name, shape in zip(NAMES, SHAPES, strict=True)}
+
+
+def patches(model, rng, count=400, slope=0.0, radius=None):
+    """Patches of rocks of a shape, seen steeply, of 0.05 m a pixel; lengths stretched by slopes."""
+    r = rng.uniform(0.3, 0.8, count) if radius is None else np.full(count, radius)
+    azimuth, depression = rng.uniform(-3.0, 3.0, count), rng.uniform(0.7, 1.5, count)
+    unit = model.patch(azimuth, depression)
+    pixel = np.full(count, 0.05)
+    noise = 0.4 * np.sqrt(2.0) * 0.05 * rng.standard_normal((2, count))
+    length = r * (unit.length + unit.length_sigma * rng.standard_normal(count)) + noise[0]
+    length *= 1.0 + slope / np.tan(SUN) * rng.standard_normal(count)
+    width = r * (unit.width + unit.width_sigma * rng.standard_normal(count)) + noise[1]
+    return r, (length, width, azimuth, depression, pixel, pixel, 0.4)
+
+
+def taught(model, rng, told=None, slope=0.0):
+    mixture = ShapeMixture(SUN, told)
+    for _ in range(12):
+        _, seen = patches(model, rng, slope=slope)
+        mixture.learn(mixture.read(*seen).weight, np.full(400, 8.0))
+    return mixture
+
+
+def test_one_known_shape_is_the_mean_by_inverse_variances():
+    """Against a loop over patches."""
+    rng = np.random.default_rng(1)
+    mixture = ShapeMixture.known(HALF_SPHERES)
+    _, seen = patches(HALF_SPHERES, rng, 30)
+    length, width, azimuth, depression, _, _, _ = seen
+    read = mixture.read(*seen)
+    for k in range(30):
+        unit = HALF_SPHERES.patch(azimuth[k], depression[k])
+        by = np.array([length[k] / unit.length, width[k] / unit.width])
+        ends = 2.0 * (0.4 * 0.05) ** 2
+        spread = by * np.array([unit.length_sigma, unit.width_sigma])
+        variance = (ends + spread**2) / np.array([unit.length, unit.width]) ** 2
+        expected = np.sum(by / variance) / np.sum(1.0 / variance)
+        assert read.radius[k] == pytest.approx(expected, rel=1e-9)
+        assert read.sigma[k] == pytest.approx(np.sum(1.0 / variance) ** -0.5, rel=1e-9)
+    assert read.weight == pytest.approx(1.0)
+    assert mixture.patch(0.3, 1.0).area == pytest.approx(HALF_SPHERES.patch(0.3, 1.0).area)
+
+
+@pytest.mark.parametrize(("name", "told"), [("cube", "mixed"), ("low", "cube"), ("cube", None)])
+def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, name, told):
+    rng = np.random.default_rng(2)
+    mixture = taught(models[name], rng, told)
+    assert mixture.shape_shares.argmax() == NAMES.index(name)
+    assert mixture.shape_shares[NAMES.index(name)] > 0.6
+    r, seen = patches(models[name], rng)
+    read = mixture.read(*seen)
+    assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.06)
+    z = (read.radius - r) / read.sigma
+    assert 0.5 < z.std() < 1.3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_rock_is_larger_than_the_largest_that_a_patch_may_stand_for(models, name):
+    rng = np.random.default_rng(3)
+    mixture = taught(models[name], rng, "cube")
+    r, seen = patches(models[name], rng, 2000)
+    assert np.mean(mixture.read(*seen).largest < r) < 0.05
+
+
+def test_slopes_show_in_how_lengths_scatter(models):
+    rng = np.random.default_rng(4)
+    level = taught(models["cube"], rng, "cube")
+    rough = taught(models["cube"], rng, "cube", slope=0.15)
+    assert level.slope < 0.04
+    assert rough.slope > 0.08
+    _, seen = patches(models["cube"], rng, 200, radius=0.5)
+    assert np.median(rough.read(*seen).sigma) > 1.15 * np.median(level.read(*seen).sigma)
+
+
+def test_the_told_shape_is_where_it_starts():
+    cube, round_ = ShapeMixture(SUN, "cube"), ShapeMixture(SUN, "mixed")
+    assert cube.shape_shares[3] > 1.5 * cube.shape_shares[1]
+    assert round_.shape_shares[1] > 1.5 * round_.shape_shares[3]
+    # Patches of too few pixels teach nothing.
+    before = cube.shares
+    cube.learn(np.eye(12)[:5], np.full(5, 3.0))
+    assert cube.shares == pytest.approx(before)
+    assert cube.height == pytest.approx(
+        cube.shape_shares @ [m.height for m in cube.models], rel=1e-9
+    )
