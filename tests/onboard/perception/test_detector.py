@@ -24,7 +24,7 @@ from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.world.terrain import Heightfield, Terrain
 from tests.reference.shadows import patch
-from tests.shadow_scene import LEVEL, SUN, at, picture, rocks_on_a_plane
+from tests.shadow_scene import LEVEL, MODEL, SUN, at, picture, rocks_on_a_plane
 from tests.worlds import flat_terrain
 
 
@@ -304,10 +304,10 @@ def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
     sun = direction_from_angles(1.2 + np.radians(off), np.radians(20.0))
     seen = detect_rocks(counts, camera, state, sun)
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
-    angle, sigma, number = turn_from_sun(counts, seen, camera.view(state), points, sun)
-    assert number > 10
-    assert sigma < np.radians(5.0)
-    far = abs(np.degrees(angle))
+    turn = turn_from_sun(seen, camera.view(state), points, sun, MODEL, 0.02)
+    assert turn.number > 10
+    assert turn.sigma < np.radians(5.0)
+    far = abs(np.degrees(turn.angle))
     if off == 0.0:
         assert far < 5.0
     elif off == 180.0:

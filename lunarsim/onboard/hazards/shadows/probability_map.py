@@ -14,10 +14,11 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
-from lunarsim.onboard.hazards.shadows.probability import Form, cover_probability
+from lunarsim.onboard.hazards.shadows.footprints import footprint_seen, mean_over_discs
+from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.detector import Detections, throws_shadows, unit_vector
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.laws import golombek_cover, golombek_exponent, golombek_number
 
@@ -28,6 +29,8 @@ _BLOCK = 0.5
 # The quality of a look is evaluated at every so many of them.
 _COARSE = 8
 _SIZES = 24
+# Sizes whose reach is taken to be one, and levels of sharpness in a table.
+_GROUPS, _LEVELS = 4, 2049
 _DISTANCES = 65
 # A rock's reach ends where its probability is below this.
 _TAIL = 3.9
@@ -96,7 +99,7 @@ class ProbabilityMap:
         self.prior = prior or HazardPrior()
         self.rates = rates or DetectionRates()
         self.ground = float(ground)
-        self.form: Form = form
+        self.form: Form = checked_form(form)
         every = max(1, round(_BLOCK / grid.posting))
         self._blocks = Grid(
             grid.x0 + 0.5 * (every - 1) * grid.posting, grid.y0 + 0.5 * (every - 1) * grid.posting,
@@ -124,8 +127,16 @@ class ProbabilityMap:
 
         Only the sharpest look counts: what a shadow detector misses once it will often miss again
         from nearly the same place, so looks are not multiplied. Ground in the dark is not seen,
-        be it in the shadow of a rock or of the terrain: a rock there would not show.
+        be it in the shadow of a rock or of the terrain: a rock there would not show. Under a Sun
+        that throws no shadows to see rocks by (`throws_shadows`) nothing is.
+
+        Raises
+        ------
+        InputError
+            If the Sun's direction is no unit vector.
         """
+        if not throws_shadows(unit_vector(sun)):
+            return
         b = self._blocks
         x = b.x0 + _COARSE * b.posting * np.arange(-(-b.cols // _COARSE) + 1)
         y = b.y0 + _COARSE * b.posting * np.arange(-(-b.rows // _COARSE) + 1)
@@ -148,18 +159,35 @@ class ProbabilityMap:
 
         Eqs. 13-15 in one: each size by the share of the ground under it and by the rate at which
         it is missed, which is 1 below the resolution. For a footprint of a given radius (m) the
-        number of rocks whose outline reaches into it counts.
+        number of rocks whose outline reaches into it counts: those that are missed at each place
+        of the disc, by how sharply that place was seen. Nothing off the map was.
         """
-        table = np.linspace(0.0, max(float(self._sharpness.max()), 1e-6), 513)
+        top = max(float(self._sharpness.max()), 1e-6)
+        table = np.linspace(0.0, top, _LEVELS)
         missed = self.rates.false_negative(0.5 * self._sizes * table[:, None])
+        # The level below: what was seen less sharply is missed more.
+        level = (self._sharpness * ((_LEVELS - 1) / top)).astype(np.int32)
         if footprint > 0.0:
-            area = np.pi * (footprint + 0.5 * self._sizes) ** 2
-            p = -np.expm1(-(missed * self._number * area).sum(1))
+            coarse = np.zeros(self._blocks.shape, np.float32)
+            for sizes in np.array_split(np.arange(_SIZES), _GROUPS):
+                coarse += self._expected(missed[:, sizes], level, sizes, footprint)
+            coarse = -np.expm1(-np.maximum(coarse, 0.0))
         else:
-            p = (missed * self._cover).sum(1)
-        coarse = np.interp(self._sharpness, table, p)
+            coarse = (missed @ self._cover)[level]
         fine = np.repeat(np.repeat(coarse, self._every, 0), self._every, 1)
-        return fine[: self.grid.rows, : self.grid.cols]
+        return np.asarray(fine[: self.grid.rows, : self.grid.cols], np.float64)
+
+    def _expected(
+        self, missed: Array, level: NDArray[np.int32], sizes: NDArray[np.int64], footprint: float
+    ) -> NDArray[np.float32]:
+        """Return how many unseen rocks of some sizes reach into the disc about each block."""
+        number = self._number[sizes]
+        reach = footprint + 0.5 * self._sizes[sizes]
+        # The area that all of these sizes have on average.
+        area = np.pi * float(number @ reach**2 / number.sum())
+        unseen = (missed @ number).astype(np.float32)
+        radius = np.sqrt(area / np.pi) / self._blocks.posting
+        return np.float32(area) * mean_over_discs(unseen[level], radius, float(number.sum()))
 
     @property
     def observed(self) -> NDArray[np.bool_]:
@@ -173,6 +201,9 @@ class ProbabilityMap:
 
     def probability(self, tracker: RockTracker, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return the probability of hazard (rows, cols).
+
+        Where nothing was seen it is that of the rock law, which says nothing of the place: ground
+        is clear where the probability is small and it was `observed`.
 
         Parameters
         ----------
@@ -232,16 +263,17 @@ class ProbabilityMap:
     def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
         """Return the map for a lander whose footprint has the given radius (m)."""
         p = self.probability(tracker, footprint)
-        observed = self.observed
-        # The footprint must lie on the map and have been seen.
-        edge = int(np.ceil(footprint / self.grid.posting))
-        whole = np.zeros_like(observed)
-        if 2 * edge < min(self.grid.shape):
-            whole[edge : self.grid.rows - edge, edge : self.grid.cols - edge] = True
-        observed = observed & whole
+        observed = footprint_seen(self.observed, footprint / self.grid.posting)
         return HazardMap(
             self.grid,
             np.where(observed, np.float32(1.0) - p, np.float32(0.0)),
             observed,
             np.full(self.grid.shape, self.ground, np.float32),
         )
+
+    def expected_rocks(self) -> float:
+        """Return how many rocks that are hazards should have been found on the map."""
+        seen = self._sharpness[self._sharpness > 0.0]
+        levels, counts = np.unique(np.round(seen, 1), return_counts=True)
+        found = 1.0 - self.rates.false_negative(0.5 * self._sizes * levels[:, None])
+        return float(counts @ (found @ self._number)) * self._blocks.posting**2
