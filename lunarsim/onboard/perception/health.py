@@ -33,6 +33,9 @@ _EVERY = 4
 _BANDS = 8
 # Share of the pixels, the quietest, that tell of noise.
 _QUIET = 0.25
+# Ground darker than this share of what is lit may be missing; of a line that is, more than the one
+# share is so dark, and of one beside a straight end less than the other.
+_DARKEST, _ALL, _SOME = 0.15, 0.98, 0.6
 # Frames before the last that one is compared with: a buffer may be read over and over.
 _KEPT = 3
 
@@ -208,7 +211,7 @@ class PictureHealth:
         figures["saturated"] = float((seen == seen.max()).mean())
         if figures["saturated"] > s.most_saturated:
             return Fault.SATURATED
-        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground))
+        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
         if figures["gaps"] > s.most_gaps:
             return Fault.GAPS
         if same > s.most_same:
@@ -288,20 +291,39 @@ def _below_horizon(view: View) -> NDArray[np.bool_]:
     return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
 
 
-def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_]) -> float:
-    """Return the share of rows, or of columns, on the ground that repeat the one before.
+def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> float:
+    """Return the share of rows, or of columns, on the ground that never came.
 
-    No two lines of a picture of lit ground have the same noise.
+    They repeat the one before, which no two lines of lit ground do, or all of them is dark up to a
+    line next to it that is not, as no shadow is.
     """
     most = 0.0
     for image, below in ((raw, ground), (raw.T, ground.T)):
         lines = image[:, ::_EVERY]
+        dark = (lines < _DARKEST * lit).mean(1)
+        wholly = np.repeat(below.all(1), _EVERY)[: len(image)]
+        wholly = _without_sky(wholly, dark > _ALL)
+        if not wholly.any():
+            continue
         repeats = np.zeros(len(lines), np.bool_)
         repeats[1:] = (lines[1:] == lines[:-1]).all(1)
-        wholly = np.repeat(below.all(1), _EVERY)[: len(lines)]
-        if wholly.any():
-            most = max(most, float(repeats[wholly].mean()))
+        empty = dark > _ALL
+        ends = (empty[1:] & (dark[:-1] < _SOME)) | (empty[:-1] & (dark[1:] < _SOME))
+        straight = (ends & wholly[1:] & wholly[:-1]).any()
+        gone = empty | repeats if straight else repeats & ~empty
+        most = max(most, float(gone[wholly].mean()))
     return most
+
+
+def _without_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which lines (n,) show ground, less dark ones next to the sky: ground may end there."""
+    out = ground.copy()
+    for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
+        for i in order:
+            before = i - 1 if order.step > 0 else i + 1
+            if not out[before] and dark[i]:
+                out[i] = False
+    return out
 
 
 def _noise(raw: NDArray[Any]) -> float:

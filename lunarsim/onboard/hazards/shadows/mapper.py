@@ -208,12 +208,15 @@ class ShadowMapper(HazardMapper):
         """Take in what a picture that counts shows."""
         self.seen = seen
         self.tracker.update(seen, picture.camera, self.sun, picture.time)
-        if self.tracker.renewals > self._renewals:
-            # Rocks that were mapped are no longer tracked: their ground is not clear.
-            self._renewals = self.tracker.renewals
-            self.probability.forget()
+        self._forget_lost_rocks()
         self.probability.ground = self._plane(picture.camera)
         self.probability.see(picture.camera, picture.camera.view(pose), self.sun, seen)
+
+    def _forget_lost_rocks(self) -> None:
+        """Take back what was seen if rocks that were mapped there are no longer tracked."""
+        if self.tracker.renewals > self._renewals:
+            self._renewals = self.tracker.renewals
+            self.probability.forget()
 
     def _by_shadows(self, seen: Detections, picture: Picture, pose: Pose, before: Health) -> Health:
         """Judge a picture by its shadows, and the Sun by where they fall."""
@@ -258,6 +261,7 @@ class ShadowMapper(HazardMapper):
         """
         if self.tracker.filter.pictures.watches["shadows"].lost:
             return self._level(HazardMap.unobserved(self.grid))
+        self._forget_lost_rocks()
         if not self.blank and self._time >= self._mapped + self.interval - 1e-9:
             self._map = self._plausible(self.probability.hazard_map(self.tracker, self.footprint))
             self._mapped = self._time
