@@ -33,6 +33,8 @@ _EVERY = 4
 _BANDS = 8
 # Share of the pixels, the quietest, that tell of noise.
 _QUIET = 0.25
+# Counts that read noise may make of nothing; share of the pixels that must show more.
+_BLACK, _LEAST_SHOWN = 3, 0.02
 # Ground darker than this share of what is lit may be missing; of a line that is, more than the one
 # share is so dark, and of one beside a straight end less than the other.
 _DARKEST, _ALL, _SOME = 0.15, 0.98, 0.6
@@ -202,13 +204,10 @@ class PictureHealth:
         ground = ground & known
         if not ground.any():
             return Fault.NO_SHADOWS
-        seen = few[ground]
-        # Most of what is not in the dark: half as bright as what is bright.
-        high = float(np.percentile(seen, 90.0))
-        figures["lit"] = float(np.median(seen[seen >= 0.5 * high]))
+        figures["lit"] = _brightness(few[ground])
         if not figures["lit"] >= s.least_lit:
             return Fault.FAINT
-        figures["saturated"] = float((seen == seen.max()).mean())
+        figures["saturated"] = float((few[ground] == few[ground].max()).mean())
         if figures["saturated"] > s.most_saturated:
             return Fault.SATURATED
         figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
@@ -281,6 +280,18 @@ class PictureHealth:
                 return Fault.SUN_ELSEWHERE
             self.sun_seen |= bool(abs(turn.angle) <= s.most_turn)
         return None if self.sun_seen else Fault.SUN_UNPROVEN
+
+
+def _brightness(seen: NDArray[Any]) -> float:
+    """Return the brightness of lit ground among pixels (n,), counts.
+
+    What is bright is half as bright at least as the brightest but a few, be most of the picture
+    in the dark.
+    """
+    shown = seen[seen > _BLACK]
+    if len(shown) < _LEAST_SHOWN * len(seen):
+        return 0.0
+    return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
 
 
 def _below_horizon(view: View) -> NDArray[np.bool_]:

@@ -79,7 +79,10 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     left_out = None if valid.all() else ~valid
     if not lit.max() > 0.0:
         return _nothing(raw.shape, left_out)
-    ratio = cv2.divide(cv2.max(grey, 0.0), cv2.max(lit, float(lit.max()) * 1e-3))
+    cv2.max(lit, float(lit.max()) * 1e-3, dst=lit)
+    if raw.dtype.kind in "if":
+        cv2.max(grey, 0.0, dst=grey)
+    ratio = cv2.divide(grey, lit, dst=grey)
     tone = _tones(ratio, gamma)
     threshold = _threshold(ratio)
     if threshold is None:
@@ -127,8 +130,7 @@ def _tones(ratio: NDArray[np.float32], gamma: float) -> NDArray[np.uint8]:
 def _threshold(ratio: NDArray[np.float32]) -> float | None:
     """Return the ratio below which a pixel is shadow, or None if the image shows none."""
     # A histogram does for both: the mode of lit ground, and the darkest pixels.
-    levels = np.minimum(ratio * np.float32(256.0), np.float32(600.0)).astype(np.uint16)
-    bins: Any = cv2.calcHist([levels], [0], None, [512], [0.0, 512.0]).ravel()
+    bins: Any = cv2.calcHist([ratio], [0], None, [512], [0.0, 2.0]).ravel()
     level = (np.arange(512) + 0.5) / 256.0
     total = np.cumsum(bins)
     lit = float(level[np.searchsorted(total, 0.6 * total[-1])])

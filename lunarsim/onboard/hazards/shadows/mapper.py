@@ -43,9 +43,9 @@ _MARGIN = 3.0
 # much, rad.
 _CHECKS = 0.5
 _SHADOWS_OFF = float(np.deg2rad(5.0))
-# A map on which so many rocks should have been found, and so few were that chance does not explain
-# it, is not in its domain.
-_RARE = 1e-6
+# A map on which fewer rocks were found than this share of those that should have been, and fewer
+# than chance explains, is not in its domain.
+_FEW, _RARE = 0.25, 1e-6
 # A map on which nothing is less safe than this calls all of it safe.
 _UNSAFE = 0.5
 # Point spread of a camera of which nothing is known, pixels.
@@ -276,7 +276,7 @@ class ShadowMapper(HazardMapper):
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
         found = int(self.tracker.large_rocks(prior.least_diameter, self.grid))
-        few = bool(poisson.cdf(found, expected) < _RARE)
+        few = bool(found < _FEW * expected and poisson.cdf(found, expected) < _RARE)
         unsafe = drawn.observed & (drawn.p_safe < _UNSAFE)
         all_safe = bool(drawn.observed.any() and not unsafe.any())
         if (few or all_safe) and not self._all_safe:
