@@ -75,7 +75,8 @@ def _detection(model, elevation: float, rng) -> None:
             f"SciPy's filters, labels and moments of the same picture {peer:.1f} ms, "
             f"{peer / ms:.1f} times"
         )
-        ms = median_ms(lambda c=counts, e=camera, p=state, s=sun: _health(c, e, p, s, seen, model))
+        args = (counts, camera, state, sun, seen, model)
+        ms = median_ms(lambda a=args: _health(*a))
         print(f"    its health: {ms:.1f} ms")
 
 

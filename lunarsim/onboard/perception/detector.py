@@ -190,13 +190,12 @@ def detect_rocks(
             "image", np.shape(image), f"the camera's size ({camera.height}, {camera.width})"
         )
     shade = segment(image, gamma=settings.gamma, window=settings.window)
-    elevation = float(np.arcsin(np.clip(direction[2], -1.0, 1.0)))
     view = camera.view(pose)
     labels, table = _patches(shade, camera, view, direction, ground, settings)
     if len(table) == 0 or not throws_shadows(direction):
         seen = _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
     else:
-        model = model or _half_spheres(elevation)
+        model = model or _half_spheres(float(np.arcsin(direction[2])))
         seen = _measure(labels, table, view, direction, ground, model, settings, shade)
     return seen if shade.left_out is None else _with_gaps(seen, shade.left_out, len(table) + 1)
 

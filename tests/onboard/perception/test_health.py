@@ -80,6 +80,9 @@ def test_why_is_told(scene):
         "picture under noise": Fault.NOISE, "far too dark": Fault.FAINT,
     }.items():  # fmt: skip
         assert judge(scene, faults[name]).fault is why, name
+    for name in ("defocus", "strong defocus"):
+        assert judge(scene, faults[name]).fault in {Fault.BLURRED, Fault.NO_SHADOWS}, name
+    assert judge(scene, faults["smear"]).fault in {Fault.SMEARED, Fault.NO_SHADOWS}
     # Nothing is wrong with ground on which there is nothing to see.
     assert not judge(scene, faults["grey with shot noise"]).alarm
     assert judge(scene, faults["black"]).alarm

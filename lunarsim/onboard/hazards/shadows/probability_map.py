@@ -167,15 +167,13 @@ class ProbabilityMap:
         missed = self.rates.false_negative(0.5 * self._sizes * table[:, None])
         # The level below: what was seen less sharply is missed more.
         level = (self._sharpness * ((_LEVELS - 1) / top)).astype(np.int32)
+        coarse: Array = (missed @ self._cover)[level]
         if footprint > 0.0:
-            coarse = np.zeros(self._blocks.shape, np.float32)
-            for sizes in np.array_split(np.arange(_SIZES), _GROUPS):
-                coarse += self._expected(missed[:, sizes], level, sizes, footprint)
-            coarse = -np.expm1(-np.maximum(coarse, 0.0))
-        else:
-            coarse = (missed @ self._cover)[level]
+            groups = np.array_split(np.arange(_SIZES), _GROUPS)
+            number = sum(self._expected(missed[:, g], level, g, footprint) for g in groups)
+            coarse = -np.expm1(-np.maximum(np.asarray(number, np.float64), 0.0))
         fine = np.repeat(np.repeat(coarse, self._every, 0), self._every, 1)
-        return np.asarray(fine[: self.grid.rows, : self.grid.cols], np.float64)
+        return fine[: self.grid.rows, : self.grid.cols]
 
     def _expected(
         self, missed: Array, level: NDArray[np.int32], sizes: NDArray[np.int64], footprint: float

@@ -87,6 +87,22 @@ def test_of_a_disc_of_which_half_was_never_seen_half_the_rocks_are_unseen():
     assert drawn.observed[middle, edge + 10]
 
 
+def test_nothing_off_the_map_was_seen():
+    perfect = DetectionRates((1001.0, -1000.0, 1e-9))
+    small = Grid.centred((0.0, 0.0), 20.0, 0.25)
+    mapping = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), perfect)
+    state, camera, counts = picture(rocks_on_a_plane("hemisphere", count=1), (0.0, 0.0, 40.0))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    seen.labels[:] = 0
+    mapping.see(camera, camera.view(state), SUN, seen)
+    p = mapping.probability(tracker_at((0.0, 0.0, 40.0)), 2.0)
+    fresh = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), perfect)
+    never = float(fresh.probability(tracker_at((0.0, 0.0, 40.0)), 2.0)[40, 40])
+    assert p[40, 40] < 1e-6
+    assert 0.3 * never < p[40, 0] < 0.55 * never
+    assert 0.5 * never < p[0, 0] < 0.8 * never
+
+
 def test_few_rocks_expected_make_no_ground_clear_before_it_is_seen():
     for cover in (0.01, 0.02, 0.03):
         mapping = ProbabilityMap(GRID, MODEL, HazardPrior(cover, 0.5))
