@@ -112,7 +112,7 @@ def judge(
         points = np.column_stack((seen.ground, np.full(len(seen), ground)))
         noise = verdict.figures["noise"]
         turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
-        verdict = health.after_detection(seen, turn)
+        verdict = health.after_detection(seen, turn, noise)
     if verdict.fault is None:
         return "counts"
     return f"{'' if verdict.alarm else '('}{verdict.fault.name}{'' if verdict.alarm else ')'}"

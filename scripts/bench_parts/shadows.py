@@ -107,7 +107,7 @@ def _health(counts, camera, state, sun, seen, model):
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
     noise = first.figures["noise"]
     turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
-    return health.after_detection(seen, turn)
+    return health.after_detection(seen, turn, noise)
 
 
 def _images(rng) -> None:

@@ -51,7 +51,7 @@ def _raise_slopes(out, k, image, i, j, least):
 
 
 @kernel()
-def edge_slopes(image, patch, count, least):
+def edge_slopes(image, patch, count, every, least):
     """Return the steepest slope at the rim of each patch, over the range of brightness there.
 
     Parameters
@@ -62,13 +62,16 @@ def edge_slopes(image, patch, count, least):
         Patch of each pixel (height, width), 1 to `count`, 0 for none.
     count
         Greatest patch.
+    every
+        Only patches whose number is a multiple of this are looked at.
     least
         Range below which there is no edge.
 
     Returns
     -------
     out
-        (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no edge.
+        (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no edge and for
+        patches that were not looked at.
     """
     out = np.zeros((count + 1, SLOPES))
     height, width = patch.shape
@@ -76,7 +79,7 @@ def edge_slopes(image, patch, count, least):
     for i in range(margin, height - margin):
         for j in range(margin, width - margin):
             k = patch[i, j]
-            if k == 0:
+            if k == 0 or k % every != 0:
                 continue
             up, low = patch[i - 1, j] != k, patch[i + 1, j] != k
             left, right = patch[i, j - 1] != k, patch[i, j + 1] != k

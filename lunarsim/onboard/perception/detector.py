@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -127,6 +127,13 @@ class Detections:
 
     def __len__(self) -> int:
         return int(self.radius.size)
+
+    @cached_property
+    def rock(self) -> NDArray[np.uint16]:
+        """Place in `label`, from 1 on, of each pixel's rock (height, width); 0 for none."""
+        place = np.zeros(int(self.labels.max(initial=0)) + 1, np.uint16)
+        place[self.label] = np.arange(1, len(self) + 1)
+        return np.asarray(place[self.labels])
 
     def contours(self) -> list[NDArray[np.int32]]:
         """Return the outline (k, 2) of each rock's patch, pixels."""

@@ -12,7 +12,6 @@ from lunarsim.errors import InputError
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _health_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
-from lunarsim.onboard.perception.edges import patches_of
 from lunarsim.onboard.perception.segmentation import lit_ground
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 
@@ -122,10 +121,9 @@ def turn_from_sun(
     noise
         Of a pixel over the brightness of lit ground.
     """
-    patch = patches_of(seen, seen.label)
-    ring = cv2.dilate(patch, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
+    ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
     cut = max(_EXCESS, 4.0 * noise)
-    sums = kernels.two_sides(seen.relative, patch, ring, len(seen), cut)[1:]
+    sums = kernels.two_sides(seen.relative, seen.rock, ring, len(seen), cut)[1:]
     at = np.flatnonzero((sums[:, kernels.WEIGHT] > _LEAST_BRIGHT) & np.isfinite(points).all(1))
     sums = sums[at]
     bright = sums[:, [kernels.BRIGHT_U, kernels.BRIGHT_V]] / sums[:, [kernels.WEIGHT]]

@@ -12,8 +12,9 @@ from lunarsim.onboard.perception.detector import Detections
 
 Array = NDArray[np.float64]
 
-# Brightness, over that of lit ground, by which the sides of an edge must differ.
-_LEAST_STEP = 0.4
+# Brightness, over that of lit ground, by which the sides of an edge must differ, and as a multiple
+# of the noise, of which alone single pixels are edges.
+_LEAST_STEP, _LEAST_NOISES = 0.4, 15.0
 # A normal edge of width 1 is as steep as this.
 _STEEPEST = 1.0 / np.sqrt(2.0 * np.pi)
 # A difference over two pixels adds this to the square of a width, and a pixel's own size a quarter
@@ -50,7 +51,7 @@ class EdgeWidths:
         return float(np.sqrt(blur_sigma**2 + _DIFFERENCE))
 
 
-def edge_widths(seen: Detections) -> EdgeWidths:
+def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
     """Measure the edges of rocks' shadows.
 
     An edge that optics blur with a normal point spread of width s is at its steepest 0.4 / s of its
@@ -60,13 +61,13 @@ def edge_widths(seen: Detections) -> EdgeWidths:
     ----------
     seen
         Rocks found in the picture.
+    noise
+        Of a pixel over the brightness of lit ground.
     """
-    at = np.arange(len(seen))
-    if len(at) > _MOST:
-        # Labels run down the picture: evenly over all of it.
-        at = np.linspace(0, len(at) - 1, _MOST).astype(np.int64)
-    patch = patches_of(seen, seen.label[at])
-    slopes = kernels.edge_slopes(seen.relative, patch, len(at), _LEAST_STEP)[1:]
+    least = max(_LEAST_STEP, _LEAST_NOISES * noise)
+    # Labels run down the picture: every so many of them lie evenly over all of it.
+    every = -(-len(seen) // _MOST) or 1
+    slopes = kernels.edge_slopes(seen.relative, seen.rock, len(seen), every, least)[1:]
     slopes = slopes[slopes[:, -1] > 0.0]
     if len(slopes) == 0:
         return EdgeWidths(0, np.inf, np.inf)
@@ -74,13 +75,3 @@ def edge_widths(seen: Detections) -> EdgeWidths:
         each = _STEEPEST / slopes
     widths = np.quantile(each, _SHARP, axis=0, method="lower")
     return EdgeWidths(len(each), float(widths[-1]), float(widths[:-1].max()))
-
-
-def patches_of(seen: Detections, labels: NDArray[np.int32]) -> NDArray[np.uint16]:
-    """Return the place in `labels` (n,), from 1 on, of each pixel's patch (height, width).
-
-    0 where it is none of them.
-    """
-    place = np.zeros(int(seen.labels.max(initial=0)) + 1, np.uint16)
-    place[labels] = np.arange(1, len(labels) + 1)
-    return np.asarray(place[seen.labels])

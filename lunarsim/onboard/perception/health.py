@@ -236,7 +236,7 @@ class PictureHealth:
                         most = max(most, np.count_nonzero(part) / lit_here)
         return most
 
-    def after_detection(self, seen: Detections, turn: SunAngle) -> Health:
+    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> Health:
         """Judge a picture, good by itself, by the shadows found in it.
 
         Parameters
@@ -245,13 +245,15 @@ class PictureHealth:
             What was found in it.
         turn
             By what angle shadows fall beside where the Sun is taken to throw them.
+        noise
+            As `before_detection` measured it.
         """
         s = self.settings
         dark = float((seen.labels[::_EVERY, ::_EVERY] > 0).mean())
         figures = {"dark": dark, "shadows": float(len(seen))}
         if dark > s.most_dark:
             return Health(Fault.DARK, figures)
-        widths = edge_widths(seen)
+        widths = edge_widths(seen, noise)
         figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
         figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "scatter": turn.scatter}
         if widths.number < s.least_shadows:

@@ -35,14 +35,14 @@ def drawn(sigma, smear=0):
 
 @pytest.mark.parametrize("sigma", [0.6, 1.0, 1.5])
 def test_edges_are_as_wide_as_they_were_drawn(sigma):
-    found = edge_widths(drawn(sigma))
+    found = edge_widths(drawn(sigma), 0.01)
     assert found.number > 50
     assert found.sharpest == pytest.approx(EdgeWidths.expected(sigma), rel=0.12)
     assert found.least_sharp < 1.45 * EdgeWidths.expected(sigma)
 
 
 def test_a_smear_shows_along_its_direction_alone():
-    found = edge_widths(drawn(0.6, smear=10))
+    found = edge_widths(drawn(0.6, smear=10), 0.01)
     # Edges along the smear are as sharp as ever.
     assert found.sharpest < 1.2 * EdgeWidths.expected(0.6)
     # A box of ten pixels has a standard deviation of 2.9; its edge is as steep as a tenth.
@@ -56,8 +56,18 @@ def test_nothing_to_measure_is_not_sharp():
         for f in fields(seen)
         if f.name not in {"labels", "extended", "relative"}
     }
-    found = edge_widths(replace(seen, **none))
+    found = edge_widths(replace(seen, **none), 0.01)
     assert (found.number, found.sharpest, found.least_sharp) == (0, np.inf, np.inf)
+
+
+def test_noise_is_no_edge():
+    seen = drawn(4.0)
+    rng = np.random.default_rng(3)
+    under_noise = (seen.relative + 0.1 * rng.standard_normal((480, 640))).astype(np.float32)
+    found = edge_widths(replace(seen, relative=under_noise), 0.1)
+    assert found.number == 0 or found.sharpest > 2.0
+    # Told that there is none, it takes noise for edges.
+    assert edge_widths(replace(seen, relative=under_noise), 0.0).sharpest < 2.0
 
 
 def test_slopes_equal_plain_loops():
@@ -65,7 +75,7 @@ def test_slopes_equal_plain_loops():
     image = rng.random((40, 50)).astype(np.float32)
     patch = np.zeros((40, 50), np.uint16)
     patch[8:15, 9:20], patch[20:33, 30:41], patch[1:3, 1:3] = 1, 2, 3
-    found = kernels.edge_slopes(image, patch, 3, 0.3)
+    found = kernels.edge_slopes(image, patch, 3, 1, 0.3)
     expected = np.zeros((4, 5))
     for i in range(4, 36):
         for j in range(4, 46):
@@ -90,6 +100,8 @@ def test_slopes_equal_plain_loops():
                 expected[k] = np.maximum(expected[k], np.array([*slopes, np.hypot(gu, gv)]) / size)
     assert found == pytest.approx(expected, rel=1e-5)
     assert (found[1:3] > 0.0).all() and (found[3] == 0.0).all()
+    some = kernels.edge_slopes(image, patch, 3, 2, 0.3)
+    assert np.array_equal(some[2], found[2]) and not some[[0, 1, 3]].any()
 
 
 def test_sides_equal_plain_sums():

@@ -221,11 +221,12 @@ class ShadowMapper(HazardMapper):
     def _by_shadows(self, seen: Detections, picture: Picture, pose: Pose, before: Health) -> Health:
         """Judge a picture by its shadows, and the Sun by where they fall."""
         rocks = self.tracker.filter
+        noise = before.figures["noise"]
         turn = turn_from_sun(
             seen, picture.camera.view(pose), rocks.ground_points(picture.camera, seen.pixel),
-            self.sun, self.tracker.model, before.figures["noise"],
+            self.sun, self.tracker.model, noise,
         )  # fmt: skip
-        after = self.health.after_detection(seen, turn)
+        after = self.health.after_detection(seen, turn, noise)
         if self.health.tells(turn) and picture.time >= self._checked + _CHECKS:
             self._checked = picture.time
             nis = turn.angle**2 / (turn.sigma**2 + _SHADOWS_OFF**2)
