@@ -108,7 +108,7 @@ class HealthSettings:
     most_noise
         Of a pixel, over the brightness of lit ground, in any part of the picture.
     most_dark
-        Share of the ground that may lie in shadow.
+        Share of the picture that may be dark, be it shadow or sky.
     most_gaps
         Share of the pixels that may be no numbers, and of rows or columns that may be missing.
     most_same

@@ -245,7 +245,8 @@ class ShadowMapper(HazardMapper):
         name = "picture-accepted"
         if fault is not None:
             name = "picture-refused"
-            details |= {"why": fault.value, "alarm": health.alarm} | health.figures
+            details |= {"why": fault.value, "alarm": health.alarm}
+            details |= {k: v for k, v in health.figures.items() if np.isfinite(v)}
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _plane(self, camera: CameraModel) -> float:
@@ -282,15 +283,9 @@ class ShadowMapper(HazardMapper):
         all_safe = bool(drawn.observed.any() and not unsafe.any())
         if (few or all_safe) and not self._all_safe:
             area = float(np.count_nonzero(drawn.observed)) * self.grid.posting**2
-            details = {
-                "observed_m2": area,
-                "rocks": found,
-                "expected": expected,
-                "all_safe": all_safe,
-            }
-            self.tracker.filter.events.append(
-                NavigationEvent(self._time, "few-rocks" if few else "all-safe", details)
-            )
+            details = {"observed_m2": area, "rocks": found, "expected": expected}
+            name = "few-rocks" if few else "all-safe"
+            self.tracker.filter.events.append(NavigationEvent(self._time, name, details))
         self._all_safe = few or all_safe
         return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if few else drawn
 
