@@ -57,6 +57,10 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/onboard/navigation/_rock_filter_kernels.py": (
         "tests/onboard/navigation/test_rock_filter.py",
     ),
+    "lunarsim/onboard/perception/_health_kernels.py": (
+        "tests/onboard/perception/test_health.py",
+        "tests/onboard/perception/test_edges.py",
+    ),
     "lunarsim/onboard/perception/_patch_kernels.py": (
         "tests/onboard/perception/test_patch_kernels.py",
         "tests/onboard/perception/test_detector.py",

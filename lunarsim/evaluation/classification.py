@@ -53,6 +53,7 @@ class Classification:
             "occupied_called_clear": _share(self.clear_wrong, self.occupied),
             "clear_false": _share(self.clear_wrong, self.called_clear),
             "occupied_correct": _share(self.occupied_right, self.called_occupied),
+            "called_clear": _share(self.called_clear, self.cells),
             "unknown": _share(self.cells - self.called_clear - self.called_occupied, self.cells),
         }
 
@@ -70,9 +71,15 @@ def classify(
     occupied: NDArray[np.bool_],
     clear_below: float = 0.0025,
     occupied_above: float = 0.8,
+    *,
+    observed: NDArray[np.bool_],
 ) -> Classification:
-    """Compare a map of the probability of hazard (rows, cols) with the truth (rows, cols)."""
-    called_clear = probability < clear_below
+    """Compare a map of the probability of hazard (rows, cols) with the truth (rows, cols).
+
+    Clear is what was `observed` (rows, cols) and has a small probability: where few rocks are
+    expected that is small before any picture.
+    """
+    called_clear = observed & (probability < clear_below)
     called_occupied = probability > occupied_above
     return Classification(
         cells=probability.size,

@@ -21,6 +21,19 @@ class PointedInstrument:
 
 
 @dataclass(frozen=True)
+class CameraInstrument(PointedInstrument):
+    """A camera on a gimbal; pictures bring their geometry.
+
+    Attributes
+    ----------
+    blur_sigma
+        Point spread, 1 sigma, pixels.
+    """
+
+    blur_sigma: float = 0.6
+
+
+@dataclass(frozen=True)
 class LidarInstrument(PointedInstrument):
     """A LiDAR on a gimbal, with what it may err by over a whole flight, 1 sigma each.
 

@@ -14,7 +14,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
-from lunarsim.models.instruments import PointedInstrument
+from lunarsim.models.instruments import CameraInstrument
 from lunarsim.models.pinhole import View
 from lunarsim.parts.quantity import quantity
 from lunarsim.sensors.rendered_image import RenderedImage
@@ -307,6 +307,6 @@ class FramingCamera:
         """Return the camera of one flight."""
         return self.camera()
 
-    def calibration(self) -> PointedInstrument:
+    def calibration(self) -> CameraInstrument:
         """Return what the onboard computer may know of it; pictures bring their geometry."""
-        return PointedInstrument(self.gimbal_limit)
+        return CameraInstrument(self.gimbal_limit, self.blur_sigma)

@@ -105,7 +105,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     large = 2.0 * terrain.rocks.a >= hazard
     occupied = (rock >= 0) & large[np.maximum(rock, 0)]
     return {
-        "classes": classify(probability, occupied),
+        "classes": classify(probability, occupied, observed=mapper.probability.observed),
         "reliability": reliability(probability, occupied, RELIABILITY_EDGES),
         "rocks": mapper.tracker.filter.count,
         "map": probability,

@@ -156,3 +156,17 @@ def test_matrix_names_the_goals_that_are_missed(matrix):
     assert matrix.meets(cell, bad) == "area, objects, recall"
     far = matrix.Cell("x", relief=8.0)
     assert matrix.meets(far, bad | {"clear_false": float("nan")}) == "objects"
+
+
+def test_no_bad_picture_counts_and_most_good_ones_do(script):
+    health = script("shadows", "health")
+    rows = health.look(health.Task(2, 0.05, 2.0, 11, True))
+    by = {}
+    for row in rows:
+        by.setdefault(row["fault"], []).append(row["verdict"])
+    assert len(by) == 20 and len(by["none"]) == 15
+    # A smear of 4 pixels and a blur of 1 are hardly more than the camera's own.
+    mild = {"none", health.SEEN, "defocus 1.0 px", "smear 4 px"}
+    assert not {name for name in by if name not in mild and "counts" in by[name]}
+    assert by[health.SEEN].count("counts") >= 11
+    assert "FAINT" in by["black"] and "SUN_ELSEWHERE" in by["Sun +30 deg"]

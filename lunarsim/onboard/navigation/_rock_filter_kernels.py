@@ -17,6 +17,17 @@ def subtract_outer(p, w):
 
 
 @kernel(parallel=True)
+def add_outer(p, w):
+    """Add w w' to the square matrix p in place."""
+    for i in prange(w.size):
+        a = w[i]
+        # Heights do not move.
+        if a != 0.0:
+            for j in range(w.size):
+                p[i, j] += a * w[j]
+
+
+@kernel(parallel=True)
 def subtract_product(p, product, states, place):
     """Subtract rows (k, n) from rows `states` (k,) of the symmetric p, and from its columns.
 

@@ -15,7 +15,7 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation._rock_filter_kernels import measured_rows
+from lunarsim.onboard.navigation._rock_filter_kernels import add_outer, measured_rows
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.error_state import BLAS, KEY, MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
@@ -263,7 +263,8 @@ class RockFilter(RockStates):
         along = np.append(sun[:2] / np.hypot(sun[0], sun[1]), 0.0)
         move = (wander * np.sqrt(angle) * self.radius)[:, None] * along
         size = self.state.size
-        self.state.p[self.first : size, self.first : size] += np.outer(move, move)
+        with threads_for(2e-3 * size**2):
+            add_outer(self.state.p[self.first : size, self.first : size], move.ravel())
         i = self.places()
         self.state.p[i[:, :, None], i[:, None, :]] += move[:, :, None] * move[:, None, :]
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.frames import is_rotation
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
-from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
+from lunarsim.onboard.perception.shadow_model import (
+    LEAST_ELEVATION,
+    MOST_ELEVATION,
+    ShadowModel,
+    ShadowPatch,
+)
 from lunarsim.onboard.perception.shape_mixture import Reading, ShapeMixture
 
 Array = NDArray[np.float64]
@@ -61,11 +67,19 @@ class DetectorSettings:
     pixel_sigma: float = 0.4
 
     def __post_init__(self) -> None:
-        if self.least_pixels < 1:
+        if not self.least_pixels >= 1:
             raise InputError("detector.least_pixels", self.least_pixels, "1 or more")
-        for name in ("largest_radius", "pixel_sigma"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"detector.{name}", getattr(self, name), "a positive number")
+        for name in ("gamma", "largest_radius", "pixel_sigma"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"detector.{name}", value, "a positive number")
+        for name in ("window", "edge_share", "least_fill"):
+            value = getattr(self, name)
+            if not 0.0 < value <= 1.0:
+                raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
+        low, high = self.canny
+        if not 0.0 < low < high < np.inf:
+            raise InputError("detector.canny", self.canny, "two positive numbers that rise")
 
 
 @dataclass(frozen=True)
@@ -93,7 +107,10 @@ class Detections:
     labels
         Dark patch of each pixel (height, width), 0 for none.
     extended
-        Labels of dark patches that are no rock's: terrain in its own shadow, or cut by the edge.
+        Labels of what is no rock's and was not seen: terrain in its own shadow, patches cut by the
+        edge, and pixels that are no numbers.
+    relative
+        Brightness over that of the lit ground nearby (height, width).
     largest
         Radius of the largest rock that each label may be the shadow of (labels + 1,), m: 0 for
         none, infinite where the patch does not tell.
@@ -113,11 +130,19 @@ class Detections:
     label: NDArray[np.int32]
     labels: NDArray[np.int32]
     extended: NDArray[np.int32]
+    relative: NDArray[np.float32]
     largest: NDArray[np.float32]
     shapes: Array
 
     def __len__(self) -> int:
         return int(self.radius.size)
+
+    @cached_property
+    def rock(self) -> NDArray[np.uint16]:
+        """Place in `label`, from 1 on, of each pixel's rock (height, width); 0 for none."""
+        place = np.zeros(int(self.labels.max(initial=0)) + 1, np.uint16)
+        place[self.label] = np.arange(1, len(self) + 1)
+        return np.asarray(place[self.labels])
 
     def contours(self) -> list[NDArray[np.int32]]:
         """Return the outline (k, 2) of each rock's patch, pixels."""
@@ -164,31 +189,47 @@ def detect_rocks(
     Returns
     -------
     detections
-        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees,
-        or nothing but sky.
+        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees (as at
+        the zenith or below the horizon), or nothing but sky.
 
     Raises
     ------
     InputError
-        If the image has another shape than the camera's, or the Sun's direction is not a unit
-        vector.
+        If the image has another shape than the camera's or is not numeric, the pose is not finite
+        or no rotation, or the Sun's direction is not a unit vector.
     """
     settings = settings or DetectorSettings()
-    direction = _unit_vector(sun)
+    direction = unit_vector(sun)
+    _check_pose(pose)
     if np.shape(image) != (camera.height, camera.width):
         raise InputError(
             "image", np.shape(image), f"the camera's size ({camera.height}, {camera.width})"
         )
     shade = segment(image, gamma=settings.gamma, window=settings.window)
-    elevation = float(np.arcsin(np.clip(direction[2], -1.0, 1.0)))
     view = camera.view(pose)
     labels, table = _patches(shade, camera, view, direction, ground, settings)
-    if len(table) == 0 or not np.deg2rad(2.0) <= elevation <= np.deg2rad(80.0):
-        return _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32))
-    return _measure(labels, table, view, direction, ground, _mixture_of(model, elevation), settings)
+    if len(table) == 0 or not throws_shadows(direction):
+        seen = _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
+    else:
+        known = _mixture_of(model, float(np.arcsin(direction[2])))
+        seen = _measure(labels, table, view, direction, ground, known, settings, shade)
+    return seen if shade.left_out is None else _with_gaps(seen, shade.left_out, len(table) + 1)
 
 
-def _unit_vector(sun: ArrayLike) -> Array:
+def throws_shadows(sun: Array) -> bool:
+    """Tell whether the Sun (3,) stands where rocks are seen by their shadows: 2 to 80 deg high."""
+    elevation = float(np.arcsin(np.clip(sun[2], -1.0, 1.0)))
+    return bool(LEAST_ELEVATION <= elevation <= MOST_ELEVATION)
+
+
+def unit_vector(sun: ArrayLike) -> Array:
+    """Return the direction towards the Sun (3,).
+
+    Raises
+    ------
+    InputError
+        If it is no unit vector.
+    """
     direction = np.asarray(sun, dtype=np.float64)
     if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
         raise InputError("sun", sun, "a unit vector (3,), ENU")
@@ -201,16 +242,36 @@ def _mixture_of(model: ShadowModel | ShapeMixture | None, elevation: float) -> S
     return ShapeMixture.known(model or _half_spheres(elevation))
 
 
+def _check_pose(pose: Pose) -> None:
+    if np.shape(pose.position) != (3,) or not np.isfinite(pose.position).all():
+        raise InputError("pose.position", pose.position, "three finite numbers, ENU, m")
+    if not is_rotation(pose.attitude):
+        raise InputError("pose.attitude", pose.attitude, "a quaternion (4,) of length 1")
+
+
+def _with_gaps(seen: Detections, left_out: NDArray[np.bool_], label: int) -> Detections:
+    """Return detections with a label for pixels that are no numbers: they do not tell."""
+    return replace(
+        seen,
+        labels=np.where(left_out, np.int32(label), seen.labels),
+        extended=np.append(seen.extended, np.int32(label)),
+        largest=np.append(seen.largest, np.float32(np.inf)),
+    )
+
+
 @lru_cache(maxsize=8)
 def _half_spheres(elevation: float) -> ShadowModel:
     return ShadowModel(elevation)
 
 
-def _nothing(labels: NDArray[np.int32], extended: NDArray[np.int32]) -> Detections:
+def _nothing(
+    labels: NDArray[np.int32], extended: NDArray[np.int32], shade: Segmentation
+) -> Detections:
     none = np.empty(0)
     return Detections(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended, _unknown(len(extended)), np.empty((0, 1)),
+        np.empty(0, np.int32), labels, extended, shade.relative, _unknown(len(extended)),
+        np.empty((0, 1)),
     )  # fmt: skip
 
 
@@ -256,6 +317,7 @@ def _measure(
     ground: float,
     model: ShapeMixture,
     settings: DetectorSettings,
+    shade: Segmentation,
 ) -> Detections:
     """Turn the table of patches into rocks."""
     k = kernels
@@ -288,7 +350,7 @@ def _measure(
     return Detections(
         pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
         rocks.sigma[keep], height[keep], length[keep], np.sqrt(t[keep, k.PIXELS]), number[keep],
-        labels, extended, largest, read.weight[keep],
+        labels, extended, shade.relative, largest, read.weight[keep],
     )  # fmt: skip
 
 

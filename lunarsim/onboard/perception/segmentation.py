@@ -31,10 +31,16 @@ class Segmentation:
         (height, width), uint8 0 or 1.
     brightness
         Gamma-corrected brightness over that of the lit ground nearby, 8 bits (height, width).
+    relative
+        Brightness over that of the lit ground nearby (height, width).
+    left_out
+        Pixels that are no numbers (height, width); None if all are.
     """
 
     dark: NDArray[np.uint8]
     brightness: NDArray[np.uint8]
+    relative: NDArray[np.float32]
+    left_out: NDArray[np.bool_] | None = None
 
 
 def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Segmentation:
@@ -67,25 +73,29 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     grey = raw.astype(np.float32)
     if not valid.all():
         if not valid.any():
-            return _nothing(raw.shape)
+            return _nothing(raw.shape, ~valid)
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
     lit = lit_ground(grey, window)
+    left_out = None if valid.all() else ~valid
     if not lit.max() > 0.0:
-        return _nothing(raw.shape)
-    ratio = cv2.divide(cv2.max(grey, 0.0), cv2.max(lit, float(lit.max()) * 1e-3))
+        return _nothing(raw.shape, left_out)
+    cv2.max(lit, float(lit.max()) * 1e-3, dst=lit)
+    if raw.dtype.kind in "if":
+        cv2.max(grey, 0.0, dst=grey)
+    ratio = cv2.divide(grey, lit, dst=grey)
     tone = _tones(ratio, gamma)
     threshold = _threshold(ratio)
     if threshold is None:
-        return Segmentation(np.zeros(raw.shape, np.uint8), tone)
+        return Segmentation(np.zeros(raw.shape, np.uint8), tone, ratio, left_out)
     dark = (ratio < threshold).astype(np.uint8)
-    if not valid.all():
-        dark[~valid] = 0
-    return Segmentation(dark, tone)
+    if left_out is not None:
+        dark[left_out] = 0
+    return Segmentation(dark, tone, ratio, left_out)
 
 
-def _nothing(shape: tuple[int, ...]) -> Segmentation:
+def _nothing(shape: tuple[int, ...], left_out: NDArray[np.bool_] | None) -> Segmentation:
     none = np.zeros(shape, np.uint8)
-    return Segmentation(none, none)
+    return Segmentation(none, none, none.astype(np.float32), left_out)
 
 
 def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
@@ -120,8 +130,7 @@ def _tones(ratio: NDArray[np.float32], gamma: float) -> NDArray[np.uint8]:
 def _threshold(ratio: NDArray[np.float32]) -> float | None:
     """Return the ratio below which a pixel is shadow, or None if the image shows none."""
     # A histogram does for both: the mode of lit ground, and the darkest pixels.
-    levels = np.minimum(ratio * np.float32(256.0), np.float32(600.0)).astype(np.uint16)
-    bins: Any = cv2.calcHist([levels], [0], None, [512], [0.0, 512.0]).ravel()
+    bins: Any = cv2.calcHist([ratio], [0], None, [512], [0.0, 2.0]).ravel()
     level = (np.arange(512) + 0.5) / 256.0
     total = np.cumsum(bins)
     lit = float(level[np.searchsorted(total, 0.6 * total[-1])])

@@ -35,8 +35,8 @@ _DETAIL = 12
 # Standard deviations of radius and centre, in radii, that many looks do not average out, as
 # found between tracked and true cubes at the end of rendered descents.
 _UNKNOWN = (0.12, 0.28)
-_LEAST_ELEVATION = np.deg2rad(2.0)
-_MOST_ELEVATION = np.deg2rad(80.0)
+LEAST_ELEVATION = np.deg2rad(2.0)
+MOST_ELEVATION = np.deg2rad(80.0)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class ShadowModel:
     """
 
     def __init__(self, elevation: float, shapes: RockModel | None = None) -> None:
-        if not _LEAST_ELEVATION <= elevation <= _MOST_ELEVATION:
+        if not LEAST_ELEVATION <= elevation <= MOST_ELEVATION:
             raise InputError(
                 "sun.elevation", elevation, "from 2 to 80 degrees, in radians, to see shadows by"
             )

@@ -24,7 +24,7 @@ from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.world.terrain import Heightfield, Terrain
 from tests.reference.shadows import patch
-from tests.shadow_scene import LEVEL, SUN, at, picture, rocks_on_a_plane
+from tests.shadow_scene import LEVEL, MODEL, SUN, at, picture, rocks_on_a_plane
 from tests.worlds import flat_terrain
 
 
@@ -304,10 +304,10 @@ def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
     sun = direction_from_angles(1.2 + np.radians(off), np.radians(20.0))
     seen = detect_rocks(counts, camera, state, sun)
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
-    angle, sigma, number = turn_from_sun(counts, seen, camera.view(state), points, sun)
-    assert number > 10
-    assert sigma < np.radians(5.0)
-    far = abs(np.degrees(angle))
+    turn = turn_from_sun(seen, camera.view(state), points, sun, MODEL, 0.02)
+    assert turn.number > 10
+    assert turn.sigma < np.radians(5.0)
+    far = abs(np.degrees(turn.angle))
     if off == 0.0:
         assert far < 5.0
     elif off == 180.0:
@@ -341,3 +341,59 @@ def test_contours_run_round_the_patches():
     (line,) = seen.contours()
     assert (seen.labels[line[:, 1], line[:, 0]] == seen.label[0]).all()
     assert len(line) > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gamma", -1.0), ("gamma", np.nan), ("window", 0.0), ("window", 2.0), ("edge_share", -0.1),
+        ("canny", (100.0, 40.0)), ("largest_radius", -5.0), ("least_fill", 0.0),
+        ("pixel_sigma", np.inf), ("least_pixels", 0),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused_when_they_are_made(name, value):
+    with pytest.raises(InputError, match=rf"detector\.{name}"):
+        DetectorSettings(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("position", np.array([0.0, 0.0, np.nan])), ("position", np.zeros(2)),
+        ("attitude", np.array([0.0, 0.0, 0.0, 1.5])), ("attitude", np.full(4, np.nan)),
+        ("attitude", np.zeros(3)),
+    ],
+)  # fmt: skip
+def test_rocks_are_not_seen_from_a_pose_that_is_none(name, value):
+    state, camera, counts = picture(rocks_on_a_plane("hemisphere"), (0.0, 0.0, 50.0))
+    with pytest.raises(InputError, match=rf"pose\.{name}"):
+        detect_rocks(counts, camera, replace(state, **{name: value}), SUN)
+
+
+@pytest.mark.parametrize("wrong", [str, complex, object])
+def test_pictures_of_no_numbers_are_refused(wrong):
+    state, camera = at((0.0, 0.0, 50.0))
+    with pytest.raises(InputError, match="image"):
+        detect_rocks(np.zeros((480, 640)).astype(wrong), camera, state, SUN)
+
+
+@pytest.mark.parametrize("elevation", [90.0, 85.0, -5.0, -90.0])
+def test_under_a_sun_at_the_zenith_or_below_the_horizon_no_rock_is_seen(elevation):
+    state, camera, counts = picture(rocks_on_a_plane("hemisphere"), (0.0, 0.0, 50.0))
+    sun = direction_from_angles(1.2, np.radians(elevation))
+    seen = detect_rocks(counts, camera, state, sun)
+    assert len(seen) == 0
+    # All that is dark is no rock's.
+    assert set(seen.extended) == set(range(1, seen.labels.max() + 1))
+
+
+def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
+    state, camera, counts = picture(rocks_on_a_plane("hemisphere"), (0.0, 0.0, 50.0))
+    gap = counts.astype(float)
+    gap[100:140, 200:260] = np.nan
+    seen = detect_rocks(gap, camera, state, SUN)
+    hole = np.unique(seen.labels[100:140, 200:260])
+    assert len(hole) == 1 and hole[0] in seen.extended and hole[0] not in seen.label
+    assert len(seen) > 10
+    blank = detect_rocks(np.full((480, 640), np.nan), camera, state, SUN)
+    assert len(blank) == 0 and (blank.labels > 0).all()

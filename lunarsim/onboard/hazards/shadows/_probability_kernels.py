@@ -9,6 +9,10 @@ import numpy as np
 from lunarsim._jit import kernel, prange
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
+# Deviations beyond which a place is covered for certain.
+_CERTAIN = 5.5
+# Rows that one thread paints.
+_BAND = 64
 
 
 @kernel()
@@ -35,6 +39,8 @@ def _rice(d, sigma, mean, spread, node, weight):
     if d > 8.0 * sigma:
         # The distance is normal about d + sigma^2 / (2 d).
         return _normal((mean - d - 0.5 * sigma * sigma / d) / math.hypot(sigma, spread))
+    if mean - d > _CERTAIN * (sigma + spread):
+        return 1.0
     low = max(d - 7.0 * sigma, 0.0)
     high = d + 7.0 * sigma
     # The radius cuts the distances within a few of its deviations: panels meet there. Beyond the
@@ -71,7 +77,7 @@ def rice_profiles(distance, sigma, mean, spread, node, weight):
     return out
 
 
-@kernel()
+@kernel(parallel=True)
 def paint(clear, x0, y0, posting, xy, reach, profile, weight):
     """Multiply the probabilities that cells are clear (rows, cols) by those of every rock.
 
@@ -79,19 +85,23 @@ def paint(clear, x0, y0, posting, xy, reach, profile, weight):
     """
     rows, cols = clear.shape
     last = profile.shape[1] - 1
-    for j in range(xy.shape[0]):
-        r = reach[j]
-        i0 = max(math.ceil((xy[j, 1] - r - y0) / posting), 0)
-        i1 = min(math.floor((xy[j, 1] + r - y0) / posting), rows - 1)
-        j0 = max(math.ceil((xy[j, 0] - r - x0) / posting), 0)
-        j1 = min(math.floor((xy[j, 0] + r - x0) / posting), cols - 1)
-        scale = last / r
-        for i in range(i0, i1 + 1):
-            dy = y0 + i * posting - xy[j, 1]
-            for c in range(j0, j1 + 1):
-                dx = x0 + c * posting - xy[j, 0]
-                at = math.sqrt(dx * dx + dy * dy) * scale
-                k = int(at)
-                if k < last:
-                    p = profile[j, k] + (at - k) * (profile[j, k + 1] - profile[j, k])
-                    clear[i, c] *= 1.0 - weight[j] * p
+    for band in prange((rows + _BAND - 1) // _BAND):
+        top, bottom = band * _BAND, min((band + 1) * _BAND, rows) - 1
+        for j in range(xy.shape[0]):
+            r = reach[j]
+            i0 = max(math.ceil((xy[j, 1] - r - y0) / posting), top)
+            i1 = min(math.floor((xy[j, 1] + r - y0) / posting), bottom)
+            scale = last / r
+            for i in range(i0, i1 + 1):
+                dy = y0 + i * posting - xy[j, 1]
+                # What of the row lies within reach.
+                half = math.sqrt(max(r * r - dy * dy, 0.0))
+                c0 = max(math.ceil((xy[j, 0] - half - x0) / posting), 0)
+                c1 = min(math.floor((xy[j, 0] + half - x0) / posting), cols - 1)
+                for c in range(c0, c1 + 1):
+                    dx = x0 + c * posting - xy[j, 0]
+                    at = math.sqrt(dx * dx + dy * dy) * scale
+                    k = int(at)
+                    if k < last:
+                        p = profile[j, k] + (at - k) * (profile[j, k + 1] - profile[j, k])
+                        clear[i, c] *= 1.0 - weight[j] * p

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -230,25 +230,26 @@ class ClearEvidence:
             radius = self._radius[mine]
             reach = footprint + float(weight @ radius)
             area = np.float32(np.pi * weight @ (footprint + radius) ** 2)
-            total += area * _mean_over_disc(self._density(s), reach / self.grid.posting)
+            total += area * mean_over_discs(
+                self._density(s), reach / self.grid.posting, float(self._number[mine].sum())
+            )
         return total
+
+    def expected_found(self) -> float:
+        """Return how many rocks should have been found where there was a look."""
+        total = 0.0
+        for s in range(len(self._tested)):
+            mine = self._class == s
+            sharpest = np.maximum(self.lit[s], self.dark[s])
+            levels, counts = np.unique(np.round(sharpest[sharpest > 0.0], 1), return_counts=True)
+            found = 1.0 - self.rates.false_negative(self._radius[mine][:, None] * levels)
+            total += float(self._number[mine] @ found @ counts)
+        return total * self.grid.posting**2
 
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < 0.5) & ~self._possible(0))
-
-
-def _mean_over_disc(image: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
-    """Return the mean of an image (rows, cols) over discs of a radius in pixels."""
-    half = int(np.ceil(radius + 0.5))
-    at = np.arange(-half, half + 1)
-    away = np.hypot(at[:, None], at[None, :])
-    # Pixels at the rim count by the part that lies within.
-    kernel = np.clip(radius + 0.5 - away, 0.0, 1.0).astype(np.float32)
-    return np.asarray(
-        cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
-    )
 
 
 def _overlap(by: int, count: int) -> slice:

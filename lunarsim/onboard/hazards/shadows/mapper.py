@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import poisson
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
-from lunarsim.models.pinhole import View
+from lunarsim.models.instruments import CameraInstrument
+from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
-from lunarsim.onboard.navigation.aids import gate_of
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.kinds import RockNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks
+from lunarsim.onboard.perception.detector import (
+    Detections,
+    DetectorSettings,
+    detect_rocks,
+    unit_vector,
+)
 from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.health import Fault, Health, HealthSettings, PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
@@ -34,11 +42,19 @@ Array = NDArray[np.float64]
 
 # Rocks are tracked so far beyond the map, m.
 _MARGIN = 3.0
-# Shadows are compared with the Sun so often, s, by so many rocks at least; they point elsewhere by
-# so much even where it is right, rad.
+# Shadows are compared with the Sun so often, s; even where it is right they point elsewhere by so
+# much, rad.
 _CHECKS = 0.5
-_LEAST_SHADOWS = 5
-_SHADOWS_OFF = float(np.deg2rad(2.5))
+_SHADOWS_OFF = float(np.deg2rad(5.0))
+# A map on which fewer rocks were found than this share of those that should have been, and fewer
+# than chance explains, is not in its domain.
+_FEW, _RARE = 0.25, 1e-6
+# A map on which nothing is less safe than this calls all of it safe.
+_UNSAFE = 0.5
+# Point spread of a camera of which nothing is known, pixels.
+_BLUR = HealthSettings().blur_sigma
+# The model of shadows may be made for a Sun so much higher or lower, rad.
+_SUN_OFF = float(np.deg2rad(1.0))
 
 
 @dataclass(frozen=True)
@@ -97,7 +113,12 @@ class ShadowMapping:
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
         probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
-        return ShadowMapper(tracker, probability, briefing.sun, reach, interval=self.interval)
+        known = briefing.instruments.get(self.sensor)
+        blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
+        return ShadowMapper(
+            tracker, probability, briefing.sun, reach, interval=self.interval,
+            health=PictureHealth(HealthSettings(blur_sigma=blur)),
+        )  # fmt: skip
 
     def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
         """Return what shadows are read by, the Sun at an elevation, rad."""
@@ -123,6 +144,18 @@ class ShadowMapper(HazardMapper):
         What counts as a shadow.
     interval
         Least time between two evaluations of the map, s.
+    health
+        Judges pictures; left out: with default settings.
+
+    Attributes
+    ----------
+    refused
+        Pictures that did not count, by why.
+
+    Raises
+    ------
+    InputError
+        If the Sun's direction is no unit vector, or not at the elevation of the tracker's model.
     """
 
     def __init__(
@@ -134,7 +167,9 @@ class ShadowMapper(HazardMapper):
         *,
         detector: DetectorSettings | None = None,
         interval: float = 1.0,
+        health: PictureHealth | None = None,
     ) -> None:
+        _check_sun(sun, tracker.model.elevation)
         self.tracker = tracker
         self.probability = probability
         self.grid = probability.grid
@@ -142,6 +177,8 @@ class ShadowMapper(HazardMapper):
         self.footprint = footprint
         self.interval = interval
         self.detector = detector or DetectorSettings()
+        self.health = health or PictureHealth()
+        self.refused: Counter[Fault] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
         self._shown: tuple[HazardMap, np.float32, HazardMap] | None = None
@@ -149,11 +186,15 @@ class ShadowMapper(HazardMapper):
         self._time = -np.inf
         self._checked = -np.inf
         self._renewals = 0
+        self._fault: Fault | None = None
+        self._all_safe = False
 
     def update(self, measurement: Picture, estimate: Estimate) -> None:
-        """Take in one picture, seen from the estimated pose.
+        """Take in one picture, seen from the estimated pose, if it counts.
 
-        One that shows nothing, all black or white, tells nothing.
+        One that does not, see `PictureHealth`, changes nothing but `refused`, and is reported:
+        "picture-refused" when pictures begin to fail for a reason, "picture-accepted" when they
+        count again.
 
         Raises
         ------
@@ -167,27 +208,68 @@ class ShadowMapper(HazardMapper):
                 f"at least {self._time} s: time does not run backwards",
             )  # fmt: skip
         self._time = picture.time
-        if _is_dead(picture.counts):
-            return
-        sun = rocks.in_frame(self.sun)
-        self.seen = detect_rocks(
-            picture.counts, picture.camera, estimate, sun,
-            ground=self._plane(picture.camera), model=self.tracker.model, settings=self.detector,
-        )  # fmt: skip
+        health = self.health.before_detection(picture.counts, picture.camera, estimate)
+        if health.good:
+            seen = detect_rocks(
+                picture.counts, picture.camera, estimate, rocks.in_frame(self.sun),
+                ground=self._plane(picture.camera), model=self.tracker.model,
+                settings=self.detector,
+            )  # fmt: skip
+            health = self._by_shadows(seen, picture, estimate, health)
+        self._report(picture.time, health)
+        if health.good:
+            self._take(seen, picture, estimate)
+
+    def _take(self, seen: Detections, picture: Picture, pose: Pose) -> None:
+        """Take in what a picture that counts shows."""
+        self.seen = seen
         if isinstance(self.tracker.model, ShapeMixture):
-            self.tracker.model.learn(self.seen.shapes, self.seen.q)
-        view = picture.camera.view(estimate)
-        self._check_sun(picture, view, sun)
-        self.tracker.update(self.seen, picture.camera, sun, picture.time)
-        if self.tracker.renewals > self._renewals:
-            # Rocks that were mapped are no longer tracked: their ground is not clear.
-            self._renewals = self.tracker.renewals
-            self.probability.forget()
+            self.tracker.model.learn(seen.shapes, seen.q)
+        sun = self.tracker.filter.in_frame(self.sun)
+        self.tracker.update(seen, picture.camera, sun, picture.time)
+        self._forget_lost_rocks()
         self.probability.ground = self._plane(picture.camera)
         self.probability.see(
-            picture.camera, view, sun, self.seen, self.tracker.filter.ground_at,
+            picture.camera, picture.camera.view(pose), sun, seen, self.tracker.filter.ground_at,
             self.tracker.explained,
         )  # fmt: skip
+
+    def _forget_lost_rocks(self) -> None:
+        """Take back what was seen if rocks that were mapped there are no longer tracked."""
+        if self.tracker.renewals > self._renewals:
+            self._renewals = self.tracker.renewals
+            self.probability.forget()
+
+    def _by_shadows(self, seen: Detections, picture: Picture, pose: Pose, before: Health) -> Health:
+        """Judge a picture by its shadows, and the Sun by where they fall."""
+        rocks = self.tracker.filter
+        noise = before.figures["noise"]
+        turn = turn_from_sun(
+            seen, picture.camera.view(pose), rocks.ground_points(picture.camera, seen.pixel),
+            rocks.in_frame(self.sun), self.tracker.model, noise,
+        )  # fmt: skip
+        after = self.health.after_detection(seen, turn, noise)
+        if self.health.tells(turn) and picture.time >= self._checked + _CHECKS:
+            self._checked = picture.time
+            nis = turn.angle**2 / (turn.sigma**2 + _SHADOWS_OFF**2)
+            there = after.fault is not Fault.SUN_ELSEWHERE
+            rocks.judge("shadows", picture.time, Outcome(nis, 1, there))
+        return Health(after.fault, before.figures | after.figures)
+
+    def _report(self, time: float, health: Health) -> None:
+        """Count pictures that do not count, and say when that begins and ends."""
+        fault, before, self._fault = health.fault, self._fault, health.fault
+        if fault is not None:
+            self.refused[fault] += 1
+        if fault is before:
+            return
+        details: dict[str, Any] = {"refused": self.refused.total()}
+        name = "picture-accepted"
+        if fault is not None:
+            name = "picture-refused"
+            details |= {"why": fault.value, "alarm": health.alarm}
+            details |= {k: v for k, v in health.figures.items() if np.isfinite(v)}
+        self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _plane(self, camera: CameraModel) -> float:
         """Return the height of the ground in the middle of the image, as the rocks tell it, m."""
@@ -196,21 +278,6 @@ class ShadowMapper(HazardMapper):
         height = float(rocks.ground_points(camera, middle)[0, 2])
         return height if np.isfinite(height) else rocks.ground
 
-    def _check_sun(self, picture: Picture, view: View, sun: Array) -> None:
-        """Compare where shadows fall with where the Sun is taken to be."""
-        rocks, seen = self.tracker.filter, self.seen
-        if seen is None or len(seen) < _LEAST_SHADOWS or picture.time < self._checked + _CHECKS:
-            return
-        self._checked = picture.time
-        points = rocks.ground_points(picture.camera, seen.pixel)
-        if not np.isfinite(points).all():
-            return
-        angle, sigma, number = turn_from_sun(picture.counts, seen, view, points, sun)
-        if number < _LEAST_SHADOWS:
-            return
-        nis = float(angle**2 / (sigma**2 + _SHADOWS_OFF**2))
-        rocks.judge("shadows", picture.time, Outcome(nis, 1, nis < gate_of(1)))
-
     def hazard_map(self) -> HazardMap:
         """Return the map, at most `interval` seconds old.
 
@@ -218,10 +285,31 @@ class ShadowMapper(HazardMapper):
         """
         if self.tracker.filter.pictures.watches["shadows"].lost:
             return self._level(HazardMap.unobserved(self.grid))
+        self._forget_lost_rocks()
         if not self.blank and self._time >= self._mapped + self.interval - 1e-9:
-            self._map = self.probability.hazard_map(self.tracker, self.footprint)
+            self._map = self._plausible(self.probability.hazard_map(self.tracker, self.footprint))
             self._mapped = self._time
         return self._level(self._map)
+
+    def _plausible(self, drawn: HazardMap) -> HazardMap:
+        """Return a map that says whether it can be believed, and report where all of it is safe.
+
+        Where far fewer rocks were found than ground like this should have, either it has fewer or
+        they do not show: `in_domain` is then false everywhere.
+        """
+        prior = self.probability.prior
+        expected = self.probability.expected_rocks()
+        found = int(self.tracker.large_rocks(prior.least_diameter, self.grid))
+        few = bool(found < _FEW * expected and poisson.cdf(found, expected) < _RARE)
+        unsafe = drawn.observed & (drawn.p_safe < _UNSAFE)
+        all_safe = bool(drawn.observed.any() and not unsafe.any())
+        if (few or all_safe) and not self._all_safe:
+            area = float(np.count_nonzero(drawn.observed)) * self.grid.posting**2
+            details = {"observed_m2": area, "rocks": found, "expected": expected}
+            name = "few-rocks" if few else "all-safe"
+            self.tracker.filter.events.append(NavigationEvent(self._time, name, details))
+        self._all_safe = few or all_safe
+        return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if few else drawn
 
     def ground_height(self, xy: Array) -> float:
         """Return the local height of the ground at a point (2,), as the rocks tell it, m."""
@@ -251,7 +339,7 @@ class ShadowMapper(HazardMapper):
 
     @property
     def blank(self) -> bool:
-        """Whether no picture was taken yet."""
+        """Whether no picture has counted yet."""
         return self.seen is None
 
     def tables(self) -> dict[str, dict[str, Array]]:
@@ -271,7 +359,10 @@ def _tracked(grid: Grid) -> tuple[float, float, float, float]:
     return west - _MARGIN, east + _MARGIN, south - _MARGIN, north + _MARGIN
 
 
-def _is_dead(counts: NDArray[np.unsignedinteger[Any]]) -> bool:
-    """Tell whether an image is all black or all white: read noise alone moves it by a count."""
-    low, high = np.nanpercentile(counts, [1.0, 99.0])
-    return bool(high - low <= 1.0)
+def _check_sun(sun: ArrayLike, elevation: float) -> None:
+    """Refuse a Sun that is not where the model of shadows has it."""
+    direction = unit_vector(sun)
+    if not abs(float(np.arcsin(direction[2])) - elevation) < _SUN_OFF:
+        raise InputError(
+            "sun", sun, f"a direction {np.rad2deg(elevation):.1f} deg high, as the model of shadows"
+        )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 
 Array = NDArray[np.float64]
@@ -15,6 +16,20 @@ Form = Literal["rice", "gaussian"]
 
 _RAYLEIGH_MEAN = np.sqrt(0.5 * np.pi)
 _RAYLEIGH_VARIANCE = 2.0 - 0.5 * np.pi
+
+
+def checked_form(form: str) -> Form:
+    """Return the name of a form.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    for known in get_args(Form):
+        if form == known:
+            return known  # type: ignore[no-any-return]
+    raise InputError("form", form, " or ".join(get_args(Form)))
 
 
 def cover_probability(
@@ -45,7 +60,13 @@ def cover_probability(
     -------
     p
         (n, m).
+
+    Raises
+    ------
+    InputError
+        For another form.
     """
+    form = checked_form(form)
     d = np.asarray(distance, dtype=np.float64)
     sigma, mean, spread = (
         np.maximum(np.atleast_1d(np.asarray(v, dtype=np.float64)), least)

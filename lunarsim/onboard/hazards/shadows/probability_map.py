@@ -16,10 +16,11 @@ from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence, Heights
-from lunarsim.onboard.hazards.shadows.probability import Form, cover_probability
+from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
+from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.detector import Detections, throws_shadows, unit_vector
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.laws import golombek_cover, golombek_exponent
@@ -97,7 +98,7 @@ class ProbabilityMap:
         self.prior = prior or HazardPrior()
         self.rates = rates or DetectionRates()
         self.ground = float(ground)
-        self.form: Form = form
+        self.form: Form = checked_form(form)
         every = max(1, round(_BLOCK / grid.posting))
         blocks = Grid(
             grid.x0 + 0.5 * (every - 1) * grid.posting, grid.y0 + 0.5 * (every - 1) * grid.posting,
@@ -136,8 +137,16 @@ class ProbabilityMap:
         """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
         `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
-        tells which of the rocks seen are tracked.
+        tells which of the rocks seen are tracked. Under a Sun that throws no shadows to see rocks
+        by (`throws_shadows`) nothing is seen.
+
+        Raises
+        ------
+        InputError
+            If the Sun's direction is no unit vector.
         """
+        if not throws_shadows(unit_vector(sun)):
+            return
         level = heights or (lambda xy: np.full(len(xy), self.ground))
         self.evidence.see(view, sun, seen, level, explained)
 
@@ -166,6 +175,9 @@ class ProbabilityMap:
 
     def probability(self, tracker: RockTracker, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return the probability of hazard (rows, cols).
+
+        Where nothing was seen it is that of the rock law, which says nothing of the place: ground
+        is clear where the probability is small and it was `observed`.
 
         Parameters
         ----------
@@ -225,16 +237,14 @@ class ProbabilityMap:
     def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
         """Return the map for a lander whose footprint has the given radius (m)."""
         p = self.probability(tracker, footprint)
-        observed = self.observed
-        # The footprint must lie on the map and have been seen.
-        edge = int(np.ceil(footprint / self.grid.posting))
-        whole = np.zeros_like(observed)
-        if 2 * edge < min(self.grid.shape):
-            whole[edge : self.grid.rows - edge, edge : self.grid.cols - edge] = True
-        observed = observed & whole
+        observed = footprint_seen(self.observed, footprint / self.grid.posting)
         return HazardMap(
             self.grid,
             np.where(observed, np.float32(1.0) - p, np.float32(0.0)),
             observed,
             np.full(self.grid.shape, self.ground, np.float32),
         )
+
+    def expected_rocks(self) -> float:
+        """Return how many rocks that are hazards should have been found on the map."""
+        return self.evidence.expected_found()

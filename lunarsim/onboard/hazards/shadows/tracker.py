@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
+from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
 from lunarsim.onboard.navigation.error_state import Outcome
@@ -258,6 +259,12 @@ class RockTracker:
         small = self.filter.radius < _SHRUNK * s.least_radius
         self._drop(np.flatnonzero(small | (self.existence < _GONE)))
         return found
+
+    def large_rocks(self, diameter: float, grid: Grid) -> int:
+        """Return how many rocks on a grid are likelier than not to be there and so large (m)."""
+        f = self.filter
+        there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
+        return int(np.count_nonzero(there & grid.contains(f.xy)))
 
     def renew(self) -> None:
         """Let all rocks go, to begin anew with those that are seen from where the lander is."""

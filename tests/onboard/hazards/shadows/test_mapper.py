@@ -10,8 +10,11 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
-from lunarsim.onboard.hazards.shadows import ProbabilityMap, ShadowMapper
-from tests.shadow_scene import MODEL, SUN, picture, rocks_on_a_plane, tracker_at
+from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
+from lunarsim.world import World
+from lunarsim.world.light import Light
+from tests.picture_faults import all_faults
+from tests.shadow_scene import MODEL, SUN, at, rocks_on_a_plane, tracker_at
 
 PLACE = (0.0, 0.0, 50.0)
 
@@ -19,17 +22,21 @@ PLACE = (0.0, 0.0, 50.0)
 @pytest.fixture(scope="module")
 def scene():
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
-    _, camera, counts = picture(terrain, PLACE)
-    return camera.model, counts
+    state, camera = at(PLACE)
+    world = World(terrain, 1.622, Light(1.2, np.radians(20.0)))
+    rng = np.random.default_rng(0)
+    # No frame is like one of the last.
+    return camera.model, [camera.expose(world, state, 0.0, rng).counts for _ in range(5)]
 
 
 def look(scene, times, sun=SUN, counts=None):
     camera, honest = scene
     tracker = tracker_at(PLACE)
-    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL)
+    prior = HazardPrior(0.05, 0.5)
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, prior)
     mapper = ShadowMapper(tracker, mapping, sun, 1.0)
-    for time in times:
-        see(mapper, camera, honest if counts is None else counts, time)
+    for k, time in enumerate(times):
+        see(mapper, camera, honest[k % len(honest)] if counts is None else counts, time)
     return mapper
 
 
@@ -51,14 +58,14 @@ def test_black_and_white_pictures_clear_nothing(scene, level):
         see(mapper, scene[0], np.full((480, 640), level, np.uint8), 1.0 + 0.1 * k)
     assert mapper.tracker.filter.count == count > 20
     assert np.array_equal(mapper.tracker.existence, exists)
-    assert not mapper.tracker.filter.events
+    assert [e.name for e in mapper.tracker.filter.events] == ["picture-refused"]
 
 
 def test_pictures_do_not_run_backwards(scene):
     mapper = look(scene, [0.0, 1.0])
     for time in (0.9, np.nan):
         with pytest.raises(InputError, match=r"picture\.time"):
-            see(mapper, scene[0], scene[1], time)
+            see(mapper, scene[0], scene[1][4], time)
 
 
 @pytest.mark.parametrize("turn", [45.0, 180.0])
@@ -68,7 +75,9 @@ def test_a_sun_that_stands_elsewhere_is_noticed_and_the_map_claims_nothing(scene
     mapper = look(scene, 0.5 * np.arange(8), wrong)
     rocks = mapper.tracker.filter
     assert rocks.lost
-    assert ("lost", "rocks' shadows") in [(e.name, e.details["measurement"]) for e in rocks.events]
+    assert ("lost", "rocks' shadows") in [
+        (e.name, e.details.get("measurement")) for e in rocks.events
+    ]
     assert not mapper.hazard_map().observed.any()
 
 
@@ -86,3 +95,89 @@ def test_ground_of_rocks_begun_anew_is_not_called_clear(scene):
     off = replace(scene[0], mount=np.diag([1.0, -1.0, -1.0]) @ scene[0].mount)  # looks at the sky
     see(mapper, off, np.tile(np.arange(640, dtype=np.uint8), (480, 1)), 2.0)
     assert not mapper.hazard_map().observed.any()
+
+
+def turned(angle):
+    c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ SUN
+
+
+def evidence(mapper):
+    """All that pictures change: what is seen, rocks, and the lander's state."""
+    f = mapper.tracker.filter
+    return [
+        mapper.probability.observed, mapper.probability.probability(mapper.tracker), f.covariance,
+        f.xyz, f.radius, f.inertial.position, mapper.tracker.existence,
+    ]  # fmt: skip
+
+
+def test_pictures_that_fail_add_nothing_seen_no_rock_and_no_measurement(scene):
+    rng = np.random.default_rng(3)
+    for name, counts in all_faults(scene[1][0], rng).items():
+        fresh = look(scene, [0.0, 0.1, 0.2], counts=counts)
+        assert not fresh.probability.observed.any(), name
+        assert not fresh.hazard_map().observed.any(), name
+        assert fresh.tracker.filter.count == 0, name
+        assert fresh.blank and fresh.refused.total() == 3, name
+        assert fresh.tracker.filter.events[0].name == "picture-refused", name
+    mapper = look(scene, [0.0, 0.1, 0.2])
+    before = [value.copy() for value in evidence(mapper)]
+    for k, counts in enumerate(all_faults(scene[1][0], rng).values()):
+        see(mapper, scene[0], counts, 0.3 + 0.1 * k)
+    assert all(np.array_equal(a, b) for a, b in zip(before, evidence(mapper), strict=True))
+    see(mapper, scene[0], scene[1][3], 9.0)
+    last = mapper.tracker.filter.events[-1]
+    assert (last.name, last.details["refused"]) == ("picture-accepted", mapper.refused.total())
+
+
+@pytest.mark.parametrize("turn", [30.0, -30.0, 180.0])
+def test_a_sun_elsewhere_adds_nothing_from_the_first_picture_on(scene, turn):
+    mapper = look(scene, 0.1 * np.arange(4), turned(turn))
+    assert not mapper.probability.observed.any()
+    assert mapper.tracker.filter.count == 0
+
+
+def test_frames_that_are_stuck_add_nothing_though_the_lander_moves_on(scene):
+    mapper = look(scene, [0.0])
+    seen = mapper.probability.observed.copy()
+    assert seen.any()
+    for k in range(4):
+        mapper.tracker.filter.inertial.position[:2] += 8.0
+        see(mapper, scene[0], scene[1][0], 0.1 + 0.1 * k)
+    assert np.array_equal(mapper.probability.observed, seen)
+    assert mapper.refused.total() == 4
+
+
+def test_a_pose_that_is_none_adds_nothing(scene):
+    mapper = look(scene, [])
+    good = mapper.tracker.filter.estimate(0.0, 1.0)
+    for k, bad in enumerate((
+        replace(good, position=np.array([np.nan, 0.0, 50.0])),
+        replace(good, attitude=1.5 * good.attitude),
+    )):  # fmt: skip
+        mapper.update(Picture(0.1 * k, scene[1][k], scene[0]), bad)
+    assert mapper.refused.total() == 2
+    assert not mapper.probability.observed.any()
+    assert mapper.tracker.filter.count == 0
+
+
+@pytest.mark.parametrize("elevation", [90.0, -10.0, 35.0])
+def test_a_sun_at_another_height_than_the_models_is_refused(elevation):
+    e = np.radians(elevation)
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL)
+    with pytest.raises(InputError, match="sun"):
+        ShadowMapper(tracker_at(PLACE), mapping, np.array([np.cos(e), 0.0, np.sin(e)]), 1.0)
+
+
+def test_a_map_on_which_no_rock_is_found_says_so(scene):
+    mapper = look(scene, 0.1 * np.arange(4))
+    assert mapper.hazard_map().in_domain is None
+    assert not {"few-rocks", "all-safe"} & {e.name for e in mapper.tracker.filter.events}
+    mapper.tracker.existence[:] = 1e-3
+    see(mapper, scene[0], scene[1][4], 2.0)
+    mapper.tracker.existence[:] = 1e-3
+    drawn = mapper.hazard_map()
+    assert drawn.observed.any() and not drawn.in_domain.any()
+    told = mapper.tracker.filter.events[-1]
+    assert told.name == "few-rocks"
+    assert told.details["rocks"] == 0 and told.details["expected"] > 10.0

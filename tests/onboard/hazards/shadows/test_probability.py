@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.shadows import (
     cover_probability,
 )
@@ -36,3 +37,9 @@ def test_the_papers_form_never_says_less():
     assert (fit >= exact - 1e-3).all()
     assert fit.max() <= 1.0
     assert (fit - exact).max() > 0.1  # and the difference is not small
+
+
+@pytest.mark.parametrize("form", ["exact", "Gaussian", None])
+def test_a_form_that_there_is_not_is_refused(form):
+    with pytest.raises(InputError, match="form"):
+        cover_probability([[1.0]], [0.2], [0.5], [0.1], form)

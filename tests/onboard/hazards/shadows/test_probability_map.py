@@ -75,7 +75,7 @@ def test_map_is_a_probability_and_knows_the_rocks():
     assert p.max() <= 1.0
     rock = terrain.rock_raster(GRID)
     assert p[rock >= 0].mean() > 20.0 * p[rock < 0].mean()
-    result = classify(p, rock >= 0)
+    result = classify(p, rock >= 0, observed=mapping.observed)
     assert result.rates["clear_recall"] > 0.5
     assert result.rates["clear_false"] < 0.0025
     table = reliability(p, rock >= 0, RELIABILITY_EDGES)

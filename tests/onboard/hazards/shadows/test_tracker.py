@@ -113,7 +113,8 @@ def nothing_like(seen):
     none = np.zeros(len(seen), bool)
     fields = {
         f.name: getattr(seen, f.name)[none]
-        for f in dataclasses.fields(seen) if f.name not in {"labels", "extended", "largest"}
+        for f in dataclasses.fields(seen)
+        if f.name not in {"labels", "extended", "largest", "relative"}
     }  # fmt: skip
     return dataclasses.replace(seen, **fields, labels=np.zeros_like(seen.labels))
 

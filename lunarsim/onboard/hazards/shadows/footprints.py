@@ -1,0 +1,66 @@
+"""What holds for single places, taken over the disc that a lander stands on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Share of a footprint that must have been seen. What rocks throw into the dark never is: without
+# some allowance no ground near a rock would count, and the rest counts as the rock law has it.
+LEAST_SEEN = 0.9
+# A cell's side is cut into so many parts to find how much of it lies in a disc.
+_PARTS = 8
+
+
+def mean_over_discs(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.float32]:
+    """Return the mean of a layer over the disc about each cell (rows, cols).
+
+    Cells at the rim count by the part of them that lies in the disc.
+
+    Parameters
+    ----------
+    layer
+        (rows, cols).
+    radius
+        Of the disc, cells.
+    outside
+        What the layer is beyond its edge.
+    """
+    half = max(int(np.ceil(radius - 0.5)), 0)
+    at = (np.arange((2 * half + 1) * _PARTS) + 0.5) / _PARTS - half - 0.5
+    inside = (at[:, None] ** 2 + at**2 < radius**2).astype(np.float32)
+    side = 2 * half + 1
+    disc = inside.reshape(side, _PARTS, side, _PARTS).sum((1, 3))
+    disc /= max(float(disc.sum()), 1.0)
+    wide = cv2.copyMakeBorder(
+        np.asarray(layer, np.float32) - np.float32(outside),
+        half, half, half, half, cv2.BORDER_CONSTANT, value=0.0,
+    )  # fmt: skip
+    mean = cv2.filter2D(wide, cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT)
+    rows, cols = layer.shape
+    return np.asarray(mean[half : half + rows, half : half + cols] + np.float32(outside))
+
+
+def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Tell about which cells the whole of a footprint has been seen (rows, cols).
+
+    Parameters
+    ----------
+    seen
+        Which cells have been (rows, cols); beyond the edge nothing has.
+    radius
+        Of the footprint, cells; 0: the cell alone.
+    """
+    if radius <= 0.0:
+        return seen
+    share = mean_over_discs(seen, radius, 0.0)
+    half = int(np.ceil(radius))
+    whole = np.zeros_like(seen)
+    if 2 * half < min(seen.shape):
+        whole[half : seen.shape[0] - half, half : seen.shape[1] - half] = True
+    return np.asarray(whole & seen & (share >= LEAST_SEEN))

@@ -1,0 +1,141 @@
+"""Compiled looks at a picture's shadows: how steep their edges are, where their lit sides lie."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+# Edges are compared with the range of brightness so many pixels about them.
+REACH = 3
+# Directions in which the slope of an edge is taken: right, right and down, down, left and down; and
+# that in which it is steepest.
+SLOPES = 5
+# Sums over the bright pixels beside a patch (weight, column, row) and over its own (number, column,
+# row).
+WEIGHT, BRIGHT_U, BRIGHT_V, PIXELS, DARK_U, DARK_V = range(6)
+_DIAGONAL = math.sqrt(0.5)
+
+
+@kernel(inline=True)
+def _range_about(image, i, j):
+    """Return the range of an image about a pixel."""
+    low = high = image[i, j]
+    for di in range(-REACH, REACH + 1):
+        for dj in range(-REACH, REACH + 1):
+            value = image[i + di, j + dj]
+            low = min(low, value)
+            high = max(high, value)
+    return high - low
+
+
+@kernel(inline=True)
+def _raise_slopes(out, k, image, i, j, least):
+    """Raise the steepest slopes of patch k by those at a pixel."""
+    gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
+    gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
+    steep = math.sqrt(gu * gu + gv * gv)
+    # The range is at least twice the slope along a row or a column.
+    if not steep > 0.02:
+        return
+    size = _range_about(image, i, j)
+    if not size >= least:
+        return
+    out[k, 0] = max(out[k, 0], abs(gu) / size)
+    out[k, 1] = max(out[k, 1], abs(gu + gv) * _DIAGONAL / size)
+    out[k, 2] = max(out[k, 2], abs(gv) / size)
+    out[k, 3] = max(out[k, 3], abs(gv - gu) * _DIAGONAL / size)
+    out[k, 4] = max(out[k, 4], steep / size)
+
+
+@kernel()
+def edge_slopes(image, patch, count, every, least):
+    """Return the steepest slope at the rim of each patch, over the range of brightness there.
+
+    Parameters
+    ----------
+    image
+        Brightness (height, width).
+    patch
+        Patch of each pixel (height, width), 1 to `count`, 0 for none.
+    count
+        Greatest patch.
+    every
+        Only patches whose number is a multiple of this are looked at.
+    least
+        Range below which there is no edge.
+
+    Returns
+    -------
+    out
+        (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no edge and for
+        patches that were not looked at.
+    """
+    out = np.zeros((count + 1, SLOPES))
+    height, width = patch.shape
+    margin = REACH + 1
+    for i in range(margin, height - margin):
+        for j in range(margin, width - margin):
+            k = patch[i, j]
+            if k == 0 or k % every != 0:
+                continue
+            up, low = patch[i - 1, j] != k, patch[i + 1, j] != k
+            left, right = patch[i, j - 1] != k, patch[i, j + 1] != k
+            if not (up or low or left or right):
+                continue
+            _raise_slopes(out, k, image, i, j, least)
+            # The edge lies between this pixel and its neighbour outside.
+            if up:
+                _raise_slopes(out, k, image, i - 1, j, least)
+            if low:
+                _raise_slopes(out, k, image, i + 1, j, least)
+            if left:
+                _raise_slopes(out, k, image, i, j - 1, least)
+            if right:
+                _raise_slopes(out, k, image, i, j + 1, least)
+    return out
+
+
+@kernel()
+def two_sides(image, patch, ring, count, cut):
+    """Return where each patch lies and where the bright pixels beside it do.
+
+    Parameters
+    ----------
+    image
+        Brightness over that of the lit ground (height, width).
+    patch
+        Patch of each pixel (height, width), 0 for none.
+    ring
+        Patch that each pixel lies beside (height, width), 0 for none.
+    count
+        Greatest patch.
+    cut
+        Brightness above the ground's from which a pixel counts, by what it has more, at most 1.
+
+    Returns
+    -------
+    out
+        (count + 1, 6), by the columns above.
+    """
+    out = np.zeros((count + 1, 6))
+    height, width = patch.shape
+    for i in range(height):
+        for j in range(width):
+            k = patch[i, j]
+            if k != 0:
+                out[k, PIXELS] += 1.0
+                out[k, DARK_U] += j
+                out[k, DARK_V] += i
+                continue
+            k = ring[i, j]
+            if k == 0:
+                continue
+            more = min(image[i, j] - 1.0 - cut, 1.0)
+            if more > 0.0:
+                out[k, WEIGHT] += more
+                out[k, BRIGHT_U] += more * j
+                out[k, BRIGHT_V] += more * i
+    return out

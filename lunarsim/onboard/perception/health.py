@@ -1,0 +1,363 @@
+"""Health of a picture: what must be so before anything in it, or missing from it, counts.
+
+A map is drawn from what pictures do not show. So a picture counts only if it shows that rocks would
+have been seen: it is exposed, sharp, new and whole, it has shadows, and these fall where the Sun
+throws them. What shows nothing, be it a cap on the lens or ground without a rock, is not seen.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+
+from lunarsim.errors import InputError
+from lunarsim.frames import is_rotation
+from lunarsim.models.camera import CameraModel
+from lunarsim.models.pinhole import View
+from lunarsim.models.pose import Pose
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.direction import SunAngle
+from lunarsim.onboard.perception.edges import EdgeWidths, edge_widths
+
+Array = NDArray[np.float64]
+
+# Every so many pixels and rows are looked at where a share of the picture is wanted.
+_EVERY = 4
+# Sides of the picture are cut into so many bands, each of which must be as it should.
+_BANDS = 8
+# Share of the pixels, the quietest, that tell of noise.
+_QUIET = 0.25
+# Counts that read noise may make of nothing; share of the pixels that must show more.
+_BLACK, _LEAST_SHOWN = 3, 0.02
+# Ground darker than this share of what is lit may be missing; of a line that is, more than the one
+# share is so dark, and of one beside a straight end less than the other.
+_DARKEST, _ALL, _SOME = 0.15, 0.98, 0.6
+# Frames before the last that one is compared with: a buffer may be read over and over.
+_KEPT = 3
+
+
+class Fault(Enum):
+    """Why a picture does not count."""
+
+    FORM = "it is not of the size and type of its camera's"
+    POSE = "nobody knows where it was taken"
+    NO_NUMBERS = "too many pixels are no numbers"
+    FAINT = "lit ground is too dark"
+    SATURATED = "too many pixels are saturated"
+    NOISE = "noise hides shadows"
+    STUCK = "it is one of the last, or a part of it is"
+    GAPS = "rows or columns are missing"
+    DARK = "too much lies in the dark"
+    NO_SHADOWS = "it has too few shadows to show that rocks would be seen"
+    BLURRED = "edges are not sharp"
+    SMEARED = "edges are not sharp along one direction"
+    SUN_ELSEWHERE = "shadows do not fall away from the Sun"
+    SUN_UNPROVEN = "shadows do not tell that the Sun is where it is taken to be"
+
+
+# Nothing is wrong with the picture; it only proves nothing.
+_PROVES_NOTHING = frozenset({Fault.NO_SHADOWS, Fault.SUN_UNPROVEN})
+
+
+@dataclass(frozen=True)
+class Health:
+    """What a picture is good for.
+
+    Attributes
+    ----------
+    fault
+        The first that was found; None: the picture counts.
+    figures
+        What was measured until then, by name: `lit` (counts), `saturated`, `gaps`, `dark` (shares),
+        `noise` (over the brightness of lit ground), `shadows` (number), `width`, `smear` (pixels,
+        1 sigma of edges), `turn`, `turn_sigma`, `scatter` (rad).
+    """
+
+    fault: Fault | None
+    figures: dict[str, float]
+
+    @property
+    def good(self) -> bool:
+        """Whether the picture counts."""
+        return self.fault is None
+
+    @property
+    def alarm(self) -> bool:
+        """Whether something is wrong with camera, picture or Sun: not that nothing was in view."""
+        return self.fault is not None and self.fault not in _PROVES_NOTHING
+
+
+@dataclass(frozen=True)
+class HealthSettings:
+    """When a picture counts.
+
+    Attributes
+    ----------
+    blur_sigma
+        Point spread of the camera as calibrated, 1 sigma, pixels.
+    least_lit
+        Counts of lit ground: one is then an eighth of its brightness.
+    most_saturated
+        Share of the pixels that may have the greatest count there is.
+    most_noise
+        Of a pixel, over the brightness of lit ground, in any part of the picture.
+    most_dark
+        Share of the picture that may be dark, be it shadow or sky.
+    most_gaps
+        Share of the pixels that may be no numbers, and of rows or columns that may be missing.
+    most_same
+        Share of the lit pixels of a band of the picture that may be as in one of the last.
+    least_shadows
+        Of rocks, to judge by.
+    most_width, most_smear
+        Of edges of shadows, over what the point spread makes of them: of the sharpest, and of the
+        sharpest along the direction in which they are least so.
+    most_turn, least_turn
+        By what angle shadows may fall beside where the Sun throws them for it to be there, and
+        from what angle on it is not; between them they tell neither, rad.
+    turn_sigma, most_scatter
+        How well that angle must be known to tell, and how widely single rocks may scatter, rad.
+    """
+
+    blur_sigma: float = 0.6
+    least_lit: float = 8.0
+    most_saturated: float = 0.1
+    most_noise: float = 0.08
+    most_dark: float = 0.6
+    most_gaps: float = 0.02
+    most_same: float = 0.9
+    least_shadows: int = 4
+    most_width: float = 1.25
+    most_smear: float = 1.45
+    most_turn: float = float(np.deg2rad(10.0))
+    least_turn: float = float(np.deg2rad(15.0))
+    turn_sigma: float = float(np.deg2rad(5.0))
+    most_scatter: float = float(np.deg2rad(35.0))
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
+            raise InputError("health.blur_sigma", self.blur_sigma, "0 or a positive number")
+        for name in ("most_saturated", "most_dark", "most_gaps", "most_same"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
+        for name in ("least_lit", "most_noise", "least_shadows", "most_width", "most_smear",
+                     "most_turn", "least_turn", "turn_sigma", "most_scatter"):  # fmt: skip
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(f"health.{name}", getattr(self, name), "a positive number")
+
+
+class PictureHealth:
+    """Judges the pictures of one camera, one after the other.
+
+    Parameters
+    ----------
+    settings
+        See `HealthSettings`.
+
+    Attributes
+    ----------
+    sun_seen
+        Whether shadows have shown that the Sun is where it is taken to be. It stays there, so
+        later pictures need not show it again; one that shows otherwise takes it back.
+    """
+
+    def __init__(self, settings: HealthSettings | None = None) -> None:
+        self.settings = settings or HealthSettings()
+        self.sun_seen = False
+        self._last: deque[NDArray[Any]] = deque(maxlen=_KEPT)
+
+    def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> Health:
+        """Judge a picture by itself.
+
+        Parameters
+        ----------
+        counts
+            What should be unsigned counts, or numbers, (camera.height, camera.width).
+        camera, pose
+            What took it, and from where.
+        """
+        raw = np.asarray(counts)
+        if raw.shape != (camera.height, camera.width) or raw.dtype.kind not in "uif":
+            return Health(Fault.FORM, {})
+        if not (np.isfinite(pose.position).all() and is_rotation(pose.attitude)):
+            return Health(Fault.POSE, {})
+        figures: dict[str, float] = {}
+        return Health(self._by_itself(raw, _below_horizon(camera.view(pose)), figures), figures)
+
+    def _by_itself(
+        self, raw: NDArray[Any], ground: NDArray[np.bool_], figures: dict[str, float]
+    ) -> Fault | None:
+        s = self.settings
+        few = raw[::_EVERY, ::_EVERY]
+        known = np.isfinite(few)
+        figures["gaps"] = 1.0 - float(known.mean())
+        if figures["gaps"] > s.most_gaps:
+            return Fault.NO_NUMBERS
+        same = self._share_seen_before(few, s.least_lit)
+        self._last.append(few.copy())
+        ground = ground & known
+        if not ground.any():
+            return Fault.NO_SHADOWS
+        figures["lit"] = _brightness(few[ground])
+        if not figures["lit"] >= s.least_lit:
+            return Fault.FAINT
+        figures["saturated"] = float((few[ground] == few[ground].max()).mean())
+        if figures["saturated"] > s.most_saturated:
+            return Fault.SATURATED
+        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
+        if figures["gaps"] > s.most_gaps:
+            return Fault.GAPS
+        if same > s.most_same:
+            return Fault.STUCK
+        figures["noise"] = _noise(raw) / figures["lit"]
+        return Fault.NOISE if not figures["noise"] <= s.most_noise else None
+
+    def _share_seen_before(self, few: NDArray[Any], lit: float) -> float:
+        """Return the share of lit pixels as in one of the last, of the band that has most."""
+        most = 0.0
+        bright = few >= lit
+        for last in self._last:
+            if last.shape != few.shape:
+                continue
+            same = bright & (few == last)
+            for axis in (0, 1):
+                for part, whole in zip(
+                    np.array_split(same, _BANDS, axis), np.array_split(bright, _BANDS, axis),
+                    strict=True,
+                ):  # fmt: skip
+                    lit_here = np.count_nonzero(whole)
+                    if lit_here >= 0.2 * whole.size:
+                        most = max(most, np.count_nonzero(part) / lit_here)
+        return most
+
+    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> Health:
+        """Judge a picture, good by itself, by the shadows found in it.
+
+        Parameters
+        ----------
+        seen
+            What was found in it.
+        turn
+            By what angle shadows fall beside where the Sun is taken to throw them.
+        noise
+            As `before_detection` measured it.
+        """
+        s = self.settings
+        dark = float((seen.labels[::_EVERY, ::_EVERY] > 0).mean())
+        figures = {"dark": dark, "shadows": float(len(seen))}
+        if dark > s.most_dark:
+            return Health(Fault.DARK, figures)
+        widths = edge_widths(seen, noise)
+        figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
+        figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "scatter": turn.scatter}
+        if widths.number < s.least_shadows:
+            return Health(Fault.NO_SHADOWS, figures)
+        fault = self._blur(widths)
+        return Health(fault or self._sun(turn), figures)
+
+    def _blur(self, widths: EdgeWidths) -> Fault | None:
+        expected = EdgeWidths.expected(self.settings.blur_sigma)
+        if not widths.sharpest <= self.settings.most_width * expected:
+            return Fault.BLURRED
+        if not widths.least_sharp <= self.settings.most_smear * expected:
+            return Fault.SMEARED
+        return None
+
+    def tells(self, turn: SunAngle) -> bool:
+        """Say whether shadows tell where the Sun is."""
+        s = self.settings
+        return turn.sigma <= s.turn_sigma and turn.scatter <= s.most_scatter
+
+    def _sun(self, turn: SunAngle) -> Fault | None:
+        s = self.settings
+        if self.tells(turn):
+            if abs(turn.angle) >= s.least_turn:
+                self.sun_seen = False
+                return Fault.SUN_ELSEWHERE
+            self.sun_seen |= bool(abs(turn.angle) <= s.most_turn)
+        return None if self.sun_seen else Fault.SUN_UNPROVEN
+
+
+def _brightness(seen: NDArray[Any]) -> float:
+    """Return the brightness of lit ground among pixels (n,), counts.
+
+    What is bright is half as bright at least as the brightest but a few, be most of the picture
+    in the dark.
+    """
+    shown = seen[seen > _BLACK]
+    if len(shown) < _LEAST_SHOWN * len(seen):
+        return 0.0
+    return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
+
+
+def _below_horizon(view: View) -> NDArray[np.bool_]:
+    """Return which pixels look down, every few of them."""
+    u = (np.arange(0, view.width, _EVERY) - view.cx) / view.fx
+    v = (np.arange(0, view.height, _EVERY) - view.cy) / view.fy
+    up = view.axes[2]
+    return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
+
+
+def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> float:
+    """Return the share of rows, or of columns, on the ground that never came.
+
+    They repeat the one before, which no two lines of lit ground do, or all of them is dark up to a
+    line next to it that is not, as no shadow is.
+    """
+    most = 0.0
+    for image, below in ((raw, ground), (raw.T, ground.T)):
+        lines = image[:, ::_EVERY]
+        dark = (lines < _DARKEST * lit).mean(1)
+        wholly = np.repeat(below.all(1), _EVERY)[: len(image)]
+        wholly = _without_sky(wholly, dark > _ALL)
+        if not wholly.any():
+            continue
+        repeats = np.zeros(len(lines), np.bool_)
+        repeats[1:] = (lines[1:] == lines[:-1]).all(1)
+        empty = dark > _ALL
+        ends = (empty[1:] & (dark[:-1] < _SOME)) | (empty[:-1] & (dark[1:] < _SOME))
+        straight = (ends & wholly[1:] & wholly[:-1]).any()
+        gone = empty | repeats if straight else repeats & ~empty
+        most = max(most, float(gone[wholly].mean()))
+    return most
+
+
+def _without_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which lines (n,) show ground, less dark ones next to the sky: ground may end there."""
+    out = ground.copy()
+    for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
+        for i in order:
+            before = i - 1 if order.step > 0 else i + 1
+            if not out[before] and dark[i]:
+                out[i] = False
+    return out
+
+
+def _noise(raw: NDArray[Any]) -> float:
+    """Return the noise of a pixel, 1 sigma, of the part of the picture that has most.
+
+    The Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0 on a
+    slope; its lower quartile passes over edges, be they half of a crowded picture.
+    """
+    h, w = raw.shape
+    if min(h, w) < 3 * _BANDS:
+        return 0.0
+
+    def at(di: int, dj: int) -> NDArray[np.float32]:
+        return raw[1 + di : h - 1 + di : _EVERY, 1 + dj : w - 1 + dj : _EVERY].astype(np.float32)
+
+    corners = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
+    sides = at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1)
+    response = np.abs(corners - 2.0 * sides + 4.0 * at(0, 0)) / 6.0
+    parts = [
+        np.nanquantile(part, _QUIET)
+        for rows in np.array_split(response, _BANDS // 2)
+        for part in np.array_split(rows, _BANDS // 2, 1)
+    ]
+    return float(np.max(parts)) / float(ndtri(0.5 + 0.5 * _QUIET))

@@ -1,0 +1,127 @@
+"""Edges of shadows: their width against that of drawn ones, and the kernels against plain loops."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from lunarsim.onboard.perception import _health_kernels as kernels
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.edges import EdgeWidths, edge_widths
+from tests.shadow_scene import SUN, at
+
+
+def drawn(sigma, smear=0):
+    """Dark squares of many sides on lit ground, through a point spread of a width."""
+    rng = np.random.default_rng(0)
+    scale = 8
+    fine = np.full((480 * scale, 640 * scale), 100.0, np.float32)
+    for row in range(20, 440, 55):
+        for col in range(20, 600, 55):
+            side = int(scale * rng.uniform(10, 16))
+            i, j = scale * row + rng.integers(scale), scale * col + rng.integers(scale)
+            fine[i : i + side, j : j + side] = 4.0
+    fine = cv2.GaussianBlur(fine, (0, 0), sigma * scale)
+    if smear:
+        fine = cv2.blur(fine, (smear * scale, 1))
+    # Point samples, as a detector of tiny pixels takes them.
+    counts = np.rint(fine[scale // 2 :: scale, scale // 2 :: scale]).astype(np.uint8)
+    state, camera = at((0.0, 0.0, 30.0))
+    return detect_rocks(counts, camera, state, SUN)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 1.0, 1.5])
+def test_edges_are_as_wide_as_they_were_drawn(sigma):
+    found = edge_widths(drawn(sigma), 0.01)
+    assert found.number > 50
+    assert found.sharpest == pytest.approx(EdgeWidths.expected(sigma), rel=0.12)
+    assert found.least_sharp < 1.45 * EdgeWidths.expected(sigma)
+
+
+def test_a_smear_shows_along_its_direction_alone():
+    found = edge_widths(drawn(0.6, smear=10), 0.01)
+    # Edges along the smear are as sharp as ever.
+    assert found.sharpest < 1.2 * EdgeWidths.expected(0.6)
+    # A box of ten pixels has a standard deviation of 2.9; its edge is as steep as a tenth.
+    assert found.least_sharp > 2.0 * EdgeWidths.expected(0.6)
+
+
+def test_nothing_to_measure_is_not_sharp():
+    seen = drawn(0.6)
+    none = {
+        f.name: getattr(seen, f.name)[:0]
+        for f in fields(seen)
+        if f.name not in {"labels", "extended", "relative"}
+    }
+    found = edge_widths(replace(seen, **none), 0.01)
+    assert (found.number, found.sharpest, found.least_sharp) == (0, np.inf, np.inf)
+
+
+def test_noise_is_no_edge():
+    seen = drawn(4.0)
+    rng = np.random.default_rng(3)
+    under_noise = (seen.relative + 0.1 * rng.standard_normal((480, 640))).astype(np.float32)
+    found = edge_widths(replace(seen, relative=under_noise), 0.1)
+    assert found.number == 0 or found.sharpest > 2.0
+    # Told that there is none, it takes noise for edges.
+    assert edge_widths(replace(seen, relative=under_noise), 0.0).sharpest < 2.0
+
+
+def test_slopes_equal_plain_loops():
+    rng = np.random.default_rng(1)
+    image = rng.random((40, 50)).astype(np.float32)
+    patch = np.zeros((40, 50), np.uint16)
+    patch[8:15, 9:20], patch[20:33, 30:41], patch[1:3, 1:3] = 1, 2, 3
+    found = kernels.edge_slopes(image, patch, 3, 1, 0.3)
+    expected = np.zeros((4, 5))
+    for i in range(4, 36):
+        for j in range(4, 46):
+            around = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+            # Patches whose rim this pixel is, or lies just outside of.
+            owners = {int(patch[i + a, j + b]) for a, b in around} - {0}
+            for k in owners:
+                rim = patch[i, j] == k and any(patch[i + a, j + b] != k for a, b in around)
+                outside = patch[i, j] != k and any(
+                    patch[i + a, j + b] == k and 4 <= i + a < 36 and 4 <= j + b < 46
+                    for a, b in around[1:]
+                )
+                if not (rim or outside):
+                    continue
+                window = image[i - 3 : i + 4, j - 3 : j + 4].astype(float)
+                size = window.max() - window.min()
+                gu = 0.5 * (float(image[i, j + 1]) - float(image[i, j - 1]))
+                gv = 0.5 * (float(image[i + 1, j]) - float(image[i - 1, j]))
+                if size < 0.3 or np.hypot(gu, gv) <= 0.02:
+                    continue
+                slopes = [abs(gu), abs(gu + gv) / np.sqrt(2), abs(gv), abs(gv - gu) / np.sqrt(2)]
+                expected[k] = np.maximum(expected[k], np.array([*slopes, np.hypot(gu, gv)]) / size)
+    assert found == pytest.approx(expected, rel=1e-5)
+    assert (found[1:3] > 0.0).all() and (found[3] == 0.0).all()
+    some = kernels.edge_slopes(image, patch, 3, 2, 0.3)
+    assert np.array_equal(some[2], found[2]) and not some[[0, 1, 3]].any()
+
+
+def test_sides_equal_plain_sums():
+    rng = np.random.default_rng(2)
+    image = (0.5 + rng.random((30, 36))).astype(np.float32)
+    patch, ring = np.zeros((2, 30, 36), np.uint16)
+    patch[5:12, 6:14], patch[15:25, 20:30] = 1, 2
+    ring[3:14, 4:16], ring[13:27, 18:32] = 1, 2
+    found = kernels.two_sides(image, patch, ring, 2, 0.1)
+    v, u = np.mgrid[:30, :36]
+    for k in (1, 2):
+        beside = (ring == k) & (patch == 0)
+        more = np.where(beside, np.clip(image.astype(float) - 1.1, 0.0, 1.0), 0.0)
+        own = patch == k
+        sums = [
+            more.sum(),
+            (more * u).sum(),
+            (more * v).sum(),
+            own.sum(),
+            u[own].sum(),
+            v[own].sum(),
+        ]
+        assert found[k] == pytest.approx(sums, rel=1e-5)

@@ -1,0 +1,184 @@
+"""Health of pictures: nothing that is wrong counts, and what is right mostly does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.frames import direction_from_angles
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.direction import SunAngle, turn_from_sun
+from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from tests.picture_faults import all_faults, defocused, halved, rocky
+from tests.shadow_scene import at, picture
+
+# Terrain (seed, cover, slope, shape), place, Sun's azimuth and elevation (deg).
+SCENES = [
+    ((3, 0.05, 0.0, "cube"), (0.0, 0.0, 40.0), (1.2, 20.0)),
+    ((5, 0.03, 2.0, "mixed"), (-20.0, 25.0, 45.0), (4.0, 10.0)),
+    ((8, 0.08, 4.0, "hemisphere"), (15.0, 8.0, 30.0), (2.5, 35.0)),
+    ((9, 0.05, 3.0, "irregular"), (5.0, -12.0, 35.0), (5.5, 6.0)),
+]
+
+
+@pytest.fixture(scope="module", params=range(len(SCENES)))
+def scene(request):
+    ground, place, sun = SCENES[request.param]
+    terrain = rocky(*ground)
+    place = np.array(place)
+    level = float(terrain.elevation(np.zeros((1, 2)))[0])
+    place[2] += level
+    state, camera, counts = picture(terrain, place, sun)
+    direction = direction_from_angles(sun[0], np.radians(sun[1]))
+    return state, camera, counts, direction, level
+
+
+def judge(scene, counts, sun=None, health=None):
+    state, camera, _, right, level = scene
+    sun = right if sun is None else sun
+    health = health or PictureHealth()
+    verdict = health.before_detection(counts, camera, state)
+    if not verdict.good:
+        return verdict
+    model = ShadowModel(float(np.arcsin(sun[2])))
+    seen = detect_rocks(counts, camera, state, sun, ground=level, model=model)
+    points = np.column_stack((seen.ground, np.full(len(seen), level)))
+    noise = verdict.figures["noise"]
+    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    return health.after_detection(seen, turn, noise)
+
+
+def test_good_pictures_count(scene):
+    assert judge(scene, scene[2]).fault is None
+
+
+def test_no_fault_of_a_picture_counts(scene):
+    for name, counts in all_faults(scene[2], np.random.default_rng(7)).items():
+        assert not judge(scene, counts).good, name
+
+
+@pytest.mark.parametrize("off", [30.0, -30.0, 90.0, 180.0])
+def test_no_picture_counts_under_a_sun_that_is_elsewhere(scene, off):
+    c, s = np.cos(np.radians(off)), np.sin(np.radians(off))
+    wrong = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ scene[3]
+    assert not judge(scene, scene[2], wrong).good
+
+
+def test_why_is_told(scene):
+    rng = np.random.default_rng(1)
+    faults = all_faults(scene[2], rng)
+    for name, why in {
+        "black": Fault.FAINT, "white": Fault.SATURATED, "no numbers": Fault.NO_NUMBERS,
+        "noise": Fault.NOISE, "grey with shot noise": Fault.NO_SHADOWS, "half black": Fault.GAPS,
+        "half white": Fault.SATURATED, "repeated rows": Fault.GAPS, "wrong size": Fault.FORM,
+        "colour": Fault.FORM, "words": Fault.FORM, "complex": Fault.FORM,
+        "true or false": Fault.FORM,
+        "picture under noise": Fault.NOISE, "far too dark": Fault.FAINT,
+    }.items():  # fmt: skip
+        assert judge(scene, faults[name]).fault is why, name
+    assert judge(scene, faults["strong defocus"]).fault in {Fault.BLURRED, Fault.NO_SHADOWS}
+    unsharp = {Fault.BLURRED, Fault.SMEARED, Fault.NO_SHADOWS}
+    assert {judge(scene, faults[name]).fault for name in ("defocus", "smear")} <= unsharp
+    # Nothing is wrong with ground on which there is nothing to see.
+    assert not judge(scene, faults["grey with shot noise"]).alarm
+    assert judge(scene, faults["black"]).alarm
+
+
+def test_a_frame_read_again_does_not_count_in_whole_or_in_part(scene):
+    state, camera, counts = scene[:3]
+    rng = np.random.default_rng(3)
+
+    def again():
+        return (counts + rng.integers(-1, 2, counts.shape)).clip(0, 255).astype(np.uint8)
+
+    health = PictureHealth()
+    frames = [again() for _ in range(4)]
+    for frame in frames[:3]:
+        assert health.before_detection(frame, camera, state).good
+    # Two buffers that take turns are stuck as well.
+    assert health.before_detection(frames[2], camera, state).fault is Fault.STUCK
+    assert health.before_detection(frames[1], camera, state).fault is Fault.STUCK
+    half = frames[3].copy()
+    half[:240] = frames[2][:240]
+    assert health.before_detection(half, camera, state).fault is Fault.STUCK
+    assert health.before_detection(again(), camera, state).good
+
+
+def test_a_pose_that_is_none_is_not_looked_from(scene):
+    state, camera, counts = scene[:3]
+    health = PictureHealth()
+    for bad in (
+        replace(state, position=np.array([0.0, np.nan, 40.0])),
+        replace(state, attitude=np.array([0.0, 0.0, 0.0, 1.5])),
+        replace(state, attitude=np.full(4, np.nan)),
+    ):
+        assert health.before_detection(counts, camera, bad).fault is Fault.POSE
+
+
+def test_sky_above_the_horizon_is_no_missing_half():
+    terrain = rocky(3, 0.05, 0.0)
+    place = np.array([0.0, -60.0, 25.0])
+    state, camera = at(place)
+    # Level view to the north: the upper half is sky.
+    level = replace(camera, mount=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+    from lunarsim.world import World
+    from lunarsim.world.light import Light
+
+    world = World(terrain, 1.622, Light(1.2, np.radians(20.0)))
+    counts = level.expose(world, state, 0.0, np.random.default_rng(0)).counts
+    assert (counts[:200] <= 1).all()
+    assert PictureHealth().before_detection(counts, level, state).good
+    upside_down = replace(level, mount=level.mount @ np.diag([-1.0, -1.0, 1.0]))
+    assert not PictureHealth().before_detection(counts, upside_down, state).good
+
+
+def test_noise_is_measured(scene):
+    state, camera = scene[:2]
+    rng = np.random.default_rng(5)
+    ramp = 90.0 + 0.05 * np.arange(640) + np.zeros((480, 1))
+    for sigma in (1.5, 4.0):
+        counts = np.rint(ramp + sigma * rng.standard_normal(ramp.shape)).astype(np.uint8)
+        found = PictureHealth().before_detection(counts, camera, state).figures
+        # That of the noisiest of sixteen parts.
+        assert found["noise"] * found["lit"] == pytest.approx(sigma, rel=0.15)
+
+
+def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
+    state, camera, counts, sun, level = scene
+    seen = detect_rocks(counts, camera, state, sun, ground=level)
+    health = PictureHealth()
+    silent = SunAngle(np.nan, np.inf, np.inf, 0)
+    wide = SunAngle(0.0, 0.02, 1.2, 900)
+    there, between, away = (SunAngle(np.radians(a), 0.02, 0.2, 90) for a in (2.0, 12.0, 25.0))
+    for turn, fault in (
+        (silent, Fault.SUN_UNPROVEN), (wide, Fault.SUN_UNPROVEN), (between, Fault.SUN_UNPROVEN),
+        (there, None), (silent, None), (between, None), (away, Fault.SUN_ELSEWHERE),
+        (silent, Fault.SUN_UNPROVEN), (there, None),
+    ):  # fmt: skip
+        assert health.after_detection(seen, turn, 0.02).fault is fault
+
+
+def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
+    soft = defocused(scene[2], np.random.default_rng(2), 1.5)
+    assert judge(scene, soft).fault in {Fault.BLURRED, Fault.SMEARED, Fault.NO_SHADOWS}
+    # A camera that is as soft as that by itself sees what it should.
+    known = PictureHealth(HealthSettings(blur_sigma=1.6))
+    assert judge(scene, soft, health=known).fault in {None, Fault.NO_SHADOWS, Fault.SUN_UNPROVEN}
+
+
+def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
+    counts = halved(scene[2], np.random.default_rng(4), 3)
+    assert judge(scene, counts).fault is Fault.GAPS
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("blur_sigma", -1.0), ("most_dark", 1.5), ("least_lit", 0.0), ("most_turn", np.nan)],
+)
+def test_settings_must_make_sense(name, value):
+    with pytest.raises(InputError, match=rf"health\.{name}"):
+        HealthSettings(**{name: value})
