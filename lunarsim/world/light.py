@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -113,6 +114,23 @@ class Light:
             self.hapke_roughness,
         )  # fmt: skip
 
+    @property
+    def diffuse_albedo(self) -> float:
+        """I/F of ground that is lit evenly from all sides, over that light's irradiance."""
+        return float(_hemispheric(self._law)[1])
+
+    def hemispheric_albedo(self, mu0: ArrayLike) -> Array:
+        """Return the share of light at cosines of incidence `mu0` that leaves the ground."""
+        return np.asarray(np.interp(mu0, _COSINES, _hemispheric(self._law)[0]))
+
+    @property
+    def _law(self) -> Light:
+        """The same ground under a Sun of no matter where: a key to what depends on the law alone."""
+        return Light(
+            0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
+            self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,
+        )  # fmt: skip
+
     def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
         """Return I/F of sunlit ground of mean albedo; see `lunarsim.world.photometry`."""
         if self.photometry == "lambert":
@@ -120,3 +138,20 @@ class Light:
         if self.photometry == "lunar-lambert":
             return lunar_lambert(self.albedo, mu0, mu, cos_phase)
         return self.hapke().radiance_factor(mu0, mu, cos_phase)
+
+
+# Cosines of incidence at which hemispherical albedos are kept.
+_COSINES = np.linspace(0.01, 1.0, 34)
+
+
+@lru_cache(maxsize=16)
+def _hemispheric(law: Light) -> tuple[Array, float]:
+    """Return the hemispherical albedo at `_COSINES`, and its mean under light from all sides."""
+    mu, weight = np.polynomial.legendre.leggauss(24)
+    mu, weight = 0.5 * (mu + 1.0), 0.5 * weight
+    psi = np.pi * (np.arange(24) + 0.5) / 24
+    mu0 = _COSINES[:, None, None]
+    cos_g = mu0 * mu[:, None] + np.sqrt((1.0 - mu0**2) * (1.0 - mu[:, None] ** 2)) * np.cos(psi)
+    factor = law.radiance_factor(mu0, mu[:, None], cos_g).mean(-1)
+    albedo = 2.0 * (factor * mu * weight).sum(-1) / _COSINES
+    return albedo, 2.0 * float(np.trapezoid(albedo * _COSINES, _COSINES))
