@@ -59,3 +59,35 @@ def roughness(i, e, psi, theta):
     mu0e, mue = chi * mu0e, chi * mue
     s = mue / eta(e) * math.cos(i) / eta(i) * chi / (1.0 - f + f * chi * other)
     return mu0e, mue, s
+
+
+def scattered_light(terrain, place, sun, albedo, seed, rays=6000):
+    """Return I/F of a shaded place of Lambert ground by the lit ground about it: one bounce.
+
+    Rays are spread over its sky by the cosine law; each brings the I/F of the place that it meets,
+    if that one sees the Sun.
+    """
+    import numpy as np
+
+    rng = np.random.default_rng(seed)
+    x, y = place
+    step = 0.2
+    rise = [
+        float(terrain.elevation([x + a, y + b]) - terrain.elevation([x - a, y - b])) / (2 * step)
+        for a, b in ((step, 0.0), (0.0, step))
+    ]
+    n = np.array([-rise[0], -rise[1], 1.0])
+    n /= np.linalg.norm(n)
+    t = np.cross(n, [0.0, 1.0, 0.0])
+    t /= np.linalg.norm(t)
+    u, v = rng.random((2, rays))
+    r, a = np.sqrt(u), 2.0 * np.pi * v
+    axes = np.array([t, np.cross(n, t), n])
+    ways = np.column_stack((r * np.cos(a), r * np.sin(a), np.sqrt(1.0 - u))) @ axes
+    start = np.array([x, y, float(terrain.elevation([x, y]))]) + 1e-2 * n
+    hits = terrain.cast(start, ways)
+    met = np.isfinite(hits.range)
+    points = start + hits.range[met, None] * ways[met] + 1e-2 * hits.normal[met]
+    free = np.isnan(terrain.cast(points, np.broadcast_to(sun, points.shape).copy()).range)
+    shine = albedo * np.maximum(hits.normal[met] @ sun, 0.0) * free
+    return albedo * float(shine.sum()) / rays

@@ -108,8 +108,9 @@ class Renderer:
         Raises
         ------
         InputError
-            If the camera is under the ground.
+            If the camera is under the ground or its pose is none.
         """
+        self._check_pose(view)
         self._check_above_ground(view)
         sun = light.direction
         clip = self._clip(view)
@@ -180,6 +181,13 @@ class Renderer:
         self._screens[program].render(moderngl.TRIANGLES, vertices=3)
         self._ctx.enable(moderngl.DEPTH_TEST)
         self._ctx.depth_func = "<"
+
+    @staticmethod
+    def _check_pose(view: View) -> None:
+        if not np.isfinite(view.position).all():
+            raise InputError("camera.position", [float(x) for x in view.position], "finite metres")
+        if not np.allclose(view.axes.T @ view.axes, np.eye(3), atol=1e-3):
+            raise InputError("camera.axes", view.axes.tolist(), "a rotation matrix (3, 3)")
 
     def _check_above_ground(self, view: View) -> None:
         e, n, up = view.position
