@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 import cv2
@@ -239,7 +240,7 @@ class Camera(CameraModel):
         count = int(np.clip(np.ceil(0.5 * travel / _BAND_ERROR), 1, min(_MOST_BANDS, view.height)))
         edges = np.linspace(0, view.height, count + 1).astype(int)
         out = []
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             late = self.line_time * (0.5 * (first + last) - 0.5 * view.height)
             out.append((int(first), int(last), _moved(state, late)))
         return out

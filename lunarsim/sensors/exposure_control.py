@@ -62,9 +62,6 @@ class ExposureControl:
         top = 2**bits - 1
         histogram = np.bincount(counts.ravel(), minlength=top + 1)
         bright = int(np.searchsorted(np.cumsum(histogram), self.share * counts.size))
-        if bright >= top:
-            factor = 1.0 / self.most_change
-        else:
-            factor = self.level * top / max(bright, 0.5)
+        factor = self.level * top / max(bright, 0.5) if bright < top else 0.0
         factor = float(np.clip(factor, 1.0 / self.most_change, self.most_change))
         return float(np.clip(factor * exposure, self.shortest, self.longest))

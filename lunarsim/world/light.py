@@ -85,9 +85,7 @@ class Light:
     def __post_init__(self) -> None:
         check_bounds(self, "sun")
         if self.photometry not in {"lambert", "lunar-lambert", "hapke"}:
-            raise InputError(
-                "sun.photometry", self.photometry, "lambert, lunar-lambert or hapke"
-            )
+            raise InputError("sun.photometry", self.photometry, "lambert, lunar-lambert or hapke")
         if self.photometry == "hapke":
             self.hapke()
 
@@ -121,11 +119,11 @@ class Light:
 
     def hemispheric_albedo(self, mu0: ArrayLike) -> Array:
         """Return the share of light at cosines of incidence `mu0` that leaves the ground."""
-        return np.asarray(np.interp(mu0, _COSINES, _hemispheric(self._law)[0]))
+        return np.asarray(np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._law)[0]))
 
     @property
     def _law(self) -> Light:
-        """The same ground under a Sun of no matter where: a key to what depends on the law alone."""
+        """The same ground under a Sun of no matter where: the key to what hangs on the law."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
             self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,

@@ -27,7 +27,7 @@ def lambert(albedo: float, mu0: ArrayLike) -> Array:
 
 
 def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-    """Return I/F after McEwen (1991), Icarus 92, 298-311, with his polynomial in the phase angle."""
+    """Return I/F after McEwen (1991), Icarus 92, 298-311; his polynomial in the phase angle."""
     mu0, mu = np.maximum(mu0, 0.0), np.maximum(mu, 1e-4)
     phase = np.degrees(np.arccos(np.clip(cos_phase, -1.0, 1.0)))
     share = np.clip(1.0 + phase * (-0.019 + phase * (2.42e-4 - 1.46e-6 * phase)), 0.0, 1.0)
@@ -69,8 +69,8 @@ class Hapke:
             np.asarray(mu0, float), np.asarray(mu, float), np.asarray(cos_phase, float)
         )
         lit = mu0 > 0.0
-        mu0, mu = np.maximum(mu0, _LEAST), np.maximum(mu, 1e-4)
-        mu0_rough, mu_rough, shadow = self._rough(mu0, mu, cos_g)
+        low, eye = np.asarray(np.maximum(mu0, _LEAST)), np.asarray(np.maximum(mu, 1e-4))
+        mu0_rough, mu_rough, shadow = self._rough(low, eye, cos_g)
         single = self._phase_function(cos_g) * (1.0 + self._surge(cos_g))
         several = self._h(mu0_rough) * self._h(mu_rough) - 1.0
         out = 0.25 * self.w * mu0_rough / (mu0_rough + mu_rough) * (single + several) * shadow

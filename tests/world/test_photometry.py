@@ -11,7 +11,7 @@ from lunarsim.world.photometry import Hapke, hapke_of_albedo
 from tests.reference.photometry import chandrasekhar, lunar_if
 
 
-def law(w=0.23, b=0.26, c=0.08, surge=2.0, width=0.07, theta=np.radians(23.4)):
+def law(w=0.23, b=0.26, c=0.08, surge=2.0, width=0.07, theta=0.41):
     return Hapke(w, b, c, surge, width, theta)
 
 

@@ -10,6 +10,16 @@ from lunarsim._jit import kernel, prange
 Array = NDArray[np.float64]
 
 
+@kernel(inline=True)
+def between(values: Array, row: float, column: float) -> float:
+    """Return the value of an array at a place among its elements, bilinearly."""
+    a, b = min(int(row), values.shape[0] - 2), min(int(column), values.shape[1] - 2)
+    v, u = row - a, column - b
+    south = (1.0 - u) * values[a, b] + u * values[a, b + 1]
+    north = (1.0 - u) * values[a + 1, b] + u * values[a + 1, b + 1]
+    return float((1.0 - v) * south + v * north)
+
+
 @kernel(parallel=True)
 def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
     """Return which posts (rows, cols) see the middle of the Sun.
@@ -44,12 +54,7 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
                 height += rise
                 if height > highest or not (0.0 <= x <= cols - 1.0 and 0.0 <= y <= rows - 1.0):
                     break
-                a, b = min(int(y), rows - 2), min(int(x), cols - 2)
-                v, u = y - a, x - b
-                ground = (1.0 - v) * ((1.0 - u) * z[a, b] + u * z[a, b + 1]) + v * (
-                    (1.0 - u) * z[a + 1, b] + u * z[a + 1, b + 1]
-                )
-                if ground > height:
+                if between(z, y, x) > height:
                     lit = False
             out[i, j] = lit
     return out
@@ -96,17 +101,17 @@ def gathered(
                 sine = np.sin(seen)
                 distance = 1.0
                 while True:
-                    a, b = int(np.rint(i + distance * y)), int(np.rint(j + distance * x))
-                    if a < 0 or b < 0 or a >= rows or b >= cols:
+                    row, column = i + distance * y, j + distance * x
+                    if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= cols - 1.0):
                         break
-                    here = np.arctan2(z[a, b] - z[i, j], distance * posting)
-                    if here > seen:
+                    here = np.arctan((between(z, row, column) - z[i, j]) / (distance * posting))
+                    if here > seen + 1e-7:
                         top = np.sin(here)
                         # Integral of (n . direction) cos(elevation) over the band.
                         band = across * 0.5 * (
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
-                        total += shine[a, b] * band
+                        total += between(shine, row, column) * band
                         seen, sine = here, top
                     distance = max(distance + 1.0, distance * growth)
             out[i, j] = 2.0 * total / azimuths

@@ -41,8 +41,9 @@ class GlowMap:
     def from_camera(self, eye: Array) -> Array:
         """Return scale and offset (4,) from metres about the camera to the texture."""
         rows, cols = self.values.shape[:2]
-        scale = 1.0 / (self.posting * np.array([cols, rows]))
-        return np.concatenate((scale, (eye[:2] - self.corner) * scale + 0.5 / np.array([cols, rows])))
+        size = np.array([cols, rows])
+        posts = (eye[:2] - self.corner) / self.posting
+        return np.concatenate((1.0 / (self.posting * size), (posts + 0.5) / size))
 
 
 def glow_map(relief: Heightfield, light: Light) -> GlowMap:

@@ -82,9 +82,7 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
 
 
 @lru_cache(maxsize=2)
-def geometry_programs(
-    ctx: moderngl.Context, holes: tuple[str, ...]
-) -> dict[str, moderngl.Program]:
+def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
     """Return the programs that draw depth and shadow maps; terrains of one context share them."""
     block = (f"BLOCK {BLOCK}",)
     programs = {
@@ -110,9 +108,7 @@ def geometry_programs(
 
 
 @lru_cache(maxsize=16)
-def shading_programs(
-    ctx: moderngl.Context, model: ShadingModel
-) -> dict[str, moderngl.Program]:
+def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, moderngl.Program]:
     """Return the programs that draw pictures under one kind of light."""
     lit, own = model.sources(), model.defines
     before = ("frame", *lit[:1], "given_light")
@@ -128,13 +124,11 @@ def shading_programs(
             shader(*before, *lit[1:], "small_rock_vertex", defines=(*truth, *own)),
             shader("paint", "small_rock_fragment", defines=truth),
         )
-        for kind in ROCK_KINDS:
-            shape, first, stem = _rock_kind(kind)
-            programs[kind + suffix] = ctx.program(
+        for rock in ROCK_KINDS:
+            shape, first, stem = _rock_kind(rock)
+            programs[rock + suffix] = ctx.program(
                 shader(*before, "rock_vertex", defines=(*shape, *own)),
-                shader(
-                    *lit, "paint", *first, f"{stem}_fragment", defines=(*shape, *truth, *own)
-                ),
+                shader(*lit, "paint", *first, f"{stem}_fragment", defines=(*shape, *truth, *own)),
             )
     return _ready(programs)
 

@@ -77,9 +77,7 @@ class RockPainter:
             self._texels[: len(albedo), 9] = albedo
             self._texture.release()
             lines = len(self._texels) // _TEXTURE
-            self._texture = float_texture(
-                self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4)
-            )
+            self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
 
     def draw(
         self, programs: dict[str, moderngl.Program], view: View, near: float, truth: bool

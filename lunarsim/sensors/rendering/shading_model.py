@@ -50,7 +50,7 @@ class ShadingModel:
         """Return the model for pictures in which penumbrae are wider than a texel."""
         more = (
             "WIDE", f"SEARCHES {_SEARCHES}", f"PLACES {_PLACES}",
-            "SEARCH_PLACES " + _list(disc_places(_SEARCHES, 1.0)),
+            "SEARCH_PLACES " + _list(disc_places(_SEARCHES, 0.5)),
             "EVEN_PLACES " + _list(disc_places(_PLACES, 0.5)),
         )  # fmt: skip
         return replace(self, defines=(*self.defines, *more))
@@ -78,7 +78,8 @@ def disc_places(count: int, power: float) -> Array:
     """
     rank = (np.arange(count) + 0.5) / count
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    return rank[:, None] ** power * np.column_stack((np.cos(angle), np.sin(angle)))
+    places = np.column_stack((np.cos(angle), np.sin(angle)))
+    return np.asarray(rank[:, None] ** power * places)
 
 
 def _hapke(light: Light) -> Iterable[str]:

@@ -16,9 +16,12 @@ from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
+# Lights whose maps are kept.
+_KEPT = 4
+
 
 class SurfaceTextures:
-    """Makes them when a light first asks, and keeps those of the last one.
+    """Makes them when a light first asks, and keeps those of the last few.
 
     Parameters
     ----------
@@ -31,7 +34,7 @@ class SurfaceTextures:
     def __init__(self, ctx: moderngl.Context, relief: Heightfield) -> None:
         self._ctx = ctx
         self._relief = relief
-        self._glow: tuple[Light, GlowMap, moderngl.Texture] | None = None
+        self._glow: dict[Light, tuple[GlowMap, moderngl.Texture]] = {}
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
     def use(self, light: Light, eye: Array, block: NDArray[np.void]) -> None:
@@ -58,14 +61,16 @@ class SurfaceTextures:
         # What does not change the light thrown about.
         key = replace(light, diameter=0.0, earthshine=0.0, mottle=0.0, boulder_albedo=1.0,
                       boulder_mottle=0.0, mottle_seed=0, ambient=0.0)  # fmt: skip
-        if self._glow is None or self._glow[0] != key:
+        if key not in self._glow:
+            if len(self._glow) >= _KEPT:
+                del self._glow[next(iter(self._glow))]
             found = glow_map(self._relief, light)
             rows, cols = found.values.shape[:2]
             texture = self._ctx.texture((cols, rows), 2, found.values.tobytes(), dtype="f4")
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
             texture.repeat_x = texture.repeat_y = False
-            self._glow = (key, found, texture)
-        return self._glow[1], self._glow[2]
+            self._glow[key] = (found, texture)
+        return self._glow[key]
 
     def _mottles_of(self, seed: int) -> moderngl.Texture:
         if self._mottles is None or self._mottles[0] != seed:
