@@ -127,21 +127,9 @@ class Renderer:
             view, clip, light, self._relief.grid, self._ground.corners.size, self._ground.ground,
             frame, size,
         )  # fmt: skip
-        model = ShadingModel.of(light)
-        shades, reach = np.zeros(len(self._corners), bool), 0.0
-        if frame is not None:
-            shades = self._shading_tiles(view, sun, frame)
-            if light.diameter > 0.0:
-                axes = disc_axes(frame, sun, light.diameter)
-                reach = self._reach(frame, axes, bool(shades.any()))
-                block["penumbra"][:2] = axes * (frame.heights[0] - frame.heights[1])
-            if reach > 1.0:
-                model = model.with_wide_penumbrae()
-                block["penumbra"][2:] = 1.0 / (BLOCK * np.array(self._penumbra_bounds().size))
-        self._surface.use(light, view.position, block)
-        if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
-            self._rocks.set_albedo(rock_albedos(light, self._rocks.count))
-        programs = shading_programs(self._ctx, model)
+        shades = self._shading_tiles(view, sun, frame)
+        reach = self._set_penumbra(block, frame, light, bool(shades.any()))
+        programs = self._set_surface(block, light, view, wide=reach > 1.0)
         self._block.orphan()
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
@@ -241,18 +229,45 @@ class Renderer:
             self._bounds = PenumbraBounds(self._ctx, self._programs, self._shadow)
         return self._bounds
 
-    def _shading_tiles(self, view: View, sun: Array, frame: ShadowFrame) -> NDArray[np.bool_]:
-        """Return which tiles may throw a shadow on what the map covers."""
-        # Only a face steeper than the sunrays is turned away from the Sun.
-        steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
-        return np.asarray(steep & frame.shades(self._corners, view.position))
+    def _set_surface(
+        self, block: NDArray[np.void], light: Light, view: View, *, wide: bool
+    ) -> dict[str, moderngl.Program]:
+        """Bind what is known of the surface; return the programs for a light."""
+        self._surface.use(light, view.position, block)
+        if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
+            self._rocks.set_albedo(rock_albedos(light, self._rocks.count))
+        model = ShadingModel.of(light)
+        return shading_programs(self._ctx, model.with_wide_penumbrae() if wide else model)
 
-    def _reach(self, frame: ShadowFrame, axes: Array, relief_shades: bool) -> float:
-        """Return the greatest half width that a penumbra may have, texels."""
+    def _set_penumbra(
+        self, block: NDArray[np.void], frame: ShadowFrame | None, light: Light, relief_shades: bool
+    ) -> float:
+        """Write how the Sun's disc looks in the map; return the most that its edge reaches, texels.
+
+        That is half the width of the widest penumbra; 0 where the Sun is a point.
+        """
+        if frame is None or light.diameter == 0.0:
+            return 0.0
+        axes = disc_axes(frame, light.direction, light.diameter)
         high = self._rocks.tallest
         if relief_shades:
             high += self._highest - self._lowest
-        return float(axes.max()) * min(high, frame.heights[0] - frame.heights[1])
+        range_ = frame.heights[0] - frame.heights[1]
+        reach = float(axes.max()) * min(high, range_)
+        block["penumbra"][:2] = axes * range_
+        if reach > 1.0:
+            block["penumbra"][2:] = 1.0 / (BLOCK * np.array(self._penumbra_bounds().size))
+        return reach
+
+    def _shading_tiles(
+        self, view: View, sun: Array, frame: ShadowFrame | None
+    ) -> NDArray[np.bool_]:
+        """Return which tiles may throw a shadow on what the map covers."""
+        if frame is None:
+            return np.zeros(len(self._corners), np.bool_)
+        # Only a face steeper than the sunrays is turned away from the Sun.
+        steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
+        return np.asarray(steep & frame.shades(self._corners, view.position))
 
     def _draw_shadows(
         self, view: View, frame: ShadowFrame, shades: NDArray[np.bool_], level: NDArray[np.int64]

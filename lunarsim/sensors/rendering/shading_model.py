@@ -12,8 +12,9 @@ from lunarsim.world.light import Light
 
 Array = NDArray[np.float64]
 
-# Places of the Sun's disc at which its share is sounded, and those of the search before.
-_PLACES, _SEARCHES = 24, 16
+# Strips of the Sun's disc in which its share is sounded, places in each, and those of the search
+# before.
+_STRIPS, _STEPS, _SEARCHES = 5, 5, 16
 # Half the range of the field of mottles, standard deviations.
 MOTTLE_RANGE = 4.0
 
@@ -49,9 +50,9 @@ class ShadingModel:
     def with_wide_penumbrae(self) -> ShadingModel:
         """Return the model for pictures in which penumbrae are wider than a texel."""
         more = (
-            "WIDE", f"SEARCHES {_SEARCHES}", f"PLACES {_PLACES}",
-            "SEARCH_PLACES " + _list(disc_places(_SEARCHES, 0.5)),
-            "EVEN_PLACES " + _list(disc_places(_PLACES, 0.5)),
+            "WIDE", f"SEARCHES {_SEARCHES}", f"STRIPS {_STRIPS}", f"STEPS {_STEPS}",
+            "SEARCH_PLACES " + _list(spiral(_SEARCHES)),
+            "EVEN_PLACES " + _list(strips(_STRIPS, _STEPS)),
         )  # fmt: skip
         return replace(self, defines=(*self.defines, *more))
 
@@ -71,15 +72,27 @@ class ShadingModel:
         return (*files, "fine_radiance" if self.fine else "radiance")
 
 
-def disc_places(count: int, power: float) -> Array:
-    """Return places (count, 2) on the unit disc along Vogel's spiral.
-
-    Their distances from the middle grow as a power of their rank: a half spreads them evenly.
-    """
-    rank = (np.arange(count) + 0.5) / count
+def spiral(count: int) -> Array:
+    """Return places (count, 2) spread evenly over the unit disc, along Vogel's spiral."""
+    radius = np.sqrt((np.arange(count) + 0.5) / count)
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    places = np.column_stack((np.cos(angle), np.sin(angle)))
-    return np.asarray(rank[:, None] ** power * places)
+    return np.asarray(radius[:, None] * np.column_stack((np.cos(angle), np.sin(angle))))
+
+
+def strips(count: int, steps: int) -> Array:
+    """Return places (count * steps, 2) on the unit disc, in strips of the same area along x.
+
+    Each stands for the same area. Neighbouring strips are staggered, so that a straight edge across
+    them passes one place at a time.
+    """
+    y = np.linspace(-1.0, 1.0, 4001)
+    below = 0.5 + (y * np.sqrt(1.0 - y**2) + np.arcsin(y)) / np.pi
+    middle = np.interp((np.arange(count) + 0.5) / count, below, y)
+    # The middle strip first: neighbours are then far apart in the order.
+    order = (2 * np.arange(count)) % count if count % 2 else np.arange(count)
+    part = (np.arange(steps) + (order[:, None] + 0.5) / count) / steps
+    x = np.sqrt(1.0 - middle[:, None] ** 2) * (2.0 * part - 1.0)
+    return np.column_stack((x.ravel(), np.repeat(middle, steps)))
 
 
 def _hapke(light: Light) -> Iterable[str]:

@@ -37,9 +37,9 @@ float plain_share(Light light, vec2 place, float limit) {
 #ifdef WIDE
 uniform sampler2D bounds;    // least depth of the shadow map about each of its blocks, and greatest
 
-// Places on a disc, dense in the middle for the search and even for the share.
+// Places on a disc: for the search, and for the share.
 const vec2 SEARCH[SEARCHES] = vec2[](SEARCH_PLACES);
-const vec2 EVEN[PLACES] = vec2[](EVEN_PLACES);
+const vec2 EVEN[STRIPS * STEPS] = vec2[](EVEN_PLACES);
 
 float sun_share(Light light, vec3 rel) {
     vec2 place = vec2(dot(light.across.xyz, rel) + light.across.w,
@@ -62,9 +62,18 @@ float sun_share(Light light, vec3 rel) {
     vec2 disc = rise / found * light.penumbra.xy;
     // No finer than the map.
     disc = sqrt(disc * disc + 0.7);
+    // Strips of the disc from its upper limb down: what hides a place of it hides all below, for
+    // the ground has no overhangs. Rays to lower places may well run below the ground by then.
     float dark = 0.0;
-    for (int k = 0; k < PLACES; k++) dark += dark_at(light, place + EVEN[k] * disc, limit);
-    return 1.0 - dark / float(PLACES);
+    for (int strip = 0; strip < STRIPS; strip++) {
+        float hidden = 0.0;
+        for (int k = 0; k < STEPS; k++) {
+            vec2 at = EVEN[strip * STEPS + k] * disc;
+            hidden = max(hidden, dark_at(light, place + at, limit));
+            dark += hidden;
+        }
+    }
+    return 1.0 - dark / float(STRIPS * STEPS);
 }
 #else
 float sun_share(Light light, vec3 rel) {
