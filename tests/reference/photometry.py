@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 
 def lunar_if(i, e, psi, *, w, b, c, surge, width, theta):
     """Return I/F at incidence, emission and azimuth between them, rad."""
@@ -62,14 +64,7 @@ def roughness(i, e, psi, theta):
 
 
 def scattered_light(terrain, place, sun, albedo, seed, rays=6000):
-    """Return I/F of a shaded place of Lambert ground by the lit ground about it: one bounce.
-
-    Rays are spread over its sky by the cosine law; each brings the I/F of the place that it meets,
-    if that one sees the Sun.
-    """
-    import numpy as np
-
-    rng = np.random.default_rng(seed)
+    """Return I/F of a shaded place of Lambert ground by the lit ground about it: one bounce."""
     x, y = place
     step = 0.2
     rise = [
@@ -77,14 +72,24 @@ def scattered_light(terrain, place, sun, albedo, seed, rays=6000):
         for a, b in ((step, 0.0), (0.0, step))
     ]
     n = np.array([-rise[0], -rise[1], 1.0])
-    n /= np.linalg.norm(n)
-    t = np.cross(n, [0.0, 1.0, 0.0])
+    point = np.array([x, y, float(terrain.elevation([x, y]))])
+    return scattered_on(terrain, point, n / np.linalg.norm(n), sun, albedo, seed, rays)
+
+
+def scattered_on(terrain, point, normal, sun, albedo, seed, rays=6000):
+    """Return the same of a point with a normal.
+
+    Rays are spread over its sky by the cosine law; each brings the I/F of the place that it meets,
+    if that one sees the Sun.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.cross(normal, [0.3, 1.0, 0.2])
     t /= np.linalg.norm(t)
     u, v = rng.random((2, rays))
     r, a = np.sqrt(u), 2.0 * np.pi * v
-    axes = np.array([t, np.cross(n, t), n])
+    axes = np.array([t, np.cross(normal, t), normal])
     ways = np.column_stack((r * np.cos(a), r * np.sin(a), np.sqrt(1.0 - u))) @ axes
-    start = np.array([x, y, float(terrain.elevation([x, y]))]) + 1e-2 * n
+    start = point + 1e-2 * normal
     hits = terrain.cast(start, ways)
     met = np.isfinite(hits.range)
     points = start + hits.range[met, None] * ways[met] + 1e-2 * hits.normal[met]

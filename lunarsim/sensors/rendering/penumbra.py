@@ -47,7 +47,7 @@ class PenumbraBounds:
         self._shadow = shadow
         size = (-(-shadow.texture.width // BLOCK), -(-shadow.texture.height // BLOCK))
         self.size = size
-        self._textures = [ctx.texture(size, 2, dtype="f4") for _ in range(2)]
+        self._textures = [ctx.texture(size, 4, dtype="f4") for _ in range(2)]
         for texture in self._textures:
             plain(texture)
         self._buffers = [ctx.framebuffer([texture]) for texture in self._textures]
@@ -56,8 +56,18 @@ class PenumbraBounds:
             name: ctx.vertex_array(programs[name], []) for name in ("bounds", "spread")
         }
 
-    def draw(self, frame: ShadowFrame, reach: float) -> None:
-        """Measure the blocks of a map that has been drawn, and those up to `reach` texels away."""
+    def draw(self, frame: ShadowFrame, axes: Array, reach: float) -> None:
+        """Measure the blocks of a map that has been drawn, and those about them.
+
+        Parameters
+        ----------
+        frame
+            Of the map.
+        axes
+            Half axes of the Sun's disc for each unit of depth (2,), texels.
+        reach
+            The most that a penumbra reaches, texels.
+        """
         last = [-(-n // BLOCK) - 1 for n in frame.size]
         far = int(min(np.ceil(reach / BLOCK) + 1, _FARTHEST))
         self._shadow.texture.use(SHADOW)
@@ -66,6 +76,8 @@ class PenumbraBounds:
         for k, way in enumerate(((far, 0), (0, far))):
             self._textures[k].use(BOUNDS)
             self._programs["spread"]["spread"] = (*last, *way)
+            # Both axes together: no more than the true distance.
+            self._programs["spread"]["growth"] = BLOCK / float(axes[k]) / np.sqrt(2.0)
             self._pass("spread", 1 - k, last)
         self._textures[0].use(BOUNDS)
 

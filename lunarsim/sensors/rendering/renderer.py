@@ -138,7 +138,7 @@ class Renderer:
             if frame is not None:
                 leaks = self._draw_shadows(view, frame, shades, choice.shadow_level)
                 if reach > 1.0:
-                    self._penumbra_bounds().draw(frame, reach)
+                    self._penumbra_bounds().draw(frame, block["penumbra"][:2], reach)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
             matrix = _camera_matrix(view, *clip)

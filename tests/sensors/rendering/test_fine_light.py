@@ -15,7 +15,7 @@ from lunarsim.rocks.shapes import CUBE
 from lunarsim.sensors.rendering import Renderer, renderer_of
 from lunarsim.world.light import FULL_EARTH, Light
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
-from tests.reference.photometry import scattered_light
+from tests.reference.photometry import scattered_light, scattered_on
 from tests.worlds import flat_terrain
 
 SUN = np.radians(0.533)
@@ -115,6 +115,26 @@ def test_disc_is_the_mean_of_many_points(rocky, elevation, most):
     assert error.mean() < 0.8 * np.abs(hard - total / count)[facing].mean()
 
 
+def test_no_light_reaches_the_floor_of_a_crater_from_under_its_wall():
+    """A deep bowl at a low Sun: dark wherever points all over the disc leave it dark."""
+    grid = Grid.centred((0.0, 0.0), 100.0, 0.5)
+    x, y = np.meshgrid(grid.x, grid.y)
+    z = np.minimum(8.0 * (np.hypot(x, y) / 22.0) ** 2 - 8.0, 0.0)
+    bowl = Terrain(Heightfield(grid, z.astype(np.float32)))
+    view = above((0.0, 0.0), 80.0, 0.3, (160, 120))
+    light = Light(1.2, np.radians(4.0), photometry="lambert")
+    renderer = renderer_of(bowl)
+    dark = np.ones((120, 160), bool)
+    for k in range(16):
+        r, a = 0.52 * SUN, 2.0 * np.pi * k / 16
+        azimuth = light.azimuth + r * np.cos(a)
+        point = replace(light, azimuth=azimuth, elevation=light.elevation + r * np.sin(a))
+        dark &= renderer.render(view, point).radiance == 0.0
+    ours = renderer.render(view, replace(light, diameter=SUN)).radiance
+    assert dark.sum() > 2000
+    assert np.mean(ours[dark] > 0.02 * ours.max()) < 0.003
+
+
 def test_edges_of_shadows_are_smooth_where_pixels_are_coarse():
     """What is dark of a wall's shadow grows evenly as the camera moves by parts of a pixel."""
     light = Light(1.5 * np.pi, np.radians(20.0), photometry="lambert", diameter=SUN)
@@ -159,6 +179,28 @@ def test_shadows_of_a_valley_are_lit_by_its_other_side():
     assert np.allclose(drawn, told, rtol=0.2)
     dark = renderer_of(terrain).render(view, replace(light, scattered=False)).radiance
     assert dark[4, 4] == 0.0
+
+
+def test_shaded_sides_of_rocks_see_the_ground():
+    """The ground's mean light over half the sky; rays cast at random say how much that is too much.
+
+    A rock's own shadow lies before its shaded side, which the map of scattered light leaves out.
+    """
+    one = np.ones(1)
+    rock = RockField(0 * one, 0 * one, 0 * one, one, one, 2.0 * one, 0 * one, np.array([CUBE]))
+    terrain = Terrain(_PLANE.relief, rock)
+    light = Light(1.5 * np.pi, np.radians(40.0), photometry="lambert", scattered=True)
+    boresight = np.array([-np.cos(0.3), 0.0, -np.sin(0.3)])
+    view = View(-20.0 * boresight + [1.0, 0.0, 1.5], sensor_axes(boresight), 300.0, 300.0, 19.5,
+                14.5, 40, 30)  # fmt: skip
+    image = Renderer(terrain).render(view, light, truth=True)
+    side = (image.identity == 0) & (image.normal[..., 0] > 0.99)
+    assert side.sum() > 50
+    told = 0.5 * light.albedo**2 * np.sin(light.elevation)
+    assert image.radiance[side] == pytest.approx(told, rel=0.02)
+    at = np.array([1.0, 0.0, 1.5])
+    true = scattered_on(terrain, at, np.array([1.0, 0.0, 0.0]), light.direction, light.albedo, 0)
+    assert 1.0 < told / true < 2.5
 
 
 def test_level_ground_throws_no_light_on_itself():

@@ -1,7 +1,7 @@
 // Least and greatest depth of each block of the shadow map.
 uniform sampler2D shadow;
 uniform ivec2 last;          // column and row of the map
-layout(location = 0) out vec2 bound;
+layout(location = 0) out vec4 bound;   // least for the test, greatest, least; see spread_fragment.glsl
 
 void main() {
     ivec2 first = BLOCK * ivec2(gl_FragCoord.xy);
@@ -12,5 +12,5 @@ void main() {
             found = vec2(min(found.x, depth), max(found.y, depth));
         }
     }
-    bound = found;
+    bound = vec4(found, found.x, 0.0);
 }

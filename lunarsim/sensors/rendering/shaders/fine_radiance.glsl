@@ -7,7 +7,7 @@ uniform sampler2D glow;      // irradiance from the ground about, over the Sun's
 float radiance(Light light, vec3 rel, vec3 n, bool stone, float brightness) {
     float direct = reflect_sun(light, n, -normalize(rel));
 #ifdef SOFT
-    direct *= sun_share(light, rel);
+    if (direct > 0.0) direct *= sun_share(light, rel);
 #else
     if (in_shadow(light, rel)) direct = 0.0;
 #endif

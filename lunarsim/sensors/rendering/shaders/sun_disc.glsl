@@ -46,11 +46,11 @@ float sun_share(Light light, vec3 rel) {
                       dot(light.along.xyz, rel) + light.along.w);
     float limit = light.dark.x + rel.z * light.dark.y;
     vec2 block = clamp(place, vec2(1.0), light.drawn.xy) * light.penumbra.zw;
-    vec2 about = texture(bounds, block).rg;
+    vec3 about = texture(bounds, block).rgb;
     if (about.r >= limit) return 1.0;
     if (about.g < limit) return 0.0;
     // The disc as the highest occluder would throw it; then as those found do, on average.
-    vec2 reach = (limit - about.r) * light.penumbra.xy;
+    vec2 reach = (limit - about.b) * light.penumbra.xy;
     if (max(reach.x, reach.y) < 1.0) return plain_share(light, place, limit);
     float found = 0.0, rise = 0.0;
     for (int k = 0; k < SEARCHES; k++) {
