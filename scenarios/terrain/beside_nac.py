@@ -161,6 +161,22 @@ def histogram_distance(one: Array, other: Array) -> float:
     return float(np.mean(np.abs(np.sort(levelled(one).ravel()) - np.sort(levelled(other).ravel()))))
 
 
+def smooth_part(image: Array) -> tuple[float, float]:
+    """Return spread and correlation length (m, to 1/e) of the real picture's smooth ground.
+
+    What mottles there are can be no stronger: relief too small to be seen apart is in it.
+    """
+    part = levelled(image)[60:380, 260:390]
+    part = part - part.mean()
+    rows = [np.mean(part[: part.shape[0] - k] * part[k:]) for k in range(24)]
+    columns = [np.mean(part[:, : part.shape[1] - k] * part[:, k:]) for k in range(24)]
+    lengths = [
+        side * float(np.interp(-np.exp(-1.0), -np.array(auto) / auto[0], np.arange(24)))
+        for side, auto in ((LINE, rows), (SAMPLE, columns))
+    ]
+    return float(part.std()), float(np.mean(lengths))
+
+
 ROWS = (
     ("mean", "mean I/F", ".3f"), ("spread", "spread over local mean", ".3f"),
     ("skewness", "skewness", "+.2f"), ("histogram_distance", "histogram off by", ".3f"),
@@ -240,7 +256,12 @@ def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict
 def main(grounds: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
     """Compare renders with the real picture."""
     images, found = compare(grounds, seed)
-    show(found, Console(width=150))
+    console = Console(width=150)
+    show(found, console)
+    spread, length = smooth_part(images["real"])
+    console.print(
+        f"smooth ground of the real picture: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
+    )
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(found, indent=1), encoding="utf-8")

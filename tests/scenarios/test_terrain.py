@@ -91,7 +91,10 @@ def test_spectrum_keeps_the_variance_of_white_noise(script):
 @pytest.mark.slow
 def test_renders_lie_within_bounds_of_the_real_picture(script):
     study = script("terrain", "beside_nac")
-    _, found = study.compare(("highland", "golombek"), 7)
+    images, found = study.compare(("highland", "golombek"), 7)
+    spread, length = study.smooth_part(images["real"])
+    assert spread == pytest.approx(0.056, abs=0.002)
+    assert length == pytest.approx(4.2, abs=1.0)
     real = found.pop("real")
     assert real["mean"] == pytest.approx(0.104, abs=0.002)
     for name in ("highland", "golombek"):
