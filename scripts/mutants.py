@@ -75,6 +75,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/sensors/rendering/_cull_kernels.py": (
         "tests/sensors/rendering/test_cull_kernels.py",
     ),
+    "lunarsim/sensors/rendering/_glow_kernels.py": ("tests/sensors/rendering/test_glow.py",),
     "lunarsim/sensors/rendering/_small_rock_kernels.py": (
         "tests/sensors/rendering/test_small_rock_kernels.py",
         "tests/sensors/rendering/test_kernels.py",

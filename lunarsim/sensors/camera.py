@@ -4,25 +4,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from itertools import pairwise
+from typing import Any, ClassVar, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.instruments import CameraInstrument
 from lunarsim.models.pinhole import View
 from lunarsim.parts.quantity import quantity
+from lunarsim.sensors.exposure_control import ExposureControl
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
+# A rolling shutter's picture is drawn in bands whose lines are no farther than this from where
+# their own pose shows them, pixels; and in no more bands than that.
+_BAND_ERROR = 0.25
+_MOST_BANDS = 64
 # Steps of the shutter whose mean is the blurred picture.
 _MOST_STEPS = 48
 # Electrons from which on Poisson's law is taken as a normal one: its skewness is then below 0.06.
@@ -69,7 +75,24 @@ class Camera(CameraModel):
     full_well
         Electrons at which a pixel saturates.
     bits
-        Of the converter, 1 to 16, full scale at the full well.
+        Of the converter, 1 to 16.
+    gain
+        Of the amplifier: its full scale is the full well over it.
+    vignetting
+        Power of the cosine of the field angle by which light falls off; 4: the natural law.
+    stray_light
+        Share of the light that is spread evenly over the picture.
+    hot_pixels, hot_current
+        Share of pixels that are hot, and the mean of their exponentially distributed dark current,
+        electrons a second.
+    shutter, line_time
+        "global": all lines at once; "rolling": each by `line_time` (s) later than the one above,
+        the middle of the picture at the picture's time. With distortion, lines are those of the
+        picture before it.
+    antialias
+        Rays along each side of a pixel; what they meet is averaged.
+    detector_seed
+        Of the places of hot pixels.
     """
 
     exposure: float = 2e-3
@@ -80,17 +103,33 @@ class Camera(CameraModel):
     read_noise: float = 12.0
     full_well: float = 20_000.0
     bits: int = 8
+    gain: float = 1.0
+    vignetting: float = 0.0
+    stray_light: float = 0.0
+    hot_pixels: float = 0.0
+    hot_current: float = 2e5
+    shutter: Literal["global", "rolling"] = "global"
+    line_time: float = 2e-5
+    antialias: int = 1
+    detector_seed: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("exposure", "sensitivity", "full_well"):
+        for name in ("exposure", "sensitivity", "full_well", "gain"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
-        for name in ("blur_sigma", "read_noise"):
+        for name in ("blur_sigma", "read_noise", "vignetting", "hot_current", "line_time"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(f"camera.{name}", getattr(self, name), "0 or a positive number")
         if not (isinstance(self.bits, int) and 1 <= self.bits <= 16):
             raise InputError("camera.bits", self.bits, "a whole number from 1 to 16")
+        for name in ("stray_light", "hot_pixels"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"camera.{name}", getattr(self, name), "a share from 0 to 1")
+        if self.shutter not in {"global", "rolling"}:
+            raise InputError("camera.shutter", self.shutter, "global or rolling")
+        if not (isinstance(self.antialias, int) and 1 <= self.antialias <= 4):
+            raise InputError("camera.antialias", self.antialias, "a whole number from 1 to 4")
 
     @classmethod
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
@@ -148,11 +187,11 @@ class Camera(CameraModel):
         """
         from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
 
+        _check_pose(state)
         renderer = renderer_of(world.terrain)
         view = self._drawn(self.view(state))
-        image = renderer.render(view, world.light)
         rate = self.mount.T @ np.asarray(state.rate)
-        radiance = self._smear(image.radiance, view, rate)
+        radiance = self._smear(self._render(world, state, view), view, rate)
         radiance = self._distort(radiance, cv2.INTER_LINEAR)
         if self.blur_sigma > 0.0:
             radiance = cv2.GaussianBlur(
@@ -173,6 +212,52 @@ class Camera(CameraModel):
                 identity.astype(np.int32),
             )
         return Exposure(time, self._detect(radiance, rng), kept)
+
+    def _render(self, world: World, state: State, view: View) -> NDArray[np.float32]:
+        """Return what falls into the lens, line by line as the shutter opens."""
+        bands = [(0, view.height, state)]
+        if self.shutter == "rolling":
+            bands = self._bands(world, state, view)
+        pictures = []
+        for first, last, then in bands:
+            whole = self._drawn(self.view(then))
+            band = View(
+                whole.position, whole.axes, whole.fx, whole.fy, whole.cx, whole.cy - first,
+                whole.width, last - first,
+            )  # fmt: skip
+            pictures.append(_averaged(world, band, self.antialias))
+        return pictures[0] if len(pictures) == 1 else np.concatenate(pictures)
+
+    def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
+        """Return the lines that are drawn at once, first and beyond the last, and from where."""
+        ground = world.terrain.relief.z_range[1]
+        near = max(float(view.position[2]) - ground, 1.0)
+        focal = max(view.fx, view.fy)
+        speed = focal * (
+            float(np.linalg.norm(state.velocity)) / near + float(np.linalg.norm(state.rate))
+        )
+        travel = speed * self.line_time * view.height
+        count = int(np.clip(np.ceil(0.5 * travel / _BAND_ERROR), 1, min(_MOST_BANDS, view.height)))
+        edges = np.linspace(0, view.height, count + 1).astype(int)
+        out = []
+        for first, last in pairwise(edges):
+            late = self.line_time * (0.5 * (first + last) - 0.5 * view.height)
+            out.append((int(first), int(last), _moved(state, late)))
+        return out
+
+    @cached_property
+    def _fall_off(self) -> NDArray[np.float32]:
+        """Share of the light that reaches each pixel (height, width)."""
+        x, y = self.tangents
+        return np.asarray((1.0 + x * x + y * y) ** (-0.5 * self.vignetting), np.float32)
+
+    @cached_property
+    def dark_current(self) -> Array:
+        """Electrons a second that each pixel (height, width) makes without light."""
+        rng = np.random.default_rng([self.detector_seed, self.width, self.height])
+        shape = (self.height, self.width)
+        hot = rng.random(shape) < self.hot_pixels
+        return np.where(hot, rng.exponential(1.0, shape) * self.hot_current, 0.0)
 
     @cached_property
     def _border(self) -> int:
@@ -241,6 +326,13 @@ class Camera(CameraModel):
         self, radiance: NDArray[np.float32], rng: np.random.Generator
     ) -> NDArray[np.unsignedinteger[Any]]:
         electrons = radiance * np.float32(self.sensitivity * self.exposure)
+        if self.vignetting > 0.0:
+            electrons *= self._fall_off
+        if self.stray_light > 0.0:
+            veil = self.stray_light * float(electrons.mean(dtype=np.float64))
+            electrons = electrons * np.float32(1.0 - self.stray_light) + np.float32(veil)
+        if self.hot_pixels > 0.0:
+            electrons = electrons + (self.exposure * self.dark_current).astype(np.float32)
         if self.shot_noise or self.read_noise > 0.0:
             deviation = np.full(electrons.shape, np.float32(self.read_noise**2))
             if self.shot_noise:
@@ -252,11 +344,90 @@ class Camera(CameraModel):
             deviation *= rng.standard_normal(electrons.shape, dtype=np.float32)
             electrons += deviation
         top = 2**self.bits - 1
-        electrons *= np.float32(top / self.full_well)
+        if self.gain < 1.0:
+            np.minimum(electrons, np.float32(self.full_well), out=electrons)
+        electrons *= np.float32(self.gain * top / self.full_well)
         counts = np.rint(np.clip(electrons, 0.0, top, out=electrons), out=electrons)
         narrow: NDArray[np.unsignedinteger[Any]]
         narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
         return narrow
+
+
+def _check_pose(state: State) -> None:
+    """Refuse a state that is no pose."""
+    if not np.isfinite(state.position).all():
+        raise InputError("camera.position", list(state.position), "finite metres")
+    if not abs(float(np.linalg.norm(state.attitude)) - 1.0) < 1e-3:
+        raise InputError("camera.attitude", list(state.attitude), "a quaternion of norm 1")
+
+
+def _moved(state: State, time: float) -> State:
+    """Return the state a short time (s) later, at the same velocity and rate."""
+    turn = quat_from_rotation_vector(time * np.asarray(state.rate))
+    return replace(
+        state, position=state.position + time * np.asarray(state.velocity),
+        attitude=quat_multiply(state.attitude, turn),
+    )  # fmt: skip
+
+
+def _averaged(world: World, view: View, side: int) -> NDArray[np.float32]:
+    """Return the mean over `side` times `side` rays through each pixel of a view."""
+    from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
+
+    renderer = renderer_of(world.terrain)
+    if side == 1:
+        return renderer.render(view, world.light).radiance
+    fine = View(
+        view.position, view.axes, side * view.fx, side * view.fy,
+        side * (view.cx + 0.5) - 0.5, side * (view.cy + 0.5) - 0.5,
+        side * view.width, side * view.height,
+    )  # fmt: skip
+    drawn = renderer.render(fine, world.light).radiance
+    parts = drawn.reshape(view.height, side, view.width, side)
+    return np.asarray(parts.mean((1, 3), dtype=np.float32))
+
+
+class MeteringCamera:
+    """A camera that sets the time of each picture by the one before, or as it is told.
+
+    Parameters
+    ----------
+    camera
+        The camera, with the time of its first picture.
+    control
+        What it aims at; None: it does as commanded.
+    """
+
+    def __init__(self, camera: Camera, control: ExposureControl | None) -> None:
+        self.camera = camera
+        self.control = control
+
+    def command(self, exposure: float, gain: float | None = None) -> None:
+        """Set time (s) and gain; from now on they stay.
+
+        Raises
+        ------
+        InputError
+            If they are not positive; nothing changes.
+        """
+        gain = self.camera.gain if gain is None else gain
+        self.camera = replace(self.camera, exposure=exposure, gain=gain)
+        self.control = None
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> Picture:
+        """Take a picture with the gimbal at `mount` (3, 3), and set the time of the next."""
+        picture = self.camera.measure(world, state, time, rng, mount)
+        if self.control is not None:
+            exposure = self.control.after(picture.counts, self.camera.bits, self.camera.exposure)
+            self.camera = replace(self.camera, exposure=exposure)
+        return picture
 
 
 @dataclass(frozen=True)
@@ -267,6 +438,10 @@ class FramingCamera:
     ----------
     width, height, field_of_view
         Pixels, and the angle that the width covers, rad.
+    exposure_control
+        "fixed", or "auto": by the histogram of the last picture; `exposure` is the first one's.
+    exposure_level, exposure_shortest, exposure_longest
+        What "auto" aims at; see `ExposureControl`.
     gimbal_limit
         Farthest that it points from straight down, rad.
 
@@ -286,7 +461,21 @@ class FramingCamera:
     shot_noise: bool = quantity(True, help="whether photons arrive at random")
     read_noise: float = quantity(12.0, "e-", ge=0, help="1 sigma")
     full_well: float = quantity(20_000.0, "e-", gt=0, help="electrons that saturate a pixel")
-    bits: int = quantity(8, ge=1, le=16, help="of the converter, full scale at the full well")
+    bits: int = quantity(8, ge=1, le=16, help="of the converter")
+    gain: float = quantity(1.0, gt=0, le=100, help="1: full scale is the full well")
+    vignetting: float = quantity(0.0, ge=0, le=10, help="power of the cosine; 4: natural")
+    stray_light: float = quantity(0.0, ge=0, le=0.5, help="share spread over the picture")
+    hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="share of all pixels")
+    hot_current: float = quantity(2e5, "e-/s", ge=0, help="their mean dark current")
+    shutter: Literal["global", "rolling"] = quantity("global", help="all lines at once or in turn")
+    line_time: float = quantity(2e-5, "s", ge=0, le=1e-2, help="from line to line when rolling")
+    antialias: int = quantity(1, ge=1, le=4, help="rays along each side of a pixel")
+    exposure_control: Literal["fixed", "auto"] = quantity(
+        "fixed", help="auto: by the histogram of the last picture"
+    )
+    exposure_level: float = quantity(0.8, gt=0, lt=1, help="bright end of the histogram")
+    exposure_shortest: float = quantity(1e-5, "s", gt=0, le=10, help="of auto")
+    exposure_longest: float = quantity(0.05, "s", gt=0, le=10, help="of auto")
     gimbal_limit: float = quantity(
         180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
     )
@@ -301,11 +490,23 @@ class FramingCamera:
             distortion=self.distortion, exposure=self.exposure, sensitivity=self.sensitivity,
             blur_sigma=self.blur_sigma, motion_blur=self.motion_blur, shot_noise=self.shot_noise,
             read_noise=self.read_noise, full_well=self.full_well, bits=self.bits,
+            gain=self.gain, vignetting=self.vignetting, stray_light=self.stray_light,
+            hot_pixels=self.hot_pixels, hot_current=self.hot_current, shutter=self.shutter,
+            line_time=self.line_time, antialias=self.antialias,
         )  # fmt: skip
 
-    def build(self, rng: np.random.Generator, step: float) -> Camera:
-        """Return the camera of one flight."""
-        return self.camera()
+    def build(self, rng: np.random.Generator, step: float) -> Camera | MeteringCamera:
+        """Return the camera of one flight, with its own hot pixels."""
+        camera = self.camera()
+        if self.hot_pixels > 0.0:
+            camera = replace(camera, detector_seed=int(rng.integers(2**31)))
+        if self.exposure_control == "fixed":
+            return camera
+        control = ExposureControl(
+            level=self.exposure_level, shortest=self.exposure_shortest,
+            longest=self.exposure_longest,
+        )  # fmt: skip
+        return MeteringCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
         """Return what the onboard computer may know of it; pictures bring their geometry."""

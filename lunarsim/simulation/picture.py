@@ -63,7 +63,7 @@ def metered(camera: Camera, world: World, state: State) -> float:
     bright = float(np.percentile(radiance, 99.5))
     if bright <= 0.0:
         return camera.exposure
-    return 0.9 * camera.full_well / (camera.sensitivity * bright)
+    return 0.9 * camera.full_well / (camera.sensitivity * bright * max(camera.gain, 1.0))
 
 
 def camera_of(scenario: Scenario) -> Camera:
@@ -98,7 +98,8 @@ def take_picture(
     if ideal:
         camera = replace(
             camera, distortion=(0.0,) * 5, blur_sigma=0.0, motion_blur=False, shot_noise=False,
-            read_noise=0.0, bits=16,
+            read_noise=0.0, bits=16, vignetting=0.0, stray_light=0.0, hot_pixels=0.0,
+            shutter="global",
         )  # fmt: skip
     streams = Streams(flight_seed(seed, flight))
     world = build_world(scenario, streams)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
@@ -19,4 +21,7 @@ def build_world(scenario: Scenario, streams: Streams) -> World:
     terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
     lander = scenario.vehicle.make()
     check_room(terrain, 2.0 * lander.leg_radius + lander.pad_diameter)
-    return World(terrain, scenario.gravity_m_s2, scenario.sun.make())
+    light = scenario.sun.make()
+    if light.mottle > 0.0 or light.boulder_mottle > 0.0:
+        light = replace(light, mottle_seed=int(streams.get("albedo").integers(2**31)))
+    return World(terrain, scenario.gravity_m_s2, light)

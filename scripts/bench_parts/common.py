@@ -21,6 +21,19 @@ def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
     return 1e3 * statistics.median(times)
 
 
+def in_turns(calls: dict[str, Callable[[], object]], repeats: int = 11) -> dict[str, float]:
+    """Return the median time of each call, ms; they take turns, so that a slow minute hits all."""
+    for call in calls.values():
+        call()
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(repeats):
+        for name, call in calls.items():
+            began = time.perf_counter()
+            call()
+            times[name].append(time.perf_counter() - began)
+    return {name: 1e3 * statistics.median(one) for name, one in times.items()}
+
+
 class Timed:
     """A function that counts its calls and their time."""
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import time
+from dataclasses import replace
 
 import numba
 
-from bench_parts.common import median_ms, square
+from bench_parts.common import in_turns, median_ms, square
 from bench_parts.plain_renderer import PlainRenderer
 
 
@@ -79,6 +80,7 @@ def render() -> None:
     for altitude in (100.0, 600.0):
         ratio = took[50_000, altitude] / took[10_000, altitude]
         print(f"  five times the rocks at {altitude:.0f} m: {ratio:.2f} times as long")
+    _lights()
     terrain = _small_square_of_cubes(10_000)
     position = np.array([0.0, 0.0, float(terrain.elevation([0.0, 0.0])) + 100.0])
     view = View(position, sensor_axes([0.0, 0.0, -1.0]), 554.3, 554.3, 319.5, 239.5, 640, 480)
@@ -89,6 +91,48 @@ def render() -> None:
         f"  256 x 256 posts and {len(terrain.rocks)} cubes, 100 m: {ours:.1f} ms; the plain "
         f"renderer {peer:.1f} ms, {peer / ours:.2f} times as long"
     )
+
+
+def _lights() -> None:
+    """Print what each part of the light costs, in turns with the plain light."""
+    import numpy as np
+
+    from lunarsim.frames import sensor_axes
+    from lunarsim.models.pinhole import View
+    from lunarsim.sensors.rendering import renderer_of
+    from lunarsim.world.light import FULL_EARTH, Light
+
+    parts = {
+        "Hapke": {"photometry": "hapke"},
+        "the Sun's disc": {"diameter": np.radians(0.533)},
+        "scattered light": {"scattered": True},
+        "mottles and boulders": {"mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15},
+    }
+    whole = {"earthshine": FULL_EARTH}
+    for settings in parts.values():
+        whole |= settings
+    terrain = square(4.0, 10_000, 1.0, 512.0)
+    renderer = renderer_of(terrain)
+    axes = sensor_axes([0.0, 0.0, -1.0])
+    print("  the light, over the plain one (a point Sun, lunar-Lambert) in turns:")
+    for elevation in (20.0, 5.0):
+        for altitude in (100.0, 600.0):
+            height = float(terrain.elevation([0.0, 0.0])) + altitude
+            views = [
+                View(np.array([0.0, 0.0, height]), axes, 554.3 * n, 554.3 * n, 320.0 * n - 0.5,
+                     240.0 * n - 0.5, 640 * n, 480 * n) for n in (1, 2)
+            ]  # fmt: skip
+            plain = Light(1.5708, np.radians(elevation))
+            drawn = {"plain": (views[0], plain)}
+            for name, settings in (parts | {"all": whole}).items():
+                drawn[name] = (views[0], replace(plain, **settings))
+            drawn["all, four rays a pixel"] = (views[1], drawn["all"][1])
+            took = in_turns({
+                name: lambda v=view, one=one: renderer.render(v, one)
+                for name, (view, one) in drawn.items()
+            })  # fmt: skip
+            rest = ", ".join(f"{name} {took[name] / took['plain']:.2f}" for name in list(took)[1:])
+            print(f"    Sun {elevation:g} deg, {altitude:.0f} m: {took['plain']:.1f} ms; {rest}")
 
 
 def _small_square_of_cubes(count: int):

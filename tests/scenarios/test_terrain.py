@@ -60,3 +60,53 @@ def test_detail_of_apollo_15_carries_the_relief_on(script, tmp_path):
     assert (tmp_path / "structure_part.png").stat().st_size > 20_000
     other = ["--scenario", str(SCENARIOS / "golombek.toml")]
     assert CliRunner().invoke(study.main, other).exit_code == 2
+
+
+def test_shadows_are_measured_along_the_sun(script):
+    """Dark strips of known length along and across the shadows' direction."""
+    study = script("terrain", "beside_nac")
+    along = study.SHADOWS / np.hypot(*study.SHADOWS)
+    rows, columns = np.indices((study.SIDE, study.SIDE))
+    east, north = study.SAMPLE * (columns - 200), -study.LINE * (rows - 200)
+    u, v = east * along[0] + north * along[1], north * along[0] - east * along[1]
+    flat = np.ones((study.SIDE, study.SIDE))
+    flat[(np.abs(u) < 6.0) & (np.abs(v) < 1.5)] = 0.1
+    flat[(np.abs(u - 50.0) < 1.5) & (np.abs(v) < 6.0)] = 0.1
+    lengths = np.sort(study.shadow_lengths(flat))
+    assert lengths == pytest.approx([3.0, 12.0], abs=1.0)
+    distance, auto = study.correlation(flat)
+    assert auto[:, 0] == pytest.approx(1.0, abs=1e-6)
+    assert distance[1] == 0.5
+
+
+def test_spectrum_keeps_the_variance_of_white_noise(script):
+    study = script("terrain", "beside_nac")
+    noise = 1.0 + 0.1 * np.random.default_rng(0).standard_normal((study.SIDE, study.SIDE))
+    _, power = study.spectrum(noise)
+    # The same in every ring, variance times the area of a pixel; few waves are in the first.
+    assert power[1:] == pytest.approx(0.01 * study.SAMPLE * study.LINE, rel=0.4)
+    assert power[6:] == pytest.approx(0.01 * study.SAMPLE * study.LINE, rel=0.1)
+
+
+@pytest.mark.slow
+def test_renders_lie_within_bounds_of_the_real_picture(script):
+    study = script("terrain", "beside_nac")
+    images, found = study.compare(("highland", "golombek"), 7)
+    spread, length = study.smooth_part(images["real"])
+    assert spread == pytest.approx(0.056, abs=0.002)
+    assert length == pytest.approx(4.2, abs=1.0)
+    real = found.pop("real")
+    assert real["mean"] == pytest.approx(0.104, abs=0.002)
+    for name in ("highland", "golombek"):
+        plain, full = found[f"{name}, plain"], found[f"{name}, full"]
+        assert full["histogram_distance"] < 0.05
+        assert full["histogram_distance"] < plain["histogram_distance"]
+        assert abs(full["slope"] - real["slope"]) < abs(plain["slope"] - real["slope"])
+        assert abs(full["slope"] - real["slope"]) < 1.1
+        assert 0.5 < full["spread"] / real["spread"] < 2.0
+        assert 0.4 < full["length_median_m"] / real["length_median_m"] < 2.5
+        assert 0.4 < full["length_90_m"] / real["length_90_m"] < 2.5
+    cratered = found["highland, full"]
+    for key in ("half_along_m", "half_across_m"):
+        assert 0.5 <= cratered[key] / real[key] <= 2.0
+    assert abs(cratered["slope"] - real["slope"]) < 0.5

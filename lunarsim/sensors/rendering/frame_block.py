@@ -32,6 +32,9 @@ FRAME = np.dtype(
         ("from_map", "(2,2)f4"),
         ("map_corner", "2f4"),
         ("_", "2f4"),
+        ("penumbra", "4f4"),
+        ("glow_from", "4f4"),
+        ("mottle_from", "4f4"),
     ]
 )
 

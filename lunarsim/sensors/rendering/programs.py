@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lunarsim.rocks.shapes import CUBE, shape_table
 from lunarsim.sensors.rendering.context import shader
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, level_mesh
+from lunarsim.sensors.rendering.shading_model import ShadingModel
 
 Array = NDArray[np.float64]
 
@@ -46,13 +47,19 @@ def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moder
 
 
 # Texture units, and what the shaders call them.
-CORNERS, SHADOW, DEPTHS, ROCKS = range(4)
+CORNERS, SHADOW, DEPTHS, ROCKS, BOUNDS, GLOW, MOTTLES = range(7)
 _UNITS = {
     "corners": CORNERS,
     "shadow": SHADOW,
     "depths": DEPTHS,
     "rocks": ROCKS,
+    "bounds": BOUNDS,
+    "glow": GLOW,
+    "mottles": MOTTLES,
 }
+
+# Side of the squares of the shadow map whose least and greatest depth are known, texels.
+BLOCK = 16
 
 # Rocks are drawn by one program a kind: a driver that works on many pixels at once would run the
 # code of every kind for each of them.
@@ -75,8 +82,9 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
 
 
 @lru_cache(maxsize=2)
-def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
-    """Return all programs; terrains of one context share them."""
+def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
+    """Return the programs that draw depth and shadow maps; terrains of one context share them."""
+    block = (f"BLOCK {BLOCK}",)
     programs = {
         "relief": ctx.program(
             shader("relief_vertex", defines=holes), shader("depth_fragment", defines=holes)
@@ -87,20 +95,60 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
         "small-rocks-shadow": ctx.program(
             shader("frame", "small_rock_shadow_vertex"), shader("small_rock_shadow_fragment")
         ),
+        "bounds": ctx.program(shader("whole_vertex"), shader("bounds_fragment", defines=block)),
+        "spread": ctx.program(shader("whole_vertex"), shader("spread_fragment")),
     }
-    lit = ("frame", "light", "given_light")
+    for kind in ROCK_KINDS:
+        shape, before, stem = _rock_kind(kind)
+        programs[f"{kind}-shadow"] = ctx.program(
+            shader("frame", "rock_vertex", defines=("SHADOW", *shape)),
+            shader(*before, f"{stem}_shadow_fragment", defines=shape),
+        )
+    return _ready(programs)
+
+
+@lru_cache(maxsize=16)
+def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, moderngl.Program]:
+    """Return the programs that draw pictures under one kind of light."""
+    lit, own = model.sources(), model.defines
+    before = ("frame", *lit[:1], "given_light")
+    programs = {}
     for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
         for coarse, leaks in product((False, True), repeat=2):
             kind = (("COARSE",) if coarse else ()) + (("LEAKS",) if leaks else ())
             programs[shade_name(coarse=coarse, leaks=leaks, truth=bool(truth))] = ctx.program(
-                shader(*lit, "screen_vertex"),
-                shader("light", "paint", "shade_fragment", defines=(*truth, *kind)),
+                shader(*before, "screen_vertex", defines=own),
+                shader(*lit, "paint", "shade_fragment", defines=(*truth, *kind, *own)),
             )
         programs[f"small-rocks{suffix}"] = ctx.program(
-            shader(*lit, "small_rock_vertex", defines=truth),
+            shader(*before, *lit[1:], "small_rock_vertex", defines=(*truth, *own)),
             shader("paint", "small_rock_fragment", defines=truth),
         )
-    programs |= _rock_programs(ctx)
+        for rock in ROCK_KINDS:
+            shape, first, stem = _rock_kind(rock)
+            programs[rock + suffix] = ctx.program(
+                shader(*before, "rock_vertex", defines=(*shape, *own)),
+                shader(*lit, "paint", *first, f"{stem}_fragment", defines=(*shape, *truth, *own)),
+            )
+    return _ready(programs)
+
+
+def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
+    """Return definitions, what goes before, and the beginning of the shaders' names of a kind."""
+    if kind == "half-sphere":
+        return (), ("half_sphere",), "half_sphere"
+    table = shape_table()
+    most = table.planes.shape[1]
+    faces = int(table.count[CUBE]) if kind == "cube" else most
+    return (f"MOST {most}", f"FACES {faces}"), (), "hull"
+
+
+def _ready(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:
+    """Tell programs their textures, their block of uniforms and the shapes of rocks."""
+    table = shape_table()
+    # Half spaces that hold everything fill the table up.
+    planes = table.planes.astype("f4")
+    planes[~planes[..., :3].any(2), 3] = 1.0
     for program in programs.values():
         for sampler, unit in _UNITS.items():
             if sampler in program:
@@ -109,35 +157,8 @@ def build_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, m
             block = program["Frame"]
             assert isinstance(block, moderngl.UniformBlock)
             block.binding = 0
-    return programs
-
-
-def _rock_programs(ctx: moderngl.Context) -> dict[str, moderngl.Program]:
-    """Return the programs of rocks of all kinds, in pictures and in shadow maps."""
-    table = shape_table()
-    most = table.planes.shape[1]
-    faces = dict(zip(ROCK_KINDS, (0, int(table.count[CUBE]), most), strict=True))
-    # Half spaces that hold everything fill the table up.
-    planes = table.planes.astype("f4")
-    planes[~planes[..., :3].any(2), 3] = 1.0
-    programs = {}
-    for kind in ROCK_KINDS:
-        round_one = faces[kind] == 0
-        shape = () if round_one else (f"MOST {most}", f"FACES {faces[kind]}")
-        before = ("half_sphere",) if round_one else ()
-        stem = "half_sphere" if round_one else "hull"
-        for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
-            programs[kind + suffix] = ctx.program(
-                shader("frame", "light", "given_light", "rock_vertex", defines=shape),
-                shader("light", "paint", *before, f"{stem}_fragment", defines=(*shape, *truth)),
-            )
-        programs[f"{kind}-shadow"] = ctx.program(
-            shader("frame", "rock_vertex", defines=("SHADOW", *shape)),
-            shader(*before, f"{stem}_shadow_fragment", defines=shape),
-        )
-        if not round_one:
-            for suffix in ("", "-truth", "-shadow"):
-                uniform = programs[kind + suffix]["planes"]
-                assert isinstance(uniform, moderngl.Uniform)
-                uniform.write(planes.tobytes())
+        if "planes" in program:
+            uniform = program["planes"]
+            assert isinstance(uniform, moderngl.Uniform)
+            uniform.write(planes.tobytes())
     return programs

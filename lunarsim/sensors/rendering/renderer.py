@@ -20,16 +20,22 @@ from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.context import gl_context
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
+from lunarsim.sensors.rendering.mottles import rock_albedos
+from lunarsim.sensors.rendering.penumbra import PenumbraBounds, disc_axes
 from lunarsim.sensors.rendering.programs import (
+    BLOCK,
     DEPTHS,
     SHADOW,
-    build_programs,
+    geometry_programs,
     shade_name,
+    shading_programs,
 )
 from lunarsim.sensors.rendering.relief_painter import ReliefPainter
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
 from lunarsim.sensors.rendering.rock_painter import RockPainter
+from lunarsim.sensors.rendering.shading_model import ShadingModel
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.surface_textures import SurfaceTextures
 from lunarsim.sensors.rendering.target import ShadowMap, Target, read_image
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain
@@ -68,7 +74,7 @@ class Renderer:
         if max(relief.z.shape) > most:
             raise RenderingError(f"the relief has {relief.z.shape} posts; this device holds {most}")
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
-        self._programs = build_programs(ctx, holes)
+        self._programs = geometry_programs(ctx, holes)
         self._ground = ReliefPainter(ctx, self._programs, relief)
         self._rocks = RockPainter(ctx, self._programs, terrain)
         tiles = self._ground.tiles
@@ -78,9 +84,11 @@ class Renderer:
         self._lowest = float(tiles.low[:, 2].min()) if some else 0.0
         self._highest = float(tiles.high[:, 2].max()) if some else 0.0
         self._block = ctx.buffer(reserve=FRAME.itemsize)
-        self._screens: dict[str, moderngl.VertexArray] = {}
+        self._screens: dict[moderngl.Program, moderngl.VertexArray] = {}
         self._targets: dict[tuple[int, int, bool], Target] = {}
         self._shadow: ShadowMap | None = None
+        self._bounds: PenumbraBounds | None = None
+        self._surface = SurfaceTextures(ctx, relief)
 
     def render(
         self, view: View, light: Light, *, truth: bool = False, shadows: bool = True
@@ -100,8 +108,9 @@ class Renderer:
         Raises
         ------
         InputError
-            If the camera is under the ground.
+            If the camera is under the ground or its pose is none.
         """
+        self._check_pose(view)
         self._check_above_ground(view)
         sun = light.direction
         clip = self._clip(view)
@@ -118,13 +127,18 @@ class Renderer:
             view, clip, light, self._relief.grid, self._ground.corners.size, self._ground.ground,
             frame, size,
         )  # fmt: skip
+        shades = self._shading_tiles(view, sun, frame)
+        reach = self._set_penumbra(block, frame, light, bool(shades.any()))
+        programs = self._set_surface(block, light, view, wide=reach > 1.0)
         self._block.orphan()
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
             leaks = False
             if frame is not None:
-                leaks = self._draw_shadows(view, sun, frame, choice.shadow_level)
+                leaks = self._draw_shadows(view, frame, shades, choice.shadow_level)
+                if reach > 1.0:
+                    self._penumbra_bounds().draw(frame, block["penumbra"][:2], reach)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
             matrix = _camera_matrix(view, *clip)
@@ -132,12 +146,14 @@ class Renderer:
             coarse = bool(choice.level[choice.shown].any())
             over = target.over_mended if coarse else target.over
             name = shade_name(coarse=coarse, leaks=leaks, truth=truth)
-            self._shade(target, over, coarse, name)
+            self._shade(target, over, coarse, programs[name])
             over.use()
-            self._rocks.draw(view, clip[0], truth)
+            self._rocks.draw(programs, view, clip[0], truth)
             return read_image(target, view, truth)
 
-    def _shade(self, target: Target, over: moderngl.Framebuffer, coarse: bool, name: str) -> None:
+    def _shade(
+        self, target: Target, over: moderngl.Framebuffer, coarse: bool, program: moderngl.Program
+    ) -> None:
         """Shade the relief; mend its depth where it was drawn coarsely."""
         if coarse:
             over.use()
@@ -148,11 +164,18 @@ class Renderer:
             target.picture.clear()
             self._ctx.disable(moderngl.DEPTH_TEST)
         target.depth.use(DEPTHS)
-        if name not in self._screens:
-            self._screens[name] = self._ctx.vertex_array(self._programs[name], [])
-        self._screens[name].render(moderngl.TRIANGLES, vertices=3)
+        if program not in self._screens:
+            self._screens[program] = self._ctx.vertex_array(program, [])
+        self._screens[program].render(moderngl.TRIANGLES, vertices=3)
         self._ctx.enable(moderngl.DEPTH_TEST)
         self._ctx.depth_func = "<"
+
+    @staticmethod
+    def _check_pose(view: View) -> None:
+        if not np.isfinite(view.position).all():
+            raise InputError("camera.position", [float(x) for x in view.position], "finite metres")
+        if not np.allclose(view.axes.T @ view.axes, np.eye(3), atol=1e-3):
+            raise InputError("camera.axes", view.axes.tolist(), "a rotation matrix (3, 3)")
 
     def _check_above_ground(self, view: View) -> None:
         e, n, up = view.position
@@ -195,12 +218,59 @@ class Renderer:
         lowest = min(self._lowest, self._rocks.lowest)
         frame = ShadowFrame.of(view, sun, choice, self._highest + rock, lowest, rock)
         if self._shadow is None or not self._shadow.suits(frame.size):
-            self._shadow = None  # free it first
+            self._shadow = self._bounds = None  # free it first
             self._shadow = ShadowMap.of(self._ctx, frame.size)
         return frame
 
+    def _penumbra_bounds(self) -> PenumbraBounds:
+        """Return the bounds of the present shadow map."""
+        if self._bounds is None:
+            assert self._shadow is not None
+            self._bounds = PenumbraBounds(self._ctx, self._programs, self._shadow)
+        return self._bounds
+
+    def _set_surface(
+        self, block: NDArray[np.void], light: Light, view: View, *, wide: bool
+    ) -> dict[str, moderngl.Program]:
+        """Bind what is known of the surface; return the programs for a light."""
+        self._surface.use(light, view.position, block)
+        if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
+            self._rocks.set_albedo(rock_albedos(light, self._rocks.count))
+        model = ShadingModel.of(light)
+        return shading_programs(self._ctx, model.with_wide_penumbrae() if wide else model)
+
+    def _set_penumbra(
+        self, block: NDArray[np.void], frame: ShadowFrame | None, light: Light, relief_shades: bool
+    ) -> float:
+        """Write how the Sun's disc looks in the map; return the most that its edge reaches, texels.
+
+        That is half the width of the widest penumbra; 0 where the Sun is a point.
+        """
+        if frame is None or light.diameter == 0.0:
+            return 0.0
+        axes = disc_axes(frame, light.direction, light.diameter)
+        high = self._rocks.tallest
+        if relief_shades:
+            high += self._highest - self._lowest
+        range_ = frame.heights[0] - frame.heights[1]
+        reach = float(axes.max()) * min(high, range_)
+        block["penumbra"][:2] = axes * range_
+        if reach > 1.0:
+            block["penumbra"][2:] = 1.0 / (BLOCK * np.array(self._penumbra_bounds().size))
+        return reach
+
+    def _shading_tiles(
+        self, view: View, sun: Array, frame: ShadowFrame | None
+    ) -> NDArray[np.bool_]:
+        """Return which tiles may throw a shadow on what the map covers."""
+        if frame is None:
+            return np.zeros(len(self._corners), np.bool_)
+        # Only a face steeper than the sunrays is turned away from the Sun.
+        steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
+        return np.asarray(steep & frame.shades(self._corners, view.position))
+
     def _draw_shadows(
-        self, view: View, sun: Array, frame: ShadowFrame, level: NDArray[np.int64]
+        self, view: View, frame: ShadowFrame, shades: NDArray[np.bool_], level: NDArray[np.int64]
     ) -> bool:
         """Draw the shadow map; return whether light may leak through ridges in it."""
         shadow = self._shadow
@@ -209,9 +279,6 @@ class Renderer:
         self._ctx.enable_only(moderngl.BLEND)
         self._ctx.blend_equation = moderngl.MIN  # type: ignore[assignment]
         self._rocks.draw_shadows(view, frame, shadow)
-        # Only a face steeper than the sunrays is turned away from the Sun.
-        steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
-        shades = steep & frame.shades(self._corners, view.position)
         self._ctx.enable_only(moderngl.BLEND | moderngl.CULL_FACE)
         self._ctx.cull_face = "front"
         self._ground.draw("relief-shadow", frame.matrix(), view.position, shades, level)

@@ -65,13 +65,29 @@ class RockPainter:
         self._corners = ctx.buffer(reserve=48)
         self._order = ctx.buffer(reserve=4)  # too small for any box
         self._points = ctx.buffer(reserve=28)
-        self._vaos: dict[str, moderngl.VertexArray] = {}
+        self._vaos: dict[moderngl.Program, moderngl.VertexArray] = {}
+        self.count = count
+        self._texels = texels
+        self._albedo = np.ones(count)
 
-    def draw(self, view: View, near: float, truth: bool) -> None:
+    def set_albedo(self, albedo: Array) -> None:
+        """Set the albedo of every rock (n,) over the ground's, for programs that look at it."""
+        if not np.array_equal(albedo, self._albedo):
+            self._albedo = albedo
+            self._texels[: len(albedo), 9] = albedo
+            self._texture.release()
+            lines = len(self._texels) // _TEXTURE
+            self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
+
+    def draw(
+        self, programs: dict[str, moderngl.Program], view: View, near: float, truth: bool
+    ) -> None:
         """Draw all rocks in a view over the relief.
 
         Parameters
         ----------
+        programs
+            Those that shade.
         view
             The view.
         near
@@ -87,12 +103,12 @@ class RockPainter:
         box, number = kernels.gather(self._box, seen)
         small, start, rest = small_rocks.split(box)
         suffix = "-truth" if truth else ""
-        self._draw_boxes(suffix, box[rest], number[rest])
+        self._draw_boxes(programs, suffix, box[rest], number[rest])
         points, hit = small_rocks.sight(
             self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
             view.position, towards, view.fx, view.fy, view.cx, view.cy, near,
         )  # fmt: skip
-        self._draw_points("small-rocks" + suffix, points[hit])
+        self._draw_points(programs["small-rocks" + suffix], points[hit])
 
     def draw_shadows(self, view: View, frame: ShadowFrame, shadow: ShadowMap) -> None:
         """Begin a shadow map with all rocks that shade ground in it."""
@@ -114,18 +130,21 @@ class RockPainter:
         else:
             # All of it: a driver clears a part far more slowly.
             shadow.buffer.clear(1.0)
-            self._draw_points("small-rocks-shadow", points[hit])
-        self._draw_boxes("-shadow", box[rest], number[rest])
+            self._draw_points(self._programs["small-rocks-shadow"], points[hit])
+        self._draw_boxes(self._programs, "-shadow", box[rest], number[rest])
 
-    def _draw_boxes(self, suffix: str, box: NDArray[np.float32], number: NDArray[np.int32]) -> None:
+    def _draw_boxes(
+        self, programs: dict[str, moderngl.Program], suffix: str, box: NDArray[np.float32],
+        number: NDArray[np.int32],
+    ) -> None:  # fmt: skip
         kinds = self._kind[number]
         for k, kind in enumerate(ROCK_KINDS):
             picked = np.flatnonzero(kinds == k)
             if picked.size:
                 corners = kernels.box_corners(box, number, picked)
-                self._draw_corners(kind + suffix, corners)
+                self._draw_corners(programs[kind + suffix], corners)
 
-    def _draw_corners(self, name: str, corners: NDArray[np.float32]) -> None:
+    def _draw_corners(self, program: moderngl.Program, corners: NDArray[np.float32]) -> None:
         self._texture.use(ROCKS)
         boxes = len(corners) // 4
         if 24 * boxes > self._order.size:
@@ -135,20 +154,20 @@ class RockPainter:
             self._order.write(order.astype(np.int32).tobytes())
         self._corners.orphan(corners.nbytes)
         self._corners.write(corners)
-        if name not in self._vaos:
-            self._vaos[name] = self._ctx.vertex_array(
-                self._programs[name], [(self._corners, "2f 1f", "corner", "number")], self._order
+        if program not in self._vaos:
+            self._vaos[program] = self._ctx.vertex_array(
+                program, [(self._corners, "2f 1f", "corner", "number")], self._order
             )
-        self._vaos[name].render(moderngl.TRIANGLES, vertices=6 * boxes)
+        self._vaos[program].render(moderngl.TRIANGLES, vertices=6 * boxes)
 
-    def _draw_points(self, name: str, points: NDArray[np.float32]) -> None:
+    def _draw_points(self, program: moderngl.Program, points: NDArray[np.float32]) -> None:
         """Draw pixels of small rocks (n, 7 or 3): place, depth, normal and number."""
         if len(points) == 0:
             return
-        program = self._programs[name]
+        self._texture.use(ROCKS)
         self._points.orphan(points.nbytes)
         self._points.write(points)
-        if name not in self._vaos:
+        if program not in self._vaos:
             parts = ("3f 4f", "at", "stone") if points.shape[1] == 7 else ("3f", "at")
-            self._vaos[name] = self._ctx.vertex_array(program, [(self._points, *parts)])
-        self._vaos[name].render(moderngl.POINTS, vertices=len(points))
+            self._vaos[program] = self._ctx.vertex_array(program, [(self._points, *parts)])
+        self._vaos[program].render(moderngl.POINTS, vertices=len(points))

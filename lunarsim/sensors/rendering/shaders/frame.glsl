@@ -20,6 +20,10 @@ layout(std140) uniform Frame {
     vec2 heights;             // highest and lowest elevation of the map, m above the camera
     vec4 from_map;            // matrix from the map's texels to ENU, m, column by column
     vec2 map_corner;          // place of the map's corner, ENU, m
+    vec4 penumbra;            // half axes of the Sun's disc in texels of the shadow map for each unit
+                              // of depth; size of a texel in the texture of its bounds
+    vec4 glow_from;           // from metres about the camera, ENU, to the map of scattered light
+    vec4 mottle_from;         // and to the field of mottles
 };
 
 // The ray through a place in the picture (the centre of the first pixel is at 0.5), ENU, with

@@ -5,6 +5,9 @@ flat in float height;
 flat in vec3 depth;
 flat in float identity;
 flat in Light light;
+#ifdef BOULDERS
+flat in float brightness;
+#endif
 noperspective in vec3 ray;
 
 void main() {
@@ -17,5 +20,5 @@ void main() {
     vec2 turn = turn_and_scale.xy;
     n = normalize(vec3(turn.x * n.x - turn.y * n.y, turn.y * n.x + turn.x * n.y, n.z));
     vec3 rel = t.x * ray;
-    paint(radiance(light, rel, n), n, length(rel), identity);
+    paint(STONE(light, rel, n), n, length(rel), identity);
 }

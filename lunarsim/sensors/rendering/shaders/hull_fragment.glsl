@@ -4,6 +4,9 @@ noperspective in vec3 ray;
 flat in vec3 depth;
 flat in float identity;
 flat in Light light;
+#ifdef BOULDERS
+flat in float brightness;
+#endif
 
 void main() {
     float enter = -1e30, leave = 1e30;
@@ -24,5 +27,5 @@ void main() {
     gl_FragDepth = depth.x - depth.y / enter;
     normal = normalize(normal);
     vec3 rel = enter * ray;
-    paint(radiance(light, rel, normal), normal, length(rel), identity);
+    paint(STONE(light, rel, normal), normal, length(rel), identity);
 }

@@ -6,10 +6,17 @@ struct Light {
     vec2 dark;            // depth in the shadow map from which on a point at the camera's level is
                           // dark, and its growth for each metre up
     vec3 surface;         // albedo, radiance factor where no Sun shines, McEwen's share
+#ifdef WIDE
+    vec4 penumbra;        // as in the frame
+#endif
+#ifdef GLOW
+    vec4 glow_from;
+#endif
 };
 
 uniform sampler2D shadow;    // highest lee face along each sunray
 
+#ifndef SOFT
 bool in_shadow(Light light, vec3 rel) {
     vec2 where = vec2(dot(light.across.xyz, rel) + light.across.w,
                       dot(light.along.xyz, rel) + light.along.w);
@@ -29,6 +36,7 @@ bool in_shadow(Light light, vec3 rel) {
 #endif
     return dark;
 }
+#endif
 
 // Arc cosine within 7e-5 rad: Abramowitz and Stegun (1964), 4.4.45.
 float angle_of(float cosine) {
@@ -37,6 +45,7 @@ float angle_of(float cosine) {
     return cosine < 0.0 ? 3.14159265 - angle : angle;
 }
 
+#ifndef HAPKE
 // Radiance factor I/F; McEwen (1991), Icarus 92, 298-311, with his polynomial in the phase angle.
 // Without his share of the Lommel-Seeliger law, Lambert's remains.
 float reflect_sun(Light light, vec3 n, vec3 towards_camera) {
@@ -47,9 +56,4 @@ float reflect_sun(Light light, vec3 n, vec3 towards_camera) {
     l *= light.surface.z;
     return light.surface.x * incidence * (2.0 * l / (incidence + emission) + 1.0 - l);
 }
-
-// Of a point (metres about the camera, ENU) with a unit normal.
-float radiance(Light light, vec3 rel, vec3 n) {
-    float direct = reflect_sun(light, n, -normalize(rel));
-    return (in_shadow(light, rel) ? 0.0 : direct) + light.surface.y;
-}
+#endif

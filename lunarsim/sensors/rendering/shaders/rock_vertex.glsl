@@ -2,7 +2,7 @@
 // rock is worked out here and handed on as flat varyings.
 in vec2 corner;    // of the box that holds the rock, from the picture's corner
 in float number;   // a whole one
-uniform sampler2D rocks;    // three texels a rock: (x, y, base, a), (b, height, cos, sin), (shape)
+uniform sampler2D rocks;    // three texels a rock: (x, y, base, a), (b, height, cos, sin), (shape, albedo)
 #ifdef FACES
 uniform vec4 planes[18 * MOST];   // half spaces of the unit shapes, MOST to each
 flat out vec4 face[FACES];
@@ -16,6 +16,9 @@ flat out vec2 depth;       // of the base, and its growth for each metre down
 flat out vec3 depth;       // window depth: x - y / (depth along the boresight); nearest depth, m
 flat out float identity;
 flat out Light light;
+#ifdef BOULDERS
+flat out float brightness;
+#endif
 noperspective out vec3 ray;
 #ifndef FACES
 flat out vec4 turn_and_scale;
@@ -41,7 +44,8 @@ void main() {
     ivec2 at = ivec2((which % 1024) * 3, which / 1024);
     vec4 one = texelFetch(rocks, at, 0);
     vec4 two = texelFetch(rocks, at + ivec2(1, 0), 0);
-    int shape = int(texelFetch(rocks, at + ivec2(2, 0), 0).r);
+    vec4 three = texelFetch(rocks, at + ivec2(2, 0), 0);
+    int shape = int(three.r);
     vec3 centre = one.xyz - eye.xyz;
     vec3 scale = vec3(one.w, two.xy);
     vec2 turn = two.zw;
@@ -55,6 +59,9 @@ void main() {
     depth = vec3(clip.y, clip.x * clip.y, clip.x * (clip.y - clip.x)) / (clip.y - clip.x);
     identity = number + 2.0;
     light = given_light();
+#ifdef BOULDERS
+    brightness = three.g;
+#endif
     ray = way;
 #endif
 #ifdef FACES

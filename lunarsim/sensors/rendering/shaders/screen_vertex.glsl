@@ -5,6 +5,9 @@ flat out vec4 to_cells;      // place of the camera in its cell, posts in a metr
 flat out vec4 to_texture;    // from cells about the camera's to the texture of the relief
 flat out vec2 depth;         // window depth to inverse distance
 flat out Light light;
+#ifdef MOTTLE
+flat out vec4 to_mottles;
+#endif
 
 void main() {
     vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1);
@@ -15,4 +18,7 @@ void main() {
     to_texture = vec4(1.0, 1.0, eye_cell + 0.5) / cells.xyxy;
     depth = vec2(1.0 / clip.x, (clip.y - clip.x) / (clip.x * clip.y));
     light = given_light();
+#ifdef MOTTLE
+    to_mottles = mottle_from;
+#endif
 }

@@ -8,6 +8,15 @@ flat in vec4 to_texture;
 flat in vec2 depth;
 flat in Light light;
 
+#ifdef MOTTLE
+uniform sampler2D mottles;   // the ground's albedo
+flat in vec4 to_mottles;
+
+float ground_albedo(vec3 rel) {
+    return 1.0 + MOTTLE * (texture(mottles, rel.xy * to_mottles.xy + to_mottles.zw).r - 128.0 / 255.0);
+}
+#endif
+
 // The plane of the facet at a point: its gradient, and its height below the camera, m.
 vec3 facet_at(vec3 rel) {
     vec2 at = rel.xy * to_cells.z + to_cells.xy;
@@ -40,5 +49,5 @@ void main() {
 #endif
     vec3 rel = t * ray;
     vec3 normal = normalize(vec3(-facet.xy, 1.0));
-    paint(radiance(light, rel, normal), normal, length(rel), 1.0);
+    paint(GROUND(light, rel, normal), normal, length(rel), 1.0);
 }

@@ -1,6 +1,9 @@
 // A pixel of a rock that covers few of them; it is shaded here, once.
 in vec3 at;                // pixel and depth along the boresight, m, where the ray meets the rock
 in vec4 stone;             // normal and number
+#ifdef BOULDERS
+uniform sampler2D rocks;
+#endif
 flat out float depth;
 flat out float shade;
 #ifdef TRUTH
@@ -13,7 +16,11 @@ void main() {
     gl_PointSize = 1.0;
     depth = (clip.y - clip.x * clip.y / at.z) / (clip.y - clip.x);
     vec3 rel = at.z * pixel_ray(at.xy + 0.5);
-    shade = radiance(given_light(), rel, stone.xyz);
+#ifdef BOULDERS
+    int which = int(stone.w);
+    float brightness = texelFetch(rocks, ivec2((which % 1024) * 3 + 2, which / 1024), 0).g;
+#endif
+    shade = STONE(given_light(), rel, stone.xyz);
 #ifdef TRUTH
     normal = stone.xyz;
     range_and_number = vec2(length(rel), stone.w + 2.0);

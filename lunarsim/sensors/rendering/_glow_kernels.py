@@ -1,0 +1,118 @@
+"""Kernels of light that ground throws on ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._jit import kernel, prange
+
+Array = NDArray[np.float64]
+
+
+@kernel(inline=True)
+def between(values: Array, row: float, column: float) -> float:
+    """Return the value of an array at a place among its elements, bilinearly."""
+    a, b = min(int(row), values.shape[0] - 2), min(int(column), values.shape[1] - 2)
+    v, u = row - a, column - b
+    south = (1.0 - u) * values[a, b] + u * values[a, b + 1]
+    north = (1.0 - u) * values[a + 1, b] + u * values[a + 1, b + 1]
+    return float((1.0 - v) * south + v * north)
+
+
+@kernel(parallel=True)
+def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
+    """Return which posts (rows, cols) see the middle of the Sun.
+
+    Parameters
+    ----------
+    z
+        Elevations (rows, cols), m; NaN hides nothing.
+    posting
+        Distance of posts, m.
+    sun
+        Unit vector towards the Sun (3,), above the horizon.
+    """
+    rows, cols = z.shape
+    out = np.zeros(z.shape, np.bool_)
+    run = np.hypot(sun[0], sun[1])
+    if run < 1e-9:
+        out[:] = True
+        return out
+    # One post along the greater axis a step.
+    scale = max(abs(sun[0]), abs(sun[1]))
+    east, north = sun[0] / scale, sun[1] / scale
+    rise = sun[2] / scale * posting
+    highest = np.nanmax(z)
+    for i in prange(rows):
+        for j in range(cols):
+            lit = True
+            x, y, height = float(j), float(i), z[i, j]
+            while lit:
+                x += east
+                y += north
+                height += rise
+                if height > highest or not (0.0 <= x <= cols - 1.0 and 0.0 <= y <= rows - 1.0):
+                    break
+                if between(z, y, x) > height:
+                    lit = False
+            out[i, j] = lit
+    return out
+
+
+@kernel(parallel=True)
+def gathered(
+    z: Array, slope: Array, posting: float, shine: Array, azimuths: int, growth: float
+) -> Array:
+    """Return the irradiance (rows, cols) of posts by the ground that they see, over the Sun's.
+
+    Along each azimuth the ground is sounded at growing steps; what rises over all before it is
+    seen, and fills the band of elevation angles between.
+
+    Parameters
+    ----------
+    z
+        Elevations (rows, cols), m.
+    slope
+        Rise to the east and to the north of each post (rows, cols, 2).
+    posting
+        Distance of posts, m.
+    shine
+        I/F of every post as seen from anywhere (rows, cols).
+    azimuths
+        How many are looked along.
+    growth
+        Factor from one distance to the next, beyond the posts next to it.
+    """
+    rows, cols = z.shape
+    out = np.zeros(z.shape)
+    for i in prange(rows):
+        for j in range(cols):
+            east, north = slope[i, j, 0], slope[i, j, 1]
+            length = np.sqrt(1.0 + east * east + north * north)
+            total = 0.0
+            for k in range(azimuths):
+                angle = 2.0 * np.pi * (k + 0.5) / azimuths
+                x, y = np.cos(angle), np.sin(angle)
+                # The post's own plane hides what is below it.
+                own = east * x + north * y
+                across, up = -own / length, 1.0 / length
+                seen = np.arctan(own)
+                sine = np.sin(seen)
+                distance = 1.0
+                while True:
+                    row, column = i + distance * y, j + distance * x
+                    if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= cols - 1.0):
+                        break
+                    here = np.arctan((between(z, row, column) - z[i, j]) / (distance * posting))
+                    if here > seen + 1e-7:
+                        top = np.sin(here)
+                        # Integral of (n . direction) cos(elevation) over the band.
+                        band = across * 0.5 * (
+                            here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
+                        ) + up * 0.5 * (top * top - sine * sine)
+                        total += between(shine, row, column) * band
+                        seen, sine = here, top
+                    distance = max(distance + 1.0, distance * growth)
+            out[i, j] = 2.0 * total / azimuths
+    return out

@@ -1,0 +1,88 @@
+"""Penumbrae: how the Sun's disc looks from a shadow map, and where its edge may fall."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering.programs import BLOCK, BOUNDS, SHADOW, plain
+from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.target import ShadowMap
+
+Array = NDArray[np.float64]
+
+# The farthest that an edge is sought, blocks of the shadow map.
+_FARTHEST = 128
+
+
+def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
+    """Return the half axes (2,) of the Sun's disc in the map, texels for each metre of rise.
+
+    Along the Sun's azimuth first: what stands h over a point hides parts of the disc at places of
+    the map up to h tan(r) / sin(e)^2 from it, and across h tan(r) / sin(e), with the disc's radius
+    r and the Sun's elevation e; to first order in r.
+    """
+    radius = np.tan(0.5 * diameter)
+    sine = max(float(sun[2]), float(radius))
+    return np.asarray(radius / frame.texel * np.array([1.0 / sine**2, 1.0 / sine]))
+
+
+class PenumbraBounds:
+    """Least and greatest depth of a shadow map within reach of each of its blocks.
+
+    Parameters
+    ----------
+    ctx
+        The context.
+    programs
+        Its programs.
+    shadow
+        The shadow map.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], shadow: ShadowMap
+    ) -> None:
+        self._shadow = shadow
+        size = (-(-shadow.texture.width // BLOCK), -(-shadow.texture.height // BLOCK))
+        self.size = size
+        self._textures = [ctx.texture(size, 4, dtype="f4") for _ in range(2)]
+        for texture in self._textures:
+            plain(texture)
+        self._buffers = [ctx.framebuffer([texture]) for texture in self._textures]
+        self._programs = programs
+        self._screens = {
+            name: ctx.vertex_array(programs[name], []) for name in ("bounds", "spread")
+        }
+
+    def draw(self, frame: ShadowFrame, axes: Array, reach: float) -> None:
+        """Measure the blocks of a map that has been drawn, and those about them.
+
+        Parameters
+        ----------
+        frame
+            Of the map.
+        axes
+            Half axes of the Sun's disc for each unit of depth (2,), texels.
+        reach
+            The most that a penumbra reaches, texels.
+        """
+        last = [-(-n // BLOCK) - 1 for n in frame.size]
+        far = int(min(np.ceil(reach / BLOCK) + 1, _FARTHEST))
+        self._shadow.texture.use(SHADOW)
+        self._programs["bounds"]["last"] = (frame.size[0] - 1, frame.size[1] - 1)
+        self._pass("bounds", 0, last)
+        for k, way in enumerate(((far, 0), (0, far))):
+            self._textures[k].use(BOUNDS)
+            self._programs["spread"]["spread"] = (*last, *way)
+            # Both axes together: no more than the true distance.
+            self._programs["spread"]["growth"] = BLOCK / float(axes[k]) / np.sqrt(2.0)
+            self._pass("spread", 1 - k, last)
+        self._textures[0].use(BOUNDS)
+
+    def _pass(self, name: str, target: int, last: list[int]) -> None:
+        buffer = self._buffers[target]
+        buffer.use()
+        buffer.viewport = (0, 0, last[0] + 1, last[1] + 1)
+        self._screens[name].render(moderngl.TRIANGLES, vertices=3)

@@ -1,0 +1,147 @@
+"""How ground reflects sunlight: radiance factors I/F of three laws.
+
+Angles come as cosines: of incidence `mu0`, of emission `mu` and of the phase angle. I/F is pi times
+the radiance over the Sun's irradiance on a surface that faces it; it is that of a Lambert surface
+of the same brightness, seen and lit from above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from lunarsim.errors import InputError
+
+Array = NDArray[np.float64]
+
+_LEAST = 1e-6
+
+
+def lambert(albedo: float, mu0: ArrayLike) -> Array:
+    """Return I/F of a surface that is as bright from everywhere."""
+    return np.asarray(albedo * np.maximum(mu0, 0.0))
+
+
+def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
+    """Return I/F after McEwen (1991), Icarus 92, 298-311; his polynomial in the phase angle."""
+    mu0, mu = np.maximum(mu0, 0.0), np.maximum(mu, 1e-4)
+    phase = np.degrees(np.arccos(np.clip(cos_phase, -1.0, 1.0)))
+    share = np.clip(1.0 + phase * (-0.019 + phase * (2.42e-4 - 1.46e-6 * phase)), 0.0, 1.0)
+    return np.asarray(albedo * mu0 * (2.0 * share / (mu0 + mu) + 1.0 - share))
+
+
+@dataclass(frozen=True)
+class Hapke:
+    """Hapke's law with shadow-hiding opposition surge and macroscopic roughness.
+
+    I/F = w/4 mu0e / (mu0e + mue) [p(g) (1 + B(g)) + H(mu0e) H(mue) - 1] S(i, e, psi): Hapke (2012),
+    Theory of Reflectance and Emittance Spectroscopy, 2nd ed.; H as in Hapke (2002), Icarus 157,
+    523-534, Eq. 13; roughness as in Hapke (1984), Icarus 59, 41-59. No coherent backscatter, and
+    a porosity factor of 1, as in the maps of Sato et al. (2014), JGR Planets 119, 1775-1805.
+
+    Attributes
+    ----------
+    w
+        Single-scattering albedo.
+    b, c
+        Width of the lobes of the double Henyey-Greenstein phase function, and what the backward
+        one has more than the forward one.
+    surge, surge_width
+        B0, and h, the tangent of half the phase angle at which the surge is half of it.
+    roughness
+        Mean slope of what is too small to be seen, rad; more than 0.
+    """
+
+    w: float
+    b: float
+    c: float
+    surge: float
+    surge_width: float
+    roughness: float
+
+    def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
+        """Return I/F; 0 where the surface is turned away from the Sun."""
+        mu0, mu, cos_g = np.broadcast_arrays(
+            np.asarray(mu0, float), np.asarray(mu, float), np.asarray(cos_phase, float)
+        )
+        lit = mu0 > 0.0
+        low, eye = np.asarray(np.maximum(mu0, _LEAST)), np.asarray(np.maximum(mu, 1e-4))
+        mu0_rough, mu_rough, shadow = self._rough(low, eye, cos_g)
+        single = self._phase_function(cos_g) * (1.0 + self._surge(cos_g))
+        several = self._h(mu0_rough) * self._h(mu_rough) - 1.0
+        out = 0.25 * self.w * mu0_rough / (mu0_rough + mu_rough) * (single + several) * shadow
+        return np.asarray(np.where(lit, out, 0.0))
+
+    def _phase_function(self, cos_g: Array) -> Array:
+        b2 = self.b**2
+        back = (1.0 - b2) / (1.0 + b2 - 2.0 * self.b * cos_g) ** 1.5
+        forth = (1.0 - b2) / (1.0 + b2 + 2.0 * self.b * cos_g) ** 1.5
+        return np.asarray(0.5 * ((1.0 + self.c) * back + (1.0 - self.c) * forth))
+
+    def _surge(self, cos_g: Array) -> Array:
+        half = np.sqrt((1.0 - np.minimum(cos_g, 1.0)) / np.maximum(1.0 + cos_g, _LEAST))
+        return np.asarray(self.surge / (1.0 + half / self.surge_width))
+
+    def _h(self, x: Array) -> Array:
+        gamma = np.sqrt(1.0 - self.w)
+        r = (1.0 - gamma) / (1.0 + gamma)
+        return np.asarray(
+            1.0 / (1.0 - self.w * x * (r + 0.5 * (1.0 - 2.0 * r * x) * np.log((1.0 + x) / x)))
+        )
+
+    def _rough(self, mu0: Array, mu: Array, cos_g: Array) -> tuple[Array, Array, Array]:
+        """Return effective cosines of incidence and emission, and the share S."""
+        tangent = np.tan(self.roughness)
+        chi = 1.0 / np.sqrt(1.0 + np.pi * tangent**2)
+        sin0, sin = (np.sqrt(np.maximum(1.0 - m * m, 1e-9)) for m in (mu0, mu))
+        cos_psi = np.clip((cos_g - mu0 * mu) / (sin0 * sin), -1.0, 1.0)
+        psi = np.arccos(cos_psi)
+        half = 0.5 * (1.0 - cos_psi)  # sin^2(psi / 2)
+        f = np.exp(-2.0 * np.sqrt(half / np.maximum(1.0 - half, 1e-9)))
+        first0, first = (
+            np.exp(-2.0 / np.pi * m / (s * tangent)) for m, s in ((mu0, sin0), (mu, sin))
+        )
+        second0, second = (
+            np.exp(-((m / (s * tangent)) ** 2) / np.pi) for m, s in ((mu0, sin0), (mu, sin))
+        )
+        low = mu0 >= mu  # the Sun stands higher than the eye
+        # The far one of the two directions rules both corrections.
+        e1_far, e1_near = np.where(low, first, first0), np.where(low, first0, first)
+        e2_far, e2_near = np.where(low, second, second0), np.where(low, second0, second)
+        below = 2.0 - e1_far - psi / np.pi * e1_near
+        near_term = (cos_psi * e2_far + half * e2_near) / below
+        far_term = (e2_far - half * e2_near) / below
+        mu0_rough = chi * (mu0 + sin0 * tangent * np.where(low, near_term, far_term))
+        mu_rough = chi * (mu + sin * tangent * np.where(low, far_term, near_term))
+        eta0 = chi * (mu0 + sin0 * tangent * second0 / (2.0 - first0))
+        eta = chi * (mu + sin * tangent * second / (2.0 - first))
+        near = np.where(low, mu0 / eta0, mu / eta)
+        shadow = mu_rough / eta * mu0 / eta0 * chi / (1.0 - f + f * chi * near)
+        return mu0_rough, mu_rough, shadow
+
+
+@lru_cache(maxsize=32)
+def hapke_of_albedo(
+    albedo: float, b: float, c: float, surge: float, surge_width: float, roughness: float
+) -> Hapke:
+    """Return the law whose I/F is `albedo` when lit and seen from above: w is found for it.
+
+    Raises
+    ------
+    InputError
+        If no grain is white enough for it.
+    """
+
+    def excess(w: float) -> float:
+        law = Hapke(w, b, c, surge, surge_width, roughness)
+        return float(law.radiance_factor(1.0, 1.0, 1.0)) - albedo
+
+    if excess(1.0 - 1e-9) < 0.0:
+        most = albedo + excess(1.0 - 1e-9)
+        raise InputError("sun.albedo", albedo, f"at most {most:.3f} with this phase function")
+    w = brentq(excess, 0.0, 1.0 - 1e-9, xtol=1e-12)
+    return Hapke(float(w), b, c, surge, surge_width, roughness)

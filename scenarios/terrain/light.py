@@ -1,0 +1,73 @@
+"""One place under the plain light and under all that `[sun]` offers, side by side.
+
+python scenarios/terrain/light.py --out docs/images
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.camera import Camera
+from lunarsim.sensors.rendering import renderer_of
+from lunarsim.simulation.picture import camera_state
+from lunarsim.simulation.worlds import build_world
+from lunarsim.viz.style import new_figure, save
+from lunarsim.world.light import FULL_EARTH, Light
+
+SCENARIOS = Path(__file__).parents[1]
+SUN = np.radians(0.533)
+# What is added, in order; each row of pictures has its own Sun and height.
+STEPS = {
+    "plain": {},
+    "the Sun's disc": {"diameter": SUN},
+    "and scattered light, Earthshine": {"scattered": True, "earthshine": FULL_EARTH},
+    "and Hapke, mottles, boulders": {
+        "photometry": "hapke", "mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15,
+    },
+}  # fmt: skip
+ROWS = ((3.0, 25.0, 2.5), (20.0, 60.0, 2.5))
+
+
+def picture(world, light: Light, altitude: float) -> NDArray[np.float32]:
+    """Return I/F (240, 320), four rays a pixel, 30 deg off nadir."""
+    camera = Camera.with_field_of_view(640, 480, 50.0)
+    state = camera_state(camera, world, (10.0, -15.0), altitude, np.radians(30.0), 0.0)
+    drawn = renderer_of(world.terrain).render(camera.view(state), light).radiance
+    return drawn.reshape(240, 2, 320, 2).mean((1, 3))
+
+
+@click.command()
+@click.option("--scenario", default="highland", show_default=True, help="Whose ground is seen.")
+@click.option("--seed", default=1, show_default=True, help="Of rocks and mottles.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
+              help="Folder for the picture.")  # fmt: skip
+def main(scenario: str, seed: int, out: Path) -> None:
+    """Draw the pictures."""
+    world = build_world(
+        Scenario.load(SCENARIOS / f"{scenario}.toml"), Streams(flight_seed(seed, 0))
+    )
+    figure = new_figure(3.3 * len(STEPS), 5.4)
+    axes = figure.subplots(len(ROWS), len(STEPS))
+    for row, (elevation, altitude, power) in zip(axes, ROWS, strict=True):
+        light = Light(np.radians(250.0), np.radians(elevation), mottle_seed=seed)
+        for ax, (name, more) in zip(row, STEPS.items(), strict=True):
+            light = replace(light, **more)
+            image = picture(world, light, altitude)
+            # Shadows are stretched so that what is in them shows.
+            bright = np.percentile(image, 99.0)
+            ax.imshow(np.clip(image / bright, 0.0, 1.0) ** (1.0 / power), cmap="gray", vmin=0.0,
+                      vmax=1.0)  # fmt: skip
+            ax.axis("off")
+            ax.set_title(f"{name}, {elevation:g} deg", fontsize=9)
+    save(figure, out / "light.png")
+
+
+if __name__ == "__main__":
+    main()
