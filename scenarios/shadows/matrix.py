@@ -110,7 +110,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     wrong = np.bincount(number, weights=clear.ravel(), minlength=len(large) + 1)[1:]
     middles = mapper.grid.centres().reshape(-1, 2)[::37]
     return {
-        "classes": classify(np.where(seen, p, np.maximum(p, CLEAR_BELOW)), occupied).counts(),
+        "classes": classify(p, occupied, observed=seen).counts(),
         "reliability": reliability(p, occupied, RELIABILITY_EDGES).tolist(),
         "objects": int((cells > 0).sum()),
         "objects_clear": int(((cells > 0) & (wrong == cells)).sum()),

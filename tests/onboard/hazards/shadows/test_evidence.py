@@ -139,7 +139,9 @@ def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
     prior = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
     expected = evidence.expected()
     assert expected[away < 0.7 * size].min() > prior
-    assert expected[away > 6.0 * size].max() < 0.2 * prior
+    # Beyond the edge nothing was seen, and rocks reach in from there.
+    far = (away > 6.0 * size)[8:-8, 8:-8]
+    assert expected[8:-8, 8:-8][far].max() < 0.2 * prior
     assert evidence.seen()[away > 6.0 * size].all()
 
 

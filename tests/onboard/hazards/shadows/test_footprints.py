@@ -43,29 +43,19 @@ def test_a_footprint_is_seen_where_its_whole_disc_is():
     assert not footprint_seen(np.ones((9, 9), bool), 6.0).any()
 
 
-def half_seen(rates=None, prior=None):
-    """A map whose eastern half was seen from near by."""
-    mapping = ProbabilityMap(GRID, MODEL, prior or HazardPrior(0.05, 0.5), rates)
-    terrain = rocks_on_a_plane("hemisphere", count=1)
-    state, camera, counts = picture(terrain, (0.0, 0.0, 40.0))
-    counts = counts.copy()
-    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-    view = camera.view(state)
-    columns = (np.arange(640) - view.cx) / view.fx
-    east = (
-        view.axes[0, 0] * columns[None, :]
-        + view.axes[0, 1] * ((np.arange(480) - view.cy) / view.fy)[:, None]
-    )
-    # What lies west of the middle is in the dark of no rock.
-    seen.labels[east < 0.0] = 999
-    mapping.see(camera, view, SUN, seen)
+PERFECT = DetectionRates(cleared=(1001.0, -1000.0, 1e-9))
+
+
+def half_seen(prior=None):
+    """A map whose eastern half was seen from near by, and the other never looked at."""
+    mapping = ProbabilityMap(GRID, MODEL, prior or HazardPrior(0.05, 0.5), PERFECT)
+    mapping.evidence.lit[:, :, GRID.cols // 2 :] = 1e3
     return mapping
 
 
 def test_of_a_disc_of_which_half_was_never_seen_half_the_rocks_are_unseen():
     """Closed form: rocks that reach into the disc from the half that was not seen."""
-    perfect = DetectionRates((1001.0, -1000.0, 1e-9))
-    mapping = half_seen(perfect)
+    mapping = half_seen()
     tracker = tracker_at((0.0, 0.0, 40.0))
     radius = 2.0
     edges = np.geomspace(0.5, 4.0, 2000)
@@ -88,15 +78,11 @@ def test_of_a_disc_of_which_half_was_never_seen_half_the_rocks_are_unseen():
 
 
 def test_nothing_off_the_map_was_seen():
-    perfect = DetectionRates((1001.0, -1000.0, 1e-9))
     small = Grid.centred((0.0, 0.0), 20.0, 0.25)
-    mapping = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), perfect)
-    state, camera, counts = picture(rocks_on_a_plane("hemisphere", count=1), (0.0, 0.0, 40.0))
-    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-    seen.labels[:] = 0
-    mapping.see(camera, camera.view(state), SUN, seen)
+    mapping = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), PERFECT)
+    mapping.evidence.lit[:] = 1e3
     p = mapping.probability(tracker_at((0.0, 0.0, 40.0)), 2.0)
-    fresh = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), perfect)
+    fresh = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), PERFECT)
     never = float(fresh.probability(tracker_at((0.0, 0.0, 40.0)), 2.0)[40, 40])
     assert p[40, 40] < 1e-6
     assert 0.3 * never < p[40, 0] < 0.55 * never
@@ -138,8 +124,7 @@ def test_pixels_that_are_no_numbers_show_nothing():
 
 
 def test_rocks_that_should_be_found_are_those_expected_where_it_was_seen():
-    perfect = DetectionRates((1001.0, -1000.0, 1e-9))
-    mapping = half_seen(perfect)
+    mapping = half_seen()
     density = float(golombek_number(0.5, 0.05) - golombek_number(4.0, 0.05))
     area = np.count_nonzero(mapping.observed) * GRID.posting**2
     assert area > 400.0

@@ -150,7 +150,8 @@ def test_frames_that_are_stuck_add_nothing_though_the_lander_moves_on(scene):
 
 def test_a_pose_that_is_none_adds_nothing(scene):
     mapper = look(scene, [])
-    good = mapper.tracker.filter.estimate(0.0, 1.0)
+    rocks = mapper.tracker.filter
+    good = rocks.inertial.estimate(rocks.covariance, 0.0, 1.0)
     for k, bad in enumerate((
         replace(good, position=np.array([np.nan, 0.0, 50.0])),
         replace(good, attitude=1.5 * good.attitude),
