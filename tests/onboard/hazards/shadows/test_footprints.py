@@ -43,7 +43,8 @@ def test_a_footprint_is_seen_where_its_whole_disc_is():
     assert not footprint_seen(np.ones((9, 9), bool), 6.0).any()
 
 
-PERFECT = DetectionRates(cleared=(1001.0, -1000.0, 1e-9))
+LINE = (1001.0, -1000.0, 1e-9)
+PERFECT = DetectionRates(missed=LINE, cleared=LINE)
 
 
 def half_seen(prior=None):
