@@ -52,6 +52,25 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
     assert reached >= 1
 
 
+def test_a_path_that_burns_much_of_the_mass():
+    """So poor an engine that a step takes more than a fiftieth of the mass."""
+    powers, samples, exhaust = (1.0, 2.0), 12, 120.0
+    r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
+    target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
+    table, time, out = table_of(powers, samples), np.array([30.0]), np.empty((1, 4))
+    given = np.array([1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9])
+    kernels.survey(
+        np.array([r, v]), target, np.array([v_f, a_f]), time, time, 1, table, table,
+        np.array(powers), given, out,
+    )  # fmt: skip
+    figures = (samples, 1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9)
+    wanted = plain.best(r, v, target[0], v_f, a_f, [30.0], *figures, powers)
+    assert out[0] == pytest.approx(wanted, rel=1e-9)
+    with_much = plain.best(r, v, target[0], v_f, a_f, [30.0], samples, 1.62, 1480.0, 1e9,
+                           *figures[4:], powers)  # fmt: skip
+    assert wanted[2] < 0.95 * with_much[2]
+
+
 def test_search_ends_at_the_edge_of_what_is_admissible():
     """Longer is cheaper here until the path sinks below the glideslope; nothing better is near."""
     powers, samples = (1.0, 2.0), 24
