@@ -63,7 +63,7 @@ CONTRACTS: dict[str, Contract] = {
             "velocimeter": "lunarsim.sensors.velocimeter:DopplerVelocimeter",
             "star-tracker": "lunarsim.sensors.star_tracker:StarTracker",
             "flash-lidar": "lunarsim.sensors.lidar:FlashLidar",
-            "camera": "lunarsim.sensors.camera:FramingCamera",
+            "camera": "lunarsim.sensors.framing_camera:FramingCamera",
         },
         ("gives", "tasked", "calibration"),
     ),

@@ -30,7 +30,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import SURE, Ensemble, Odds, told
+from lunarsim.safety.ensemble import Ensemble, Odds, cautious, told
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
@@ -324,11 +324,10 @@ def judged(
     refit
         As for `calibrated_safety`.
     """
-    plain = told(odds, most)
-    lowest = np.minimum(told(odds, most, FARTHER), least)
     if refit is None:
-        return np.asarray(np.where(covered & (plain >= SURE), plain, lowest))
+        return cautious(odds, most, least, covered, FARTHER)
     p = np.minimum(refit.probability(odds, known), most)
+    lowest = np.minimum(told(odds, most, FARTHER), least)
     return np.asarray(np.where(covered, p, np.minimum(p, lowest)))
 
 

@@ -79,6 +79,27 @@ def told(low: Array, most: Array, margin: float = MARGIN) -> Array:
     return np.asarray(np.minimum(expit(low - margin), most))
 
 
+def cautious(
+    low: Array, most: Array, least: Array, known: BoolArray, margin: float = MARGIN
+) -> Array:
+    """Return the probability of sites (n,): as told where surely safe, else no more than a bound.
+
+    Parameters
+    ----------
+    low
+        Lowest log odds (n,).
+    most, least
+        What it cannot exceed anywhere, and where it is no frequency (n,).
+    known
+        Where the fits have seen the like (n,).
+    margin
+        Of the log odds where it is no frequency.
+    """
+    plain = told(low, most)
+    lowest = np.minimum(told(low, most, margin), least)
+    return np.asarray(np.where(known & (plain >= SURE), plain, lowest))
+
+
 @dataclass(frozen=True)
 class Ensemble:
     """Weights of several regressions on the same features.

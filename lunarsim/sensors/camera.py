@@ -5,20 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
+from lunarsim.frames import is_rotation, quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
-from lunarsim.models.instruments import CameraInstrument
 from lunarsim.models.pinhole import View
-from lunarsim.parts.quantity import quantity
-from lunarsim.sensors.exposure_control import ExposureControl
+from lunarsim.sensors.detector import counted, dark_current, fall_off
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -31,8 +29,6 @@ _BAND_ERROR = 0.25
 _MOST_BANDS = 64
 # Steps of the shutter whose mean is the blurred picture.
 _MOST_STEPS = 48
-# Electrons from which on Poisson's law is taken as a normal one: its skewness is then below 0.06.
-_FEW = 300.0
 
 
 @dataclass(frozen=True)
@@ -245,19 +241,11 @@ class Camera(CameraModel):
             out.append((int(first), int(last), _moved(state, late)))
         return out
 
-    @cached_property
-    def _fall_off(self) -> NDArray[np.float32]:
-        """Share of the light that reaches each pixel (height, width)."""
-        x, y = self.tangents
-        return np.asarray((1.0 + x * x + y * y) ** (-0.5 * self.vignetting), np.float32)
-
-    @cached_property
+    @property
     def dark_current(self) -> Array:
         """Electrons a second that each pixel (height, width) makes without light."""
-        rng = np.random.default_rng([self.detector_seed, self.width, self.height])
         shape = (self.height, self.width)
-        hot = rng.random(shape) < self.hot_pixels
-        return np.where(hot, rng.exponential(1.0, shape) * self.hot_current, 0.0)
+        return dark_current(shape, self.hot_pixels, self.hot_current, self.detector_seed)
 
     @cached_property
     def _border(self) -> int:
@@ -327,37 +315,23 @@ class Camera(CameraModel):
     ) -> NDArray[np.unsignedinteger[Any]]:
         electrons = radiance * np.float32(self.sensitivity * self.exposure)
         if self.vignetting > 0.0:
-            electrons *= self._fall_off
+            electrons *= fall_off(self.model, self.vignetting)
         if self.stray_light > 0.0:
             veil = self.stray_light * float(electrons.mean(dtype=np.float64))
             electrons = electrons * np.float32(1.0 - self.stray_light) + np.float32(veil)
         if self.hot_pixels > 0.0:
             electrons = electrons + (self.exposure * self.dark_current).astype(np.float32)
-        if self.shot_noise or self.read_noise > 0.0:
-            deviation = np.full(electrons.shape, np.float32(self.read_noise**2))
-            if self.shot_noise:
-                few = electrons < np.float32(_FEW)
-                # Where photons are few they are counted; where many, their noise is normal.
-                np.add(deviation, electrons, out=deviation, where=~few)
-                electrons[few] = rng.poisson(electrons[few])
-            np.sqrt(deviation, out=deviation)
-            deviation *= rng.standard_normal(electrons.shape, dtype=np.float32)
-            electrons += deviation
-        top = 2**self.bits - 1
-        if self.gain < 1.0:
-            np.minimum(electrons, np.float32(self.full_well), out=electrons)
-        electrons *= np.float32(self.gain * top / self.full_well)
-        counts = np.rint(np.clip(electrons, 0.0, top, out=electrons), out=electrons)
-        narrow: NDArray[np.unsignedinteger[Any]]
-        narrow = counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
-        return narrow
+        return counted(
+            electrons, rng, shot_noise=self.shot_noise, read_noise=self.read_noise,
+            full_well=self.full_well, gain=self.gain, bits=self.bits,
+        )  # fmt: skip
 
 
 def _check_pose(state: State) -> None:
     """Refuse a state that is no pose."""
     if not np.isfinite(state.position).all():
         raise InputError("camera.position", list(state.position), "finite metres")
-    if not abs(float(np.linalg.norm(state.attitude)) - 1.0) < 1e-3:
+    if not is_rotation(state.attitude):
         raise InputError("camera.attitude", list(state.attitude), "a quaternion of norm 1")
 
 
@@ -385,129 +359,3 @@ def _averaged(world: World, view: View, side: int) -> NDArray[np.float32]:
     drawn = renderer.render(fine, world.light).radiance
     parts = drawn.reshape(view.height, side, view.width, side)
     return np.asarray(parts.mean((1, 3), dtype=np.float32))
-
-
-class MeteringCamera:
-    """A camera that sets the time of each picture by the one before, or as it is told.
-
-    Parameters
-    ----------
-    camera
-        The camera, with the time of its first picture.
-    control
-        What it aims at; None: it does as commanded.
-    """
-
-    def __init__(self, camera: Camera, control: ExposureControl | None) -> None:
-        self.camera = camera
-        self.control = control
-
-    def command(self, exposure: float, gain: float | None = None) -> None:
-        """Set time (s) and gain; from now on they stay.
-
-        Raises
-        ------
-        InputError
-            If they are not positive; nothing changes.
-        """
-        gain = self.camera.gain if gain is None else gain
-        self.camera = replace(self.camera, exposure=exposure, gain=gain)
-        self.control = None
-
-    def measure(
-        self,
-        world: World,
-        state: State,
-        time: float,
-        rng: np.random.Generator,
-        mount: Array | None = None,
-    ) -> Picture:
-        """Take a picture with the gimbal at `mount` (3, 3), and set the time of the next."""
-        picture = self.camera.measure(world, state, time, rng, mount)
-        if self.control is not None:
-            exposure = self.control.after(picture.counts, self.camera.bits, self.camera.exposure)
-            self.camera = replace(self.camera, exposure=exposure)
-        return picture
-
-
-@dataclass(frozen=True)
-class FramingCamera:
-    """A framing camera on a gimbal.
-
-    Attributes
-    ----------
-    width, height, field_of_view
-        Pixels, and the angle that the width covers, rad.
-    exposure_control
-        "fixed", or "auto": by the histogram of the last picture; `exposure` is the first one's.
-    exposure_level, exposure_shortest, exposure_longest
-        What "auto" aims at; see `ExposureControl`.
-    gimbal_limit
-        Farthest that it points from straight down, rad.
-
-    The rest as in `Camera`.
-    """
-
-    width: int = quantity(640, ge=1, le=8192, help="pixels")
-    height: int = quantity(480, ge=1, le=8192, help="pixels")
-    field_of_view: float = quantity(60.0, "deg", gt=0, lt=170, help="of the width")
-    distortion: tuple[float, float, float, float, float] = quantity(
-        (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"
-    )
-    exposure: float = quantity(2e-3, "s", gt=0, help="time that the shutter is open")
-    sensitivity: float = quantity(5e7, "e-/s", gt=0, help="for I/F = 1")
-    blur_sigma: float = quantity(0.6, "px", ge=0, help="point spread, 1 sigma")
-    motion_blur: bool = quantity(True, help="whether turning smears the picture")
-    shot_noise: bool = quantity(True, help="whether photons arrive at random")
-    read_noise: float = quantity(12.0, "e-", ge=0, help="1 sigma")
-    full_well: float = quantity(20_000.0, "e-", gt=0, help="electrons that saturate a pixel")
-    bits: int = quantity(8, ge=1, le=16, help="of the converter")
-    gain: float = quantity(1.0, gt=0, le=100, help="1: full scale is the full well")
-    vignetting: float = quantity(0.0, ge=0, le=10, help="power of the cosine; 4: natural")
-    stray_light: float = quantity(0.0, ge=0, le=0.5, help="share spread over the picture")
-    hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="share of all pixels")
-    hot_current: float = quantity(2e5, "e-/s", ge=0, help="their mean dark current")
-    shutter: Literal["global", "rolling"] = quantity("global", help="all lines at once or in turn")
-    line_time: float = quantity(2e-5, "s", ge=0, le=1e-2, help="from line to line when rolling")
-    antialias: int = quantity(1, ge=1, le=4, help="rays along each side of a pixel")
-    exposure_control: Literal["fixed", "auto"] = quantity(
-        "fixed", help="auto: by the histogram of the last picture"
-    )
-    exposure_level: float = quantity(0.8, gt=0, lt=1, help="bright end of the histogram")
-    exposure_shortest: float = quantity(1e-5, "s", gt=0, le=10, help="of auto")
-    exposure_longest: float = quantity(0.05, "s", gt=0, le=10, help="of auto")
-    gimbal_limit: float = quantity(
-        180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
-    )
-
-    gives: ClassVar[type] = Picture
-    tasked: ClassVar[bool] = True
-
-    def camera(self) -> Camera:
-        """Return the camera."""
-        return Camera.with_field_of_view(
-            self.width, self.height, float(np.rad2deg(self.field_of_view)),
-            distortion=self.distortion, exposure=self.exposure, sensitivity=self.sensitivity,
-            blur_sigma=self.blur_sigma, motion_blur=self.motion_blur, shot_noise=self.shot_noise,
-            read_noise=self.read_noise, full_well=self.full_well, bits=self.bits,
-            gain=self.gain, vignetting=self.vignetting, stray_light=self.stray_light,
-            hot_pixels=self.hot_pixels, hot_current=self.hot_current, shutter=self.shutter,
-            line_time=self.line_time, antialias=self.antialias,
-        )  # fmt: skip
-
-    def build(self, rng: np.random.Generator, step: float) -> Camera | MeteringCamera:
-        """Return the camera of one flight, with its own hot pixels."""
-        camera = self.camera()
-        if self.hot_pixels > 0.0:
-            camera = replace(camera, detector_seed=int(rng.integers(2**31)))
-        if self.exposure_control == "fixed":
-            return camera
-        control = ExposureControl(
-            level=self.exposure_level, shortest=self.exposure_shortest,
-            longest=self.exposure_longest,
-        )  # fmt: skip
-        return MeteringCamera(camera, control)
-
-    def calibration(self) -> CameraInstrument:
-        """Return what the onboard computer may know of it; pictures bring their geometry."""
-        return CameraInstrument(self.gimbal_limit, self.blur_sigma)

@@ -12,7 +12,8 @@ from lunarsim.errors import InputError, check_output
 from lunarsim.frames import matrix_to_quat, sensor_axes
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.camera import Camera, Exposure, FramingCamera
+from lunarsim.sensors.camera import Camera, Exposure
+from lunarsim.sensors.framing_camera import FramingCamera
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State

@@ -17,6 +17,8 @@ from lunarsim.world.photometry import Hapke, hapke_of_albedo, lambert, lunar_lam
 Array = NDArray[np.float64]
 
 
+# The Sun as it is seen from one astronomical unit, rad.
+SUN_DIAMETER = float(np.radians(0.533))
 # Full Earth: geometric albedo 0.434 (NASA's Earth fact sheet) times (6371 km / 384,400 km)^2.
 FULL_EARTH = 0.434 * (6371.0 / 384_400.0) ** 2
 
@@ -42,7 +44,7 @@ class Light:
         et al. (2014); the surge is the whole Moon's after Helfenstein and Veverka (1987), Icarus
         72, 342-357.
     diameter
-        Apparent, of the Sun, rad; 0: a point. From the Moon it is 0.533 deg.
+        Apparent, of the Sun, rad; 0: a point. From the Moon it is `SUN_DIAMETER`, 0.533 deg.
     scattered
         Whether the lit ground lights what it sees of the rest, once.
     earthshine

@@ -29,7 +29,7 @@ from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
 from lunarsim.safety.calibration import FARTHER, RISING, bound, ceiling, features, in_domain
-from lunarsim.safety.ensemble import SURE, Ensemble, told
+from lunarsim.safety.ensemble import Ensemble, cautious
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -128,10 +128,8 @@ def probability(
     `farther` is the margin of the log odds where it does not.
     """
     odds = model.of_features(sites.features)
-    said = odds.verdict(sites.ceiling)
-    surely = sites.known & (said.p >= SURE)
-    low = np.minimum(told(odds.low, sites.ceiling, farther), sites.bound)
-    return np.where(surely, said.p, low), sites.known & said.agreed
+    p = cautious(odds.low, sites.ceiling, sites.bound, sites.known, farther)
+    return p, sites.known & odds.verdict(sites.ceiling).agreed
 
 
 def nearest_range(scene: Scene) -> str:

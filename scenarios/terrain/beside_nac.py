@@ -30,7 +30,7 @@ from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim.world import World
-from lunarsim.world.light import FULL_EARTH, Light
+from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,6 @@ ALTITUDE = 3000.0
 SHADOWS = np.array([0.82 * SAMPLE, 0.57 * LINE])
 ELEVATION = np.radians(36.56)
 AZIMUTH = float(np.arctan2(-SHADOWS[0], -SHADOWS[1]))
-SUN = np.radians(0.533)
 GROUNDS = ("highland", "golombek")
 # What is larger than this is the region's, not the ground's: it is divided out of the real picture
 # and of the renders alike. Pixels, 1 sigma.
@@ -57,8 +56,9 @@ def light(full: bool, seed: int) -> Light:
     if not full:
         return plain
     return replace(
-        plain, photometry="hapke", diameter=SUN, scattered=True, earthshine=0.5 * FULL_EARTH,
-        mottle=0.05, boulder_albedo=1.3, boulder_mottle=0.15, mottle_seed=seed,
+        plain, photometry="hapke", diameter=SUN_DIAMETER, scattered=True,
+        earthshine=0.5 * FULL_EARTH, mottle=0.05, boulder_albedo=1.3, boulder_mottle=0.15,
+        mottle_seed=seed,
     )  # fmt: skip
 
 

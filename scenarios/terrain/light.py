@@ -19,14 +19,13 @@ from lunarsim.sensors.rendering import renderer_of
 from lunarsim.simulation.picture import camera_state
 from lunarsim.simulation.worlds import build_world
 from lunarsim.viz.style import new_figure, save
-from lunarsim.world.light import FULL_EARTH, Light
+from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
 
 SCENARIOS = Path(__file__).parents[1]
-SUN = np.radians(0.533)
 # What is added, in order; each row of pictures has its own Sun and height.
 STEPS = {
     "plain": {},
-    "the Sun's disc": {"diameter": SUN},
+    "the Sun's disc": {"diameter": SUN_DIAMETER},
     "and scattered light, Earthshine": {"scattered": True, "earthshine": FULL_EARTH},
     "and Hapke, mottles, boulders": {
         "photometry": "hapke", "mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15,

@@ -100,11 +100,11 @@ def _lights() -> None:
     from lunarsim.frames import sensor_axes
     from lunarsim.models.pinhole import View
     from lunarsim.sensors.rendering import renderer_of
-    from lunarsim.world.light import FULL_EARTH, Light
+    from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
 
     parts = {
         "Hapke": {"photometry": "hapke"},
-        "the Sun's disc": {"diameter": np.radians(0.533)},
+        "the Sun's disc": {"diameter": SUN_DIAMETER},
         "scattered light": {"scattered": True},
         "mottles and boulders": {"mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15},
     }

@@ -10,8 +10,10 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.rocks.field import RockField
-from lunarsim.sensors.camera import Camera, FramingCamera, MeteringCamera
+from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.exposure_control import ExposureControl
+from lunarsim.sensors.framing_camera import FramingCamera
+from lunarsim.sensors.metering_camera import MeteringCamera
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import Light

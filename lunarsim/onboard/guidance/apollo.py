@@ -12,37 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.guidance.divert import PathLaw
-from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
-from lunarsim.parts.quantity import quantity
 
 
 @dataclass(frozen=True)
 class ApolloLaw(PathLaw):
-    """The Apollo polynomial law (Klumpp 1974).
-
-    Attributes
-    ----------
-    least_time_to_go
-        Below this time-to-go the loop is open, s.
-    """
-
-    least_time_to_go: float = quantity(
-        1.5, "s", gt=0, help="below it the last polynomial is flown out open loop"
-    )
+    """The Apollo polynomial law (Klumpp 1974)."""
 
     @property
     def shape(self) -> PathShape:
         """Linear and quadratic in the time that is left."""
         return APOLLO
-
-    def build(self, briefing: Briefing, lag: float) -> PathGuidance:
-        """Return the law of one flight."""
-        return PathGuidance(
-            APOLLO, briefing.weight, lead=lag, least_time_to_go=self.least_time_to_go
-        )
 
 
 def jerk_time_to_go(

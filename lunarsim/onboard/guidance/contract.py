@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -62,36 +61,5 @@ class GuidanceLaw(Protocol):
             Of the phase, for one site.
         time, time_to_go
             Now, and what is left until the end is to be reached, s.
-        """
-        ...
-
-
-class GuidancePart(Protocol):
-    """What the registry knows of a law: a frozen dataclass of its settings."""
-
-    def build(self, briefing: Briefing, lag: float) -> GuidanceLaw:
-        """Return the law of one flight; `lag` is that of attitude and engine, s."""
-        ...
-
-    def cost(
-        self, estimate: Estimate, end: PhaseEnd, lander: Any, gravity: float, limits: Any = None
-    ) -> Any:
-        """Return what it takes to reach each of n ends of an approach under this law.
-
-        Parameters
-        ----------
-        estimate
-            Where the lander is.
-        end
-            Of the approach, for n sites.
-        lander, gravity
-            `lunarsim.models.lander.Lander`, and downward acceleration, m/s^2.
-        limits
-            `lunarsim.onboard.guidance.divert.PathLimits`; None for its defaults.
-
-        Returns
-        -------
-        DivertCost
-            Of `lunarsim.onboard.guidance.divert`.
         """
         ...

@@ -200,23 +200,3 @@ def _check(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
             raise InputError(f"guidance.{name}", np.asarray(value).tolist(), "finite figures")
     if not (np.isfinite(gravity) and gravity > 0.0):
         raise InputError("guidance.gravity", gravity, "a positive number in m/s^2")
-
-
-class PathLaw:
-    """What laws share whose paths are of one shape: their cost is that of the paths they fly."""
-
-    @property
-    def shape(self) -> PathShape:
-        """Of its paths under perfect actuation."""
-        raise NotImplementedError
-
-    def cost(
-        self,
-        estimate: Estimate,
-        end: PhaseEnd,
-        lander: Lander,
-        gravity: float,
-        limits: PathLimits | None = None,
-    ) -> DivertCost:
-        """Return what it takes to reach each end of an approach; see `divert_cost`."""
-        return divert_cost(estimate, end, lander, gravity, limits=limits, shape=self.shape)

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import PathLaw
-from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.following import Feedback
+from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.parts.quantity import quantity
 
@@ -95,8 +94,6 @@ class FractionalPolynomialLaw(PathLaw):
         Lower power of the time that is left.
     gain
         k_r.
-    least_time_to_go
-        Below this time-to-go the loop is open, s.
     """
 
     gamma: float = quantity(0.5, ge=0, le=10, help="a power of the time that is left")
@@ -105,9 +102,6 @@ class FractionalPolynomialLaw(PathLaw):
         gt=0,
         le=200,
         help="k_r, at least 2 (gamma + 2); other power: k_r / (gamma + 2) - 2",
-    )
-    least_time_to_go: float = quantity(
-        1.5, "s", gt=0, help="below it the last path is flown out open loop"
     )
 
     def __post_init__(self) -> None:
@@ -121,16 +115,13 @@ class FractionalPolynomialLaw(PathLaw):
         """Of its paths under perfect actuation."""
         return shape_of(self.gamma, self.gain)
 
-    def build(self, briefing: Briefing, lag: float) -> PathGuidance:
-        """Return the law of one flight."""
-        gravity, gamma, gain = briefing.weight, self.gamma, self.gain
+    def feedback(self, gravity: float) -> Feedback:
+        """Return `feedback_of` with the law's parameters, gravity included."""
+        gamma, gain = self.gamma, self.gain
         down = np.array([0.0, 0.0, -gravity])
 
-        def feedback(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
+        def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
             thrust = feedback_of(position, velocity, end, left, gravity, gamma=gamma, gain=gain)
             return np.asarray(thrust + down)
 
-        return PathGuidance(
-            self.shape, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
-            feedback=feedback,
-        )  # fmt: skip
+        return wanted

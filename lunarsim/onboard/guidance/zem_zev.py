@@ -16,12 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import PathLaw
-from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.following import Feedback
+from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
-from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
@@ -50,32 +48,18 @@ def zem_zev(
 
 @dataclass(frozen=True)
 class ZemZevLaw(PathLaw):
-    """Zero-effort miss and zero-effort velocity feedback (Ebrahimi 2008, Guo 2013).
-
-    Attributes
-    ----------
-    least_time_to_go
-        Below this time-to-go the loop is open, s.
-    """
-
-    least_time_to_go: float = quantity(
-        1.5, "s", gt=0, help="below it the last path is flown out open loop"
-    )
+    """Zero-effort miss and zero-effort velocity feedback (Ebrahimi 2008, Guo 2013)."""
 
     @property
     def shape(self) -> PathShape:
         """Its paths under perfect actuation are those of E-guidance."""
         return E_GUIDANCE
 
-    def build(self, briefing: Briefing, lag: float) -> PathGuidance:
-        """Return the law of one flight."""
-        gravity = briefing.weight
+    def feedback(self, gravity: float) -> Feedback:
+        """Return `zem_zev`, gravity included."""
         down = np.array([0.0, 0.0, -gravity])
 
-        def feedback(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
+        def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
             return np.asarray(zem_zev(position, velocity, end, left, gravity) + down)
 
-        return PathGuidance(
-            E_GUIDANCE, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
-            feedback=feedback,
-        )  # fmt: skip
+        return wanted

@@ -37,13 +37,14 @@ class InertialNavigation:
     )  # fmt: skip
     needs_prior_map: ClassVar[bool] = False
     uses_prior_map: ClassVar[bool] = True
+    rocks: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> Navigator:
         """Return the filter of one flight."""
-        return _navigator(briefing, float(np.tan(self.relief)))
+        return _navigator(briefing, float(np.tan(self.relief)), rocks=self.rocks)
 
 
 @dataclass(frozen=True)
@@ -69,24 +70,12 @@ class PriorMapNavigation:
 
 
 @dataclass(frozen=True)
-class RockNavigation:
-    """Inertial unit, rocks by their shadows, scans, a prior map, ranges, speeds and stars."""
+class RockNavigation(InertialNavigation):
+    """As `InertialNavigation`, and the rocks that a camera sees by their shadows."""
 
     relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
 
-    needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
-    takes: ClassVar[tuple[type, ...]] = (
-        LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
-    )  # fmt: skip
-    needs_prior_map: ClassVar[bool] = False
-    uses_prior_map: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        check_bounds(self, "navigation")
-
-    def build(self, briefing: Briefing) -> Navigator:
-        """Return the filter of one flight."""
-        return _navigator(briefing, float(np.tan(self.relief)), rocks=True)
+    rocks: ClassVar[bool] = True
 
 
 def _navigator(briefing: Briefing, relief: float, *, rocks: bool = False) -> Navigator:

@@ -31,7 +31,8 @@ G = 1.622
 UP = np.array([0.0, 0.0, G])
 LAWS = [
     ApolloLaw(), ModifiedApolloLaw(), EGuidanceLaw(), ZemZevLaw(), AugmentedApolloLaw(),
-    AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(), FractionalPolynomialLaw(0.2, 5.0),
+    AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(),
+    FractionalPolynomialLaw(gamma=0.2, gain=5.0),
 ]  # fmt: skip
 BRIEFING = SimpleNamespace(weight=G)
 R, V = np.array([-600.0, 50.0, 500.0]), np.array([28.0, 1.0, -18.0])

@@ -26,7 +26,7 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.calibration import STEEPEST
-from lunarsim.safety.ensemble import SURE, Ensemble
+from lunarsim.safety.ensemble import Ensemble, cautious
 from lunarsim.safety.exposure import (
     footprint_area,
     pad_ring_area,
@@ -339,11 +339,11 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
     e, known = evidence, evidence.in_domain
     p, claimed = np.zeros(len(e.slope)), known.copy()
     if e.judged.any():
-        odds = (model or measured()).judge(_free(e, e.judged), _terms(e, e.judged))
-        said = odds.verdict(ceiling(e)[e.judged])
-        p[e.judged] = said.p
-        claimed[e.judged] &= said.agreed
-    return np.where(known & (p >= SURE), p, np.minimum(p, bound(e))), claimed
+        seen, most = e.judged, ceiling(e)[e.judged]
+        odds = (model or measured()).judge(_free(e, seen), _terms(e, seen))
+        p[seen] = cautious(odds.low, most, bound(e)[seen], known[seen])
+        claimed[seen] &= odds.verdict(most).agreed
+    return p, claimed
 
 
 def ceiling(evidence: SiteEvidence) -> Array:

@@ -26,8 +26,7 @@ from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
-from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.rocks.field import RockModel
+from lunarsim.onboard.perception.shape_mixture import LOW, ShapeMixture
 
 Array = NDArray[np.float64]
 Heights = Callable[[Array], Array]
@@ -43,8 +42,6 @@ _DARK = 4
 _SHARPER, _SURER = 1.03, 1.15
 # Rocks of a size cannot be crowded into less than this many of their own areas.
 _CROWD = 2.0
-# What even a low rock looks like: its shadow lies within that of any higher one.
-LOW = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -84,6 +81,7 @@ class ClearEvidence:
     ) -> None:
         self.grid = grid
         self.model = model
+        # The shadow of a low rock lies within that of any higher one.
         self._low = ShadowModel(model.elevation, LOW)
         self.rates = rates
         self._radius = 0.5 * diameters

@@ -230,7 +230,7 @@ class ShadowMapper(HazardMapper):
         self._forget_lost_rocks()
         self.probability.ground = self._plane(picture.camera)
         self.probability.see(
-            picture.camera, picture.camera.view(pose), sun, seen, self.tracker.filter.ground_at,
+            picture.camera.view(pose), sun, seen, self.tracker.filter.ground_at,
             self.tracker.explained,
         )  # fmt: skip
 

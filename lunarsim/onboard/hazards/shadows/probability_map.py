@@ -11,7 +11,6 @@ from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
@@ -127,7 +126,6 @@ class ProbabilityMap:
 
     def see(
         self,
-        camera: CameraModel,
         view: View,
         sun: Array,
         seen: Detections,

@@ -38,7 +38,7 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     state, camera, counts = picture(rocks_on_a_plane("hemisphere", count=1), (0.0, 0.0, 150.0))
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     view = camera.view(state)
-    sharp.see(camera, view, SUN, seen)
+    sharp.see(view, SUN, seen)
     q = float(MODEL.visible_pixels(1.0, 0.0, np.pi / 2, 150.0 / camera.fx))
     resolved = 2.0 * 2.0 / q
     expected = golombek_cover(0.4, 0.07) - golombek_cover(max(resolved, 0.4), 0.07)
@@ -116,7 +116,7 @@ def test_dark_ground_is_not_seen():
     counts = counts.copy()
     counts[200:280, 280:360] = 0
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-    mapping.see(camera, camera.view(state), SUN, seen)
+    mapping.see(camera.view(state), SUN, seen)
     assert not mapping.observed[80, 80]
     assert mapping.observed[10, 10]
 
@@ -127,7 +127,7 @@ def test_a_camera_that_looks_at_the_sky_changes_nothing():
     sky = replace(camera, mount=camera.mount @ np.diag([1.0, -1.0, -1.0]))
     image = np.full((480, 640), 100, np.uint8)
     seen = detect_rocks(image, sky, state, SUN, model=MODEL)
-    mapping.see(sky, sky.view(state), SUN, seen)
+    mapping.see(sky.view(state), SUN, seen)
     assert not mapping.observed.any()
     tracker = tracker_at((0.0, 0.0, 60.0))
     tracker.add_known([[0.0, 0.0]], 0.1, 1.0, 0.1)

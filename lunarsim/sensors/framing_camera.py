@@ -1,0 +1,98 @@
+"""The camera as a part of a lander: its settings, and what the computer is told of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from lunarsim.messages.measurements import Picture
+from lunarsim.models.instruments import CameraInstrument
+from lunarsim.parts.quantity import quantity
+from lunarsim.sensors.camera import Camera
+from lunarsim.sensors.exposure_control import ExposureControl
+from lunarsim.sensors.metering_camera import MeteringCamera
+
+
+@dataclass(frozen=True)
+class FramingCamera:
+    """A framing camera on a gimbal.
+
+    Attributes
+    ----------
+    width, height, field_of_view
+        Pixels, and the angle that the width covers, rad.
+    exposure_control
+        "fixed", or "auto": by the histogram of the last picture; `exposure` is the first one's.
+    exposure_level, exposure_shortest, exposure_longest
+        What "auto" aims at; see `ExposureControl`.
+    gimbal_limit
+        Farthest that it points from straight down, rad.
+
+    The rest as in `Camera`.
+    """
+
+    width: int = quantity(640, ge=1, le=8192, help="pixels")
+    height: int = quantity(480, ge=1, le=8192, help="pixels")
+    field_of_view: float = quantity(60.0, "deg", gt=0, lt=170, help="of the width")
+    distortion: tuple[float, float, float, float, float] = quantity(
+        (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"
+    )
+    exposure: float = quantity(2e-3, "s", gt=0, help="time that the shutter is open")
+    sensitivity: float = quantity(5e7, "e-/s", gt=0, help="for I/F = 1")
+    blur_sigma: float = quantity(0.6, "px", ge=0, help="point spread, 1 sigma")
+    motion_blur: bool = quantity(True, help="whether turning smears the picture")
+    shot_noise: bool = quantity(True, help="whether photons arrive at random")
+    read_noise: float = quantity(12.0, "e-", ge=0, help="1 sigma")
+    full_well: float = quantity(20_000.0, "e-", gt=0, help="electrons that saturate a pixel")
+    bits: int = quantity(8, ge=1, le=16, help="of the converter")
+    gain: float = quantity(1.0, gt=0, le=100, help="1: full scale is the full well")
+    vignetting: float = quantity(0.0, ge=0, le=10, help="power of the cosine; 4: natural")
+    stray_light: float = quantity(0.0, ge=0, le=0.5, help="share spread over the picture")
+    hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="share of all pixels")
+    hot_current: float = quantity(2e5, "e-/s", ge=0, help="their mean dark current")
+    shutter: Literal["global", "rolling"] = quantity("global", help="all lines at once or in turn")
+    line_time: float = quantity(2e-5, "s", ge=0, le=1e-2, help="from line to line when rolling")
+    antialias: int = quantity(1, ge=1, le=4, help="rays along each side of a pixel")
+    exposure_control: Literal["fixed", "auto"] = quantity(
+        "fixed", help="auto: by the histogram of the last picture"
+    )
+    exposure_level: float = quantity(0.8, gt=0, lt=1, help="bright end of the histogram")
+    exposure_shortest: float = quantity(1e-5, "s", gt=0, le=10, help="of auto")
+    exposure_longest: float = quantity(0.05, "s", gt=0, le=10, help="of auto")
+    gimbal_limit: float = quantity(
+        180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
+    )
+
+    gives: ClassVar[type] = Picture
+    tasked: ClassVar[bool] = True
+
+    def camera(self) -> Camera:
+        """Return the camera."""
+        return Camera.with_field_of_view(
+            self.width, self.height, float(np.rad2deg(self.field_of_view)),
+            distortion=self.distortion, exposure=self.exposure, sensitivity=self.sensitivity,
+            blur_sigma=self.blur_sigma, motion_blur=self.motion_blur, shot_noise=self.shot_noise,
+            read_noise=self.read_noise, full_well=self.full_well, bits=self.bits,
+            gain=self.gain, vignetting=self.vignetting, stray_light=self.stray_light,
+            hot_pixels=self.hot_pixels, hot_current=self.hot_current, shutter=self.shutter,
+            line_time=self.line_time, antialias=self.antialias,
+        )  # fmt: skip
+
+    def build(self, rng: np.random.Generator, step: float) -> Camera | MeteringCamera:
+        """Return the camera of one flight, with its own hot pixels."""
+        camera = self.camera()
+        if self.hot_pixels > 0.0:
+            camera = replace(camera, detector_seed=int(rng.integers(2**31)))
+        if self.exposure_control == "fixed":
+            return camera
+        control = ExposureControl(
+            level=self.exposure_level, shortest=self.exposure_shortest,
+            longest=self.exposure_longest,
+        )  # fmt: skip
+        return MeteringCamera(camera, control)
+
+    def calibration(self) -> CameraInstrument:
+        """Return what the onboard computer may know of it; pictures bring their geometry."""
+        return CameraInstrument(self.gimbal_limit, self.blur_sigma)

@@ -1,0 +1,59 @@
+"""A camera that sets its own exposure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.measurements import Picture
+from lunarsim.sensors.camera import Camera
+from lunarsim.sensors.exposure_control import ExposureControl
+from lunarsim.vehicle.state import State
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+
+class MeteringCamera:
+    """A camera that sets the time of each picture by the one before, or as it is told.
+
+    Parameters
+    ----------
+    camera
+        The camera, with the time of its first picture.
+    control
+        What it aims at; None: it does as commanded.
+    """
+
+    def __init__(self, camera: Camera, control: ExposureControl | None) -> None:
+        self.camera = camera
+        self.control = control
+
+    def command(self, exposure: float, gain: float | None = None) -> None:
+        """Set time (s) and gain; from now on they stay.
+
+        Raises
+        ------
+        InputError
+            If they are not positive; nothing changes.
+        """
+        gain = self.camera.gain if gain is None else gain
+        self.camera = replace(self.camera, exposure=exposure, gain=gain)
+        self.control = None
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> Picture:
+        """Take a picture with the gimbal at `mount` (3, 3), and set the time of the next."""
+        picture = self.camera.measure(world, state, time, rng, mount)
+        if self.control is not None:
+            exposure = self.control.after(picture.counts, self.camera.bits, self.camera.exposure)
+            self.camera = replace(self.camera, exposure=exposure)
+        return picture
