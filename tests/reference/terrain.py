@@ -12,7 +12,7 @@ from lunarsim.world.terrain import Terrain
 
 
 def elevations(terrain: Terrain, points: np.ndarray) -> np.ndarray:
-    """As `elevation`, at many points (n, 2), rock by rock."""
+    """The higher of the triangulated relief and every rock at points (n, 2), NaN off the map."""
     g, z = terrain.relief.grid, terrain.relief.z.astype(float)
     u, v = (points[:, 0] - g.x0) / g.posting, (points[:, 1] - g.y0) / g.posting
     inside = (u >= 0) & (u <= g.cols - 1) & (v >= 0) & (v <= g.rows - 1)
@@ -40,11 +40,6 @@ def rock_top(r: RockField, k: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return r.base[k] + r.height[k] * unit_height(int(r.shape[k]), e, f)
 
 
-def elevation(terrain: Terrain, x: float, y: float) -> float:
-    """The higher of the triangulated relief and every rock over (x, y), NaN off the map."""
-    return float(elevations(terrain, np.array([[x, y]]))[0])
-
-
 def unit_height(shape: int, e: np.ndarray, f: np.ndarray) -> np.ndarray:
     """Height of a unit shape over (e, f), -inf outside its outline."""
     table = shape_table()
@@ -60,25 +55,34 @@ def unit_height(shape: int, e: np.ndarray, f: np.ndarray) -> np.ndarray:
     return top
 
 
-def march(terrain: Terrain, origin: np.ndarray, direction: np.ndarray, reach: float) -> float:
-    """Range at which a ray falls below the surface, by small steps and bisection."""
-    steps = np.arange(0.0, reach, 0.004)
+def march(terrain: Terrain, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Ranges at which rays (n, 3) fall below the surface, by small steps and bisection."""
+    bounds = [_first_step_below(terrain, o, d) for o, d in zip(origins, directions, strict=True)]
+    low, high = np.array(bounds).T
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        p = origins + middle[:, None] * directions
+        above = p[:, 2] - elevations(terrain, p[:, :2]) > 0.0
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return high
+
+
+def _first_step_below(
+    terrain: Terrain, origin: np.ndarray, direction: np.ndarray
+) -> tuple[float, float]:
+    """Ranges of the last step above the surface and the first below it, NaN where none is."""
+    tops = terrain.rocks.base + terrain.rocks.height
+    z = terrain.relief.z
+    highest = max(float(np.nanmax(z)), *map(float, tops)) + 0.01
+    lowest = min(float(np.nanmin(z)), *map(float, terrain.rocks.base)) - 0.01
+    # Above all ground there is nothing to meet, nor below it.
+    begin = max((highest - origin[2]) / direction[2], 0.0)
+    steps = np.arange(begin, (lowest - origin[2]) / direction[2] + 0.004, 0.004)
     points = origin + steps[:, None] * direction
     above = points[:, 2] - elevations(terrain, points[:, :2])
     # The ray starts over unknown ground or above the surface and must come down from above.
     known = np.isfinite(above)
     below = np.flatnonzero(known & (above <= 0.0))
-    if below.size == 0:
-        return math.nan
-    first = below[0]
-    if first == 0 or not known[first - 1]:
-        return math.nan
-    low, high = steps[first - 1], steps[first]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        p = origin + middle * direction
-        if p[2] - elevation(terrain, p[0], p[1]) > 0.0:
-            low = middle
-        else:
-            high = middle
-    return high
+    if below.size == 0 or below[0] == 0 or not known[below[0] - 1]:
+        return math.nan, math.nan
+    return steps[below[0] - 1], steps[below[0]]
