@@ -5,37 +5,46 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
 HEAVY = ("moderngl", "rasterio", "matplotlib", "gymnasium", "casadi", "xarray")
 
 
-def loaded(module: str) -> set[str]:
-    code = f"import sys, {module}; print(' '.join(m for m in {HEAVY!r} if m in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
-
-
-@pytest.mark.parametrize(
-    "module",
-    [
-        "lunarsim.sensors.altimeter",
-        "lunarsim.sensors.camera",
-        "lunarsim.sensors.imu",
-        "lunarsim.sensors.lidar",
-        "lunarsim.sensors.navigation_fix",
-        "lunarsim.onboard.navigation.rock_filter",
-        "lunarsim.onboard.navigation.navigator",
-        "lunarsim.onboard.hazards.gaussian_dem",
-        "lunarsim.onboard.hazards.shadows",
-        "lunarsim.onboard.hazards.quadtree",
-        "lunarsim.onboard.computer",
-        "lunarsim.scenario",
-    ],
+MODULES = (
+    "lunarsim.sensors.altimeter",
+    "lunarsim.sensors.camera",
+    "lunarsim.sensors.imu",
+    "lunarsim.sensors.lidar",
+    "lunarsim.sensors.navigation_fix",
+    "lunarsim.onboard.navigation.rock_filter",
+    "lunarsim.onboard.navigation.navigator",
+    "lunarsim.onboard.hazards.gaussian_dem",
+    "lunarsim.onboard.hazards.shadows",
+    "lunarsim.onboard.hazards.quadtree",
+    "lunarsim.onboard.computer",
+    "lunarsim.scenario",
 )
-def test_nothing_heavy_comes_along(module):
-    assert loaded(module) == set()
+
+# Imports one module after the other and prints what is loaded after each.
+CODE = """
+import importlib, sys
+heavy, *modules = sys.argv[1:]
+for module in modules:
+    importlib.import_module(module)
+    print(module, *(name for name in heavy.split(",") if name in sys.modules))
+"""
+
+
+def loaded(*modules: str) -> dict[str, set[str]]:
+    """Return what is loaded after each module, all of them imported by one process in turn."""
+    command = [sys.executable, "-c", CODE, ",".join(HEAVY), *modules]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    return {module: set(heavy) for module, *heavy in lines}
+
+
+def test_nothing_heavy_comes_along():
+    assert loaded(*MODULES) == {module: set() for module in MODULES}
 
 
 def test_the_check_can_fail():
-    assert loaded("lunarsim.world.terrain.dtm") == {"rasterio"}
+    name = "lunarsim.world.terrain.dtm"
+    assert loaded(name) == {name: {"rasterio"}}

@@ -108,14 +108,14 @@ def names(descent):
 
 def test_it_locks_and_then_errs_as_it_says(world):
     nees, errors = Consistency(), []
-    for seed in range(30):
+    for seed in range(20):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
         if descent.filter.locked:
             nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
     # Whoever starts three sigma off sweeps the grass beside the field.
-    assert len(errors) >= 26
+    assert len(errors) >= 17
     # A post's uses count less than they could, never more: the filter may only be too modest.
     assert 1.0 / 6.0 < nees.ratio < nees.bounds(0.95)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
@@ -125,7 +125,7 @@ def test_it_locks_and_then_errs_as_it_says(world):
 
 def test_before_the_lock_it_knows_that_it_does_not_know(world):
     nees = Consistency()
-    for seed in range(20):
+    for seed in range(12):
         # Level grass, far from the field: nothing to find.
         descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
         assert names(descent) == []
