@@ -9,7 +9,13 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import quantity
-from lunarsim.world.terrain import CraterLaw, Heightfield, add_craters, fractal_relief
+from lunarsim.world.terrain import (
+    CraterLaw,
+    Heightfield,
+    add_aged_craters,
+    add_craters,
+    fractal_relief,
+)
 
 # Procedural relief is the same ground for all flights of a scenario; only rocks are redrawn.
 _RELIEF_SEED = 20260101
@@ -38,6 +44,9 @@ class Roughness:
         Craters of 1 m or more on a square metre in equilibrium; 0: none.
     crater_saturation, crater_min_diameter
         Diameter where equilibrium ends, and least one drawn, m.
+    crater_ageing
+        How craters are worn: "even" from a fifth of the diameter to nothing, all depths alike; or
+        by "diffusion", small ones shallow from the start (`lunarsim.world.terrain.crater_ages`).
     """
 
     preset: Literal["none", "mare", "highland", "polar"] = quantity(
@@ -50,6 +59,10 @@ class Roughness:
     )
     crater_saturation: float = quantity(200.0, "m", gt=0, help="diameter where equilibrium ends")
     crater_min_diameter: float = quantity(2.0, "m", gt=0, help="least diameter drawn")
+    crater_ageing: Literal["even", "diffusion"] = quantity(
+        "even",
+        help="all depths alike, or worn by diffusion: most shallow, small ones from the start",
+    )
 
     def procedural(self, grid: Grid, largest: float | None = None) -> Heightfield:
         """Return fractal relief, with craters (the largest as given, m) if any are asked for."""
@@ -66,4 +79,5 @@ class Roughness:
         if density == 0.0:
             return relief
         law = CraterLaw(density, self.crater_saturation)
-        return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
+        worn = add_aged_craters if self.crater_ageing == "diffusion" else add_craters
+        return worn(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)

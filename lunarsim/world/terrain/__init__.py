@@ -1,5 +1,6 @@
 """The ground: measured or procedural relief with rocks on it, and every question asked of it."""
 
+from lunarsim.world.terrain.crater_ages import add_aged_craters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile
 from lunarsim.world.terrain.hazard_field import hazard_field
 from lunarsim.world.terrain.heightfield import Heightfield
@@ -12,6 +13,7 @@ __all__ = [
     "Heightfield",
     "RayHits",
     "Terrain",
+    "add_aged_craters",
     "add_craters",
     "add_detail",
     "crater_profile",

@@ -33,3 +33,41 @@ def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
                     s = np.sqrt(q)
                     fade = max((reach - s) / (reach - 1.0), 0.0)
                     z[i, j] += rim / (q * s) * fade * fade * (3.0 - 2.0 * fade)
+
+
+@kernel(parallel=True)
+def stamp_profiles(z, x0, y0, p, x, y, radius, depth, root, profiles, reach):
+    """Add a profile of a table to `z` for every crater, row by row; see `crater_ages`.
+
+    Parameters
+    ----------
+    root
+        Root of the age over the greatest, in [0, 1] (n,).
+    profiles
+        Elevations over the depth (ages, radii), at even steps of the root and of the distance.
+    reach
+        Where profiles end, crater radii.
+    """
+    rows, cols = z.shape
+    ages, radii = profiles.shape
+    for i in prange(rows):
+        py = y0 + i * p
+        for n in range(x.size):
+            dy = py - y[n]
+            span = (reach * radius[n]) ** 2 - dy * dy
+            if span <= 0.0:
+                continue
+            half = np.sqrt(span)
+            j0 = max(int(np.ceil((x[n] - half - x0) / p)), 0)
+            j1 = min(int(np.floor((x[n] + half - x0) / p)), cols - 1)
+            u = root[n] * (ages - 1)
+            a = min(int(u), ages - 2)
+            u -= a
+            for j in range(j0, j1 + 1):
+                dx = x0 + j * p - x[n]
+                v = np.sqrt(dx * dx + dy * dy) / (radius[n] * reach) * (radii - 1)
+                b = min(int(v), radii - 2)
+                v -= b
+                young = profiles[a, b] + v * (profiles[a, b + 1] - profiles[a, b])
+                old = profiles[a + 1, b] + v * (profiles[a + 1, b + 1] - profiles[a + 1, b])
+                z[i, j] += depth[n] * (young + u * (old - young))

@@ -106,17 +106,41 @@ def add_craters(
     law
         Size-frequency law; left out: mare in equilibrium below 200 m.
     """
-    west, east, south, north = relief.bounds
-    if maximum is None:
-        maximum = 0.25 * min(east - west, north - south)
-    # Middles may lie off the map, as far out as an apron reaches.
-    edge = 0.5 * APRON * maximum
-    area = (east - west + 2.0 * edge) * (north - south + 2.0 * edge)
-    diameter = (law or CraterLaw()).sample(area, minimum, maximum, rng)
-    x = rng.uniform(west - edge, east + edge, diameter.size)
-    y = rng.uniform(south - edge, north + edge, diameter.size)
+    diameter, x, y = sizes_and_places(relief, rng, APRON, minimum, maximum, law)
     freshness = rng.random(diameter.size)
     z = relief.z.astype(np.float64)
     g = relief.grid
     stamp(z, g.x0, g.y0, g.posting, x, y, diameter, freshness, DEPTH, RIM, APRON)
     return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))
+
+
+def sizes_and_places(
+    relief: Heightfield,
+    rng: np.random.Generator,
+    reach: float,
+    minimum: float,
+    maximum: float | None,
+    law: CraterLaw | None,
+) -> tuple[Array, Array, Array]:
+    """Draw diameters (n,), largest first, and middles x, y (n,) of the craters that touch a map, m.
+
+    Parameters
+    ----------
+    relief
+        The ground.
+    rng
+        Source of sizes and places.
+    reach
+        How far out a crater changes the ground, radii: so far off the map may middles lie.
+    minimum, maximum, law
+        As for `add_craters`.
+    """
+    west, east, south, north = relief.bounds
+    if maximum is None:
+        maximum = 0.25 * min(east - west, north - south)
+    edge = 0.5 * reach * maximum
+    area = (east - west + 2.0 * edge) * (north - south + 2.0 * edge)
+    diameter = (law or CraterLaw()).sample(area, minimum, maximum, rng)
+    x = rng.uniform(west - edge, east + edge, diameter.size)
+    y = rng.uniform(south - edge, north + edge, diameter.size)
+    return diameter, x, y
