@@ -19,6 +19,11 @@ class RockPopulation(RockModel):
         Fraction k of the ground under rocks of all sizes.
     min_diameter, max_diameter
         Of the rocks drawn, m.
+    clustered, block_crater
+        Share of the rocks that lie as blocks about craters, and the diameter from which craters
+        have blocks, m: they come from below the regolith, 4 to 5 m thick on maria (Lunar
+        Sourcebook 1991, ch. 7), which craters reach from about 25 m on. Metre-sized blocks outlast
+        such craters (median 40 to 80 Myr: Basilevsky et al. 2013), so all ages have them.
 
     The rest as in `RockModel`.
     """
@@ -26,6 +31,8 @@ class RockPopulation(RockModel):
     cover: float = quantity(0.05, ge=0, le=0.2, help="fraction k of ground under rocks")
     min_diameter: float = quantity(0.15, "m", ge=0.01, help="of the rocks drawn")
     max_diameter: float = quantity(3.0, "m", gt=0, help="of the rocks drawn")
+    clustered: float = quantity(0.0, ge=0, le=1, help="share of them that lies about craters")
+    block_crater: float = quantity(25.0, "m", gt=0, help="least diameter of craters with blocks")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from lunarsim.errors import InputError
@@ -9,7 +10,8 @@ from lunarsim.rng import Streams
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain import AgedCraters, Clusters, Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain.placement import NOWHERE
 
 MOST_POSTS = 20_000
 
@@ -22,8 +24,24 @@ class Ground(Protocol):
         ...
 
 
-def strewn(relief: Heightfield, rocks: RockPopulation, streams: Streams) -> Terrain:
+def strewn(
+    relief: Heightfield,
+    rocks: RockPopulation,
+    streams: Streams,
+    craters: Callable[[], AgedCraters],
+) -> Terrain:
     """Return relief with rocks drawn for one flight.
+
+    Parameters
+    ----------
+    relief
+        The ground.
+    rocks
+        What is drawn.
+    streams
+        Source of what is drawn.
+    craters
+        Returns the craters of the relief; asked where rocks lie about them.
 
     Raises
     ------
@@ -36,7 +54,13 @@ def strewn(relief: Heightfield, rocks: RockPopulation, streams: Streams) -> Terr
         rng = streams.get("rocks")
         area = (east - west) * (north - south)
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
-        field = place_rocks(relief, diameters, rng, model=rocks.model())
+        clusters = NOWHERE
+        if rocks.clustered > 0.0:
+            found = craters()
+            old = found.diameter >= rocks.block_crater
+            middles = found.x[old], found.y[old]
+            clusters = Clusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
+        field = place_rocks(relief, diameters, rng, model=rocks.model(), clusters=clusters)
     return Terrain(relief, field)
 
 

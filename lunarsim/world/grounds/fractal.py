@@ -32,7 +32,8 @@ class FractalGround(Roughness):
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""
-        return strewn(self.relief(), rocks, streams)
+        relief = self.relief()
+        return strewn(relief, rocks, streams, lambda: self.craters(relief))
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""

@@ -7,12 +7,13 @@ from typing import Literal
 
 import numpy as np
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import quantity
 from lunarsim.world.terrain import (
+    AgedCraters,
     CraterLaw,
     Heightfield,
-    add_aged_craters,
     add_craters,
     fractal_relief,
 )
@@ -66,18 +67,42 @@ class Roughness:
 
     def procedural(self, grid: Grid, largest: float | None = None) -> Heightfield:
         """Return fractal relief, with craters (the largest as given, m) if any are asked for."""
-        hurst, slope, density = (
-            own if own is not None else preset
-            for own, preset in zip(
-                (self.hurst, self.rms_slope, self.crater_density),
-                _PRESETS[self.preset],
-                strict=True,
-            )
-        )
+        hurst, slope, density = self._figures()
         rng = np.random.default_rng(_RELIEF_SEED)
         relief = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
         if density == 0.0:
             return relief
+        if self.crater_ageing == "diffusion":
+            return self.craters(relief, largest).on(relief)
         law = CraterLaw(density, self.crater_saturation)
-        worn = add_aged_craters if self.crater_ageing == "diffusion" else add_craters
-        return worn(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
+        return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
+
+    def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
+        """Return the craters of a relief of this grid that are worn by diffusion.
+
+        Raises
+        ------
+        InputError
+            If there are none, or they age otherwise.
+        """
+        density = self._figures()[2]
+        if density == 0.0 or self.crater_ageing != "diffusion":
+            raise InputError(
+                "rocks.clustered",
+                f"crater_ageing {self.crater_ageing!r}, crater_density {density}",
+                '0, or ground with craters that age by "diffusion"',
+            )
+        law = CraterLaw(density, self.crater_saturation)
+        rng = np.random.default_rng([_RELIEF_SEED, 1])
+        return AgedCraters.draw(
+            relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law
+        )
+
+    def _figures(self) -> tuple[float, float, float]:
+        """Return Hurst exponent, slope and crater density, from the preset where left out."""
+        own = (self.hurst, self.rms_slope, self.crater_density)
+        hurst, slope, density = (
+            preset if mine is None else mine
+            for mine, preset in zip(own, _PRESETS[self.preset], strict=True)
+        )
+        return hurst, slope, density

@@ -1,19 +1,20 @@
 """The ground: measured or procedural relief with rocks on it, and every question asked of it."""
 
-from lunarsim.world.terrain.crater_ages import add_aged_craters
+from lunarsim.world.terrain.crater_ages import AgedCraters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile
 from lunarsim.world.terrain.hazard_field import hazard_field
 from lunarsim.world.terrain.heightfield import Heightfield
-from lunarsim.world.terrain.placement import place_rocks
+from lunarsim.world.terrain.placement import Clusters, place_rocks
 from lunarsim.world.terrain.relief import add_detail, fractal_relief
 from lunarsim.world.terrain.terrain import RayHits, Terrain
 
 __all__ = [
+    "AgedCraters",
+    "Clusters",
     "CraterLaw",
     "Heightfield",
     "RayHits",
     "Terrain",
-    "add_aged_craters",
     "add_craters",
     "add_detail",
     "crater_profile",

@@ -18,6 +18,7 @@ below.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -108,31 +109,54 @@ def _profiles() -> Array:
     return np.stack([diffused(r, age) for age in ages])
 
 
-def add_aged_craters(
-    relief: Heightfield,
-    rng: np.random.Generator,
-    *,
-    minimum: float,
-    maximum: float | None = None,
-    law: CraterLaw | None = None,
-) -> Heightfield:
-    """Return the relief with craters drawn by the law, of all ages alike, worn by diffusion.
+@dataclass(frozen=True)
+class AgedCraters:
+    """Craters in equilibrium.
 
-    Parameters
+    Attributes
     ----------
-    relief
-        The ground before.
-    rng
-        Source of sizes, places and ages.
-    minimum, maximum, law
-        As for `lunarsim.world.terrain.craters.add_craters`.
+    x, y, diameter
+        Middles and diameters (n,), largest first, m.
+    age
+        Over the greatest age (n,): 0 for a new one, 1 for one that is not counted any more.
     """
-    diameter, x, y = sizes_and_places(relief, rng, REACH, minimum, maximum, law)
-    age = rng.random(diameter.size)
-    depth = fresh_depth(diameter) * diameter
-    z = relief.z.astype(np.float64)
-    g = relief.grid
-    stamp_profiles(
-        z, g.x0, g.y0, g.posting, x, y, 0.5 * diameter, depth, np.sqrt(age), _profiles(), REACH
-    )
-    return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))
+
+    x: Array
+    y: Array
+    diameter: Array
+    age: Array
+
+    @classmethod
+    def draw(
+        cls,
+        relief: Heightfield,
+        rng: np.random.Generator,
+        *,
+        minimum: float,
+        maximum: float | None = None,
+        law: CraterLaw | None = None,
+    ) -> AgedCraters:
+        """Draw craters by the law, of all ages alike.
+
+        Parameters
+        ----------
+        relief
+            The ground that they are to change.
+        rng
+            Source of sizes, places and ages.
+        minimum, maximum, law
+            As for `lunarsim.world.terrain.craters.add_craters`.
+        """
+        diameter, x, y = sizes_and_places(relief, rng, REACH, minimum, maximum, law)
+        return cls(x, y, diameter, rng.random(diameter.size))
+
+    def on(self, relief: Heightfield) -> Heightfield:
+        """Return the relief with these craters, worn by diffusion, about a mean of 0."""
+        depth = fresh_depth(self.diameter) * self.diameter
+        z = relief.z.astype(np.float64)
+        g = relief.grid
+        stamp_profiles(
+            z, g.x0, g.y0, g.posting, self.x, self.y, 0.5 * self.diameter, depth,
+            np.sqrt(self.age), _profiles(), REACH,
+        )  # fmt: skip
+        return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))

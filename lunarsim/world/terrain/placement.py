@@ -2,13 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain._placement_kernels import drop_rocks
 from lunarsim.world.terrain.heightfield import Heightfield
+
+# Blocks lie from the rim out to so many radii of their crater.
+_FARTHEST = 5.0
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Craters with blocks about them.
+
+    About each, blocks thin with the cube of the distance from its middle, as ejecta do (McGetchin,
+    Settle and Head 1973), from the rim to five radii; a crater has as many as its area is large.
+
+    Attributes
+    ----------
+    x, y, radius
+        Middles and radii (n,), m.
+    share
+        Of the rocks, how many lie about them; the others lie anywhere.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    share: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.share <= 1.0:
+            raise InputError("rocks.clustered", self.share, "a share from 0 to 1")
+        if self.share > 0.0 and not self.radius.size:
+            raise InputError("rocks.clustered", self.share, "0 where there is no crater for blocks")
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Share of the blocks about each crater and all before it (n,)."""
+        area = np.cumsum(self.radius**2)
+        return np.asarray(area / area[-1] if area.size else area)
+
+
+NOWHERE = Clusters(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
 
 
 def place_rocks(
@@ -18,6 +59,7 @@ def place_rocks(
     *,
     model: RockModel | None = None,
     tries: int = 200,
+    clusters: Clusters = NOWHERE,
 ) -> RockField:
     """Place rocks at random on the relief without overlap, widest first.
 
@@ -35,6 +77,8 @@ def place_rocks(
         Shapes and burial; left out: hemispheres.
     tries
         Draws a rock.
+    clusters
+        Craters with blocks about them; left out: rocks lie anywhere.
 
     Raises
     ------
@@ -51,8 +95,9 @@ def place_rocks(
     g = relief.grid
     seed = int(rng.integers(2**32))
     x, y, ground, placed = drop_rocks(
-        reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries
-    )
+        reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries,
+        clusters.share, clusters.x, clusters.y, clusters.radius, clusters.weights, _FARTHEST,
+    )  # fmt: skip
     if placed < reach.size:
         raise InputError(
             "rocks.cover",

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.world.terrain import CraterLaw, Heightfield, add_aged_craters
+from lunarsim.world.terrain import AgedCraters, CraterLaw, Heightfield
 from lunarsim.world.terrain.crater_ages import (
     LEAST_DEPTH,
     REACH,
@@ -54,7 +54,8 @@ def test_ground_with_craters_is_the_sum_of_plain_ones():
     grid = Grid.centred((3.0, -2.0), 24.0, 0.5)
     flat = Heightfield(grid, np.zeros(grid.shape, np.float32))
     law = CraterLaw(0.06, 200.0)
-    found = add_aged_craters(flat, np.random.default_rng(5), minimum=2.5, maximum=6.0, law=law)
+    craters = AgedCraters.draw(flat, np.random.default_rng(5), minimum=2.5, maximum=6.0, law=law)
+    found = craters.on(flat)
 
     rng = np.random.default_rng(5)
     edge = 0.5 * REACH * 6.0
