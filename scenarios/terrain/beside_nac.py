@@ -42,7 +42,7 @@ ALTITUDE = 3000.0
 SHADOWS = np.array([0.82 * SAMPLE, 0.57 * LINE])
 ELEVATION = np.radians(36.56)
 AZIMUTH = float(np.arctan2(-SHADOWS[0], -SHADOWS[1]))
-GROUNDS = ("highland", "golombek")
+GROUNDS = ("highland", "mare")
 # What is larger than this is the region's, not the ground's: it is divided out of the real picture
 # and of the renders alike. Pixels, 1 sigma.
 REGION = 40.0
