@@ -55,6 +55,21 @@ def _about(ax, ay, radius, weights, farthest):
 
 
 @kernel()
+def _buckets(sides, wide, high):
+    """Return columns, rows and first bucket of each class, and an empty list for each bucket."""
+    widths = np.empty(sides.size, np.int64)
+    heights = np.empty(sides.size, np.int64)
+    offset = np.empty(sides.size, np.int64)
+    total = 0
+    for c in range(sides.size):
+        widths[c] = int(wide / sides[c]) + 1
+        heights[c] = int(high / sides[c]) + 1
+        offset[c] = total
+        total += widths[c] * heights[c]
+    return widths, heights, offset, np.full(total, -1, np.int64)
+
+
+@kernel()
 def drop_rocks(
     radius,
     west,
@@ -87,24 +102,11 @@ def drop_rocks(
         Centres, the relief's elevation under them, and how many found room.
     """
     np.random.seed(seed)  # noqa: NPY002  (Numba's own state, private to compiled code)
-    count = radius.size
-    x = np.empty(count)
-    y = np.empty(count)
-    base = np.empty(count)
+    x, y, base = np.empty(radius.size), np.empty(radius.size), np.empty(radius.size)
     of, sides = _size_classes(radius, (east - west) * (north - south))
-    widths = np.empty(sides.size, np.int64)
-    heights = np.empty(sides.size, np.int64)
-    offset = np.empty(sides.size, np.int64)
-    total = 0
-    for c in range(sides.size):
-        widths[c] = int((east - west) / sides[c]) + 1
-        heights[c] = int((north - south) / sides[c]) + 1
-        offset[c] = total
-        total += widths[c] * heights[c]
-    head = np.full(total, -1, np.int64)
-    follow = np.full(count, -1, np.int64)
-    for n in range(count):
-        r = radius[n]
+    widths, heights, offset, head = _buckets(sides, east - west, north - south)
+    follow = np.full(radius.size, -1, np.int64)
+    for n in range(radius.size):
         c = of[n]
         done = False
         near = share > 0.0 and np.random.random() < share  # noqa: NPY002
@@ -115,22 +117,18 @@ def drop_rocks(
                 px = west + (east - west) * np.random.random()  # noqa: NPY002
                 py = south + (north - south) * np.random.random()  # noqa: NPY002
             ground = relief_at(px, py, z, x0, y0, p)
-            if np.isnan(ground):
+            if np.isnan(ground) or not _is_free(
+                px, py, radius[n], x, y, radius, west, south, sides[: c + 1], widths, heights,
+                offset, head, follow,
+            ):  # fmt: skip
                 continue
-            lists = sides[: c + 1]
-            if _is_free(
-                px, py, r, x, y, radius, west, south, lists, widths, heights, offset, head, follow
-            ):
-                x[n] = px
-                y[n] = py
-                base[n] = ground
-                j = int((px - west) / sides[c])
-                i = int((py - south) / sides[c])
-                bucket = offset[c] + i * widths[c] + j
-                follow[n] = head[bucket]
-                head[bucket] = n
-                done = True
-                break
+            x[n], y[n], base[n] = px, py, ground
+            i, j = int((py - south) / sides[c]), int((px - west) / sides[c])
+            bucket = offset[c] + i * widths[c] + j
+            follow[n] = head[bucket]
+            head[bucket] = n
+            done = True
+            break
         if not done:
             return x[:n], y[:n], base[:n], n
-    return x, y, base, count
+    return x, y, base, radius.size

@@ -63,8 +63,6 @@ def place_rocks(
 ) -> RockField:
     """Place rocks at random on the relief without overlap, widest first.
 
-    A rock that finds no free spot in `tries` draws means that the field is overfull.
-
     Parameters
     ----------
     relief
@@ -76,7 +74,7 @@ def place_rocks(
     model
         Shapes and burial; left out: hemispheres.
     tries
-        Draws a rock.
+        Draws a rock; one that finds no free spot in so many means that the field is overfull.
     clusters
         Craters with blocks about them; left out: rocks lie anywhere.
 
