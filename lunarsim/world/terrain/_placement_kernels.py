@@ -44,14 +44,14 @@ def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offse
 
 
 @kernel()
-def _about(ax, ay, radius, weights, farthest):
+def _about(craters, farthest):
     """Return a place about one of the craters: their density falls as the cube of the distance."""
-    k = min(np.searchsorted(weights, np.random.random()), weights.size - 1)  # noqa: NPY002
+    k = min(np.searchsorted(craters[3], np.random.random()), craters.shape[1] - 1)  # noqa: NPY002
     # A ring of width dr has an area of r dr: how many lie within r goes as 1 - R / r.
     u = np.random.random()  # noqa: NPY002
-    r = radius[k] / (1.0 - u * (1.0 - 1.0 / farthest))
+    r = craters[2, k] / (1.0 - u * (1.0 - 1.0 / farthest))
     turn = 2.0 * np.pi * np.random.random()  # noqa: NPY002
-    return ax[k] + r * np.cos(turn), ay[k] + r * np.sin(turn)
+    return craters[0, k] + r * np.cos(turn), craters[1, k] + r * np.sin(turn)
 
 
 @kernel()
@@ -71,27 +71,11 @@ def _buckets(sides, wide, high):
 
 @kernel()
 def drop_rocks(
-    radius,
-    west,
-    east,
-    south,
-    north,
-    z,
-    x0,
-    y0,
-    p,
-    seed,
-    tries,
-    share,
-    ax,
-    ay,
-    ar,
-    weights,
-    farthest,
+    radius, west, east, south, north, z, x0, y0, p, seed, tries, share, craters, farthest
 ):
     """Drop discs at random without overlap; radii must fall.
 
-    A share of them lies about craters (middles ax, ay, radii ar, shares summed up in weights).
+    A share of them lies about craters (rows: middles x, y, radii, shares summed up).
 
     Discs of about one size share a grid of buckets as wide as the largest of them, one chained
     list a bucket. A smaller disc can only touch those in the nine buckets around it.
@@ -112,7 +96,7 @@ def drop_rocks(
         near = share > 0.0 and np.random.random() < share  # noqa: NPY002
         for _ in range(tries):
             if near:
-                px, py = _about(ax, ay, ar, weights, farthest)
+                px, py = _about(craters, farthest)
             else:
                 px = west + (east - west) * np.random.random()  # noqa: NPY002
                 py = south + (north - south) * np.random.random()  # noqa: NPY002

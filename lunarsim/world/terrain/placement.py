@@ -42,11 +42,11 @@ class Clusters:
         if self.share > 0.0 and not self.radius.size:
             raise InputError("rocks.clustered", self.share, "0 where there is no crater for blocks")
 
-    @property
-    def weights(self) -> NDArray[np.float64]:
-        """Share of the blocks about each crater and all before it (n,)."""
+    def rows(self) -> NDArray[np.float64]:
+        """Return the craters as the kernel takes them (4, n): x, y, radius, shares summed up."""
         area = np.cumsum(self.radius**2)
-        return np.asarray(area / area[-1] if area.size else area)
+        total = area / area[-1] if area.size else area
+        return np.stack((self.x, self.y, self.radius, total))
 
 
 NOWHERE = Clusters(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
@@ -94,7 +94,7 @@ def place_rocks(
     seed = int(rng.integers(2**32))
     x, y, ground, placed = drop_rocks(
         reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries,
-        clusters.share, clusters.x, clusters.y, clusters.radius, clusters.weights, _FARTHEST,
+        clusters.share, clusters.rows(), _FARTHEST,
     )  # fmt: skip
     if placed < reach.size:
         raise InputError(
