@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
+from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
-from lunarsim.world.terrain import place_rocks
+from lunarsim.world.terrain import Heightfield, place_rocks
 from tests.worlds import flat_terrain
 
 
@@ -20,6 +21,19 @@ def test_placed_rocks_do_not_overlap_and_stand_on_the_relief():
     np.fill_diagonal(gap, np.inf)
     assert (gap >= reach).all()
     assert np.allclose(rocks.base, 3.0)
+
+
+def test_rocks_do_not_overlap_on_a_long_map_far_from_the_origin():
+    grid = Grid(x0=2000.0, y0=-900.0, posting=1.0, rows=121, cols=31)
+    relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
+    rng = np.random.default_rng(6)
+    rocks = place_rocks(relief, rng.uniform(0.2, 2.0, 400), rng)
+    gap = np.hypot(rocks.x[:, None] - rocks.x, rocks.y[:, None] - rocks.y)
+    np.fill_diagonal(gap, np.inf)
+    assert (gap >= rocks.a[:, None] + rocks.a).all()
+    west, east, south, north = relief.bounds
+    assert ((rocks.x > west) & (rocks.x < east) & (rocks.y > south) & (rocks.y < north)).all()
+    assert np.ptp(rocks.y) > 0.9 * (north - south)
 
 
 def test_same_seed_same_rocks():
