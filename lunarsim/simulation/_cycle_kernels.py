@@ -13,7 +13,7 @@ from lunarsim.vehicle._kernels import advance_body
 
 @kernel()
 def fly(
-    y, steps, dt, thrust, figures, inertia,
+    y, steps, dt, thrust, figures, inertia, rig,
     loop, target, gains, known_inertia, torque_max,
     matrix, offsets, quantum, remainder,
 ):  # fmt: skip
@@ -23,7 +23,7 @@ def fly(
     ----------
     y
         True state (15,).
-    thrust, figures, inertia
+    thrust, figures, inertia, rig
         Of the vehicle: see `advance_body`.
     loop, target, gains, known_inertia, torque_max
         Of the onboard attitude loop: see `demand`.
@@ -45,7 +45,7 @@ def fly(
         demand(loop, target, gains, known_inertia, torque_max)
         torques[n] = loop[7:]
         before[:] = y[6:10]
-        advance_body(y, dt, thrust, loop[7:], figures, inertia, work)
+        advance_body(y, dt, thrust, loop[7:], figures, inertia, rig, work)
         rotation_between(before, y[6:10], turn)
         sample(turn, matrix, offsets[n], quantum, remainder, increments[n])
         follow(loop, increments[n], dt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.commands import Command
@@ -16,6 +16,37 @@ from lunarsim.vehicle.state import State
 Array = NDArray[np.float64]
 
 
+def rig_of(
+    *,
+    force: ArrayLike = (0.0, 0.0, 0.0),
+    flow: float = 0.0,
+    engine: ArrayLike = (0.0, 0.0, 1.0),
+    pivot: ArrayLike = (0.0, 0.0, 0.0),
+    com_dry: ArrayLike = (0.0, 0.0, 0.0),
+    com_full: ArrayLike = (0.0, 0.0, 0.0),
+    spent: float = 0.0,
+) -> Array:
+    """Return what acts on the body besides thrust along body z and torques, for kernels (17,).
+
+    Parameters
+    ----------
+    force, flow
+        Of all thrusters, body axes (3,), N, and the propellant that they burn, kg/s.
+    engine, pivot
+        Unit vector (3,) along which the engine pushes, and where, body axes, m.
+    com_dry, com_full
+        Centre of mass with tanks empty and full (3,), body axes, m.
+    spent
+        Propellant of the thrusters burnt so far, kg.
+    """
+    parts = (force, flow, engine, pivot, com_dry, com_full, spent)
+    return np.concatenate([np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts])
+
+
+# One engine through a centre of mass that stays where it is, and torques.
+PLAIN_RIG = rig_of()
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """Rigid body with variable mass, integrated by classical Runge-Kutta.
@@ -24,6 +55,11 @@ class Dynamics:
     ``I(m) w' = tau - w x I(m) w``, ``m' = -T / (Isp g0)``, ``T' = (T_c - T) / lag``. Inertia is
     linear in the propellant left; the momentum that leaves with the exhaust balances the change
     of inertia, so no jet damping appears. Fuel slosh and plume effects are not modelled.
+
+    With a `rig` thrusters push as well, the engine is swung, and all torques are about a centre of
+    mass that moves in the body as tanks empty: ``v' = R(q) (T d + F) / m - (0, 0, g)``,
+    ``I w' = tau + p x T d - c(m) x (T d + F) - w x I w``, ``m' = -T / (Isp g0) - f``. The position
+    is that of the centre of mass; its slow drift in the body adds no momentum of its own.
 
     Attributes
     ----------
@@ -64,11 +100,29 @@ class Dynamics:
 
     def advance(self, state: State, thrust: float, torque: Array) -> State:
         """Return the state a step later under a thrust (N) and torques (3,), N m."""
-        y = state.as_vector()
         limit = np.asarray(self.lander.torque_max)
+        return self.advance_rigged(
+            state, self.thrust(thrust), np.clip(torque, -limit, limit), PLAIN_RIG
+        )
+
+    def advance_rigged(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
+        """Return the state a step later under a thrust that is taken as it is.
+
+        Parameters
+        ----------
+        state
+            Before the step.
+        thrust
+            Asked of the engine's lag, N.
+        torque
+            About the origin of the body axes (3,), N m.
+        rig
+            See `rig_of` (17,).
+        """
+        y = state.as_vector()
         k.advance_body(
-            y, self.step, self.thrust(thrust), np.clip(torque, -limit, limit), self.figures,
-            self.inertia, np.empty((5, 15)),
+            y, self.step, thrust, np.asarray(torque, dtype=np.float64), self.figures, self.inertia,
+            rig, np.empty((5, 15)),
         )  # fmt: skip
         return State.from_vector(y)
 
@@ -82,6 +136,6 @@ class Dynamics:
             k.advance_ideal(
                 state.as_vector(), steps, self.step, self.thrust(command.thrust),
                 np.ascontiguousarray(command.attitude, dtype=np.float64), slew_limit, self.figures,
-                self.inertia,
+                self.inertia, PLAIN_RIG,
             )
         )  # fmt: skip

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsim.vehicle import _kernels as kernels
+from lunarsim.vehicle.dynamics import PLAIN_RIG
 from tests.reference import dynamics as plain
 
 DRY, WET = 900.0, 1500.0
@@ -24,7 +25,7 @@ def test_rate_of_change(seed, lag):
     rng = np.random.default_rng(seed)
     y, out = state(rng), np.empty(15)
     args = (4000.0, rng.normal(0.0, 50.0, 3), 1.6, 3000.0, lag, DRY, WET, I_DRY, I_WET)
-    kernels.derivative(y, out, *args)
+    kernels.derivative(y, out, *args, PLAIN_RIG)
     assert out == pytest.approx(plain.rate_of_change(y, *args), rel=1e-12, abs=1e-12)
 
 
@@ -40,7 +41,7 @@ def test_a_second_of_steps(seed, lag):
         start[14] = command
     wanted = plain.moved(start, 1.0, command, torque, 1.6, 3000.0, lag, DRY, WET, I_DRY, I_WET)
     for _ in range(200):
-        kernels.advance_body(y, 0.005, command, torque, figures, np.array([I_DRY, I_WET]), work)
+        kernels.advance_body(y, 0.005, command, torque, figures, np.array([I_DRY, I_WET]), PLAIN_RIG, work)
     assert y == pytest.approx(wanted, rel=1e-7, abs=1e-8)
 
 
@@ -51,7 +52,7 @@ def test_empty_tanks_give_no_thrust_and_keep_the_dry_mass():
         y = state(rng)
         y[13] = DRY + left
         speed = y[3:6].copy()
-        kernels.advance_body(y, 0.01, 3500.0, np.zeros(3), figures, inertia, np.empty((5, 15)))
+        kernels.advance_body(y, 0.01, 3500.0, np.zeros(3), figures, inertia, PLAIN_RIG, np.empty((5, 15)))
         assert y[13] == DRY
         if left == 0.0:
             assert y[14] == 0.0
@@ -68,13 +69,14 @@ def test_ideal_attitude_goes_along_the_shortest_arc(seed):
     work = np.empty((5, 15))
     expected = y.copy()
     history = kernels.advance_ideal(
-        y, 80, dt, 3500.0, target, slew, figures, np.array([I_DRY, I_WET])
+        y, 80, dt, 3500.0, target, slew, figures, np.array([I_DRY, I_WET]), PLAIN_RIG
     )
     for found in history:
         q, arc = plain.turned_towards(expected[6:10], target, slew * dt)
         expected[10:13] = 0.0
         kernels.advance_body(
-            expected, dt, 3500.0, np.zeros(3), figures, np.array([I_DRY, I_WET]), work
+            expected, dt, 3500.0, np.zeros(3), figures, np.array([I_DRY, I_WET]), PLAIN_RIG,
+            work,
         )
         assert found[:6] == pytest.approx(expected[:6], rel=1e-9)
         assert found[13:] == pytest.approx(expected[13:], rel=1e-9)
