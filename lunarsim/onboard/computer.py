@@ -19,7 +19,9 @@ from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
-from lunarsim.onboard.control.loop import AttitudeLoop
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.control.jets import JetLoop, attitude_loop
+from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -99,7 +101,10 @@ class OnboardComputer:
         lag = control.response_time + self.lander.thrust_lag
         self.guidance = software.guidance.build(briefing, lag)
         self.vertical = VerticalDescent(briefing.weight)
-        self.attitude_loop = AttitudeLoop(control, self.lander, briefing.step)
+        self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
+        self.throttle = (
+            ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
+        )
         self.site: Array = briefing.target.copy()
         self.phase = APPROACH
         self.time = 0.0
@@ -111,6 +116,7 @@ class OnboardComputer:
         self.mapped: set[str] = set()
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
+        self._pulses = 0.0
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -246,7 +252,13 @@ class OnboardComputer:
         if isinstance(self.navigation, ThrustAware):
             self.navigation.commanded(self._thrust, elapsed)
         burnt = self._thrust * elapsed / self.lander.exhaust_velocity
-        self.mass = max(self.mass - burnt, self.lander.dry_mass)
+        least = self.lander.dry_mass
+        if isinstance(self.attitude_loop, JetLoop):
+            # Thrusters burn from tanks of their own, which the dry mass counts as full.
+            pulses = self.attitude_loop.spent
+            burnt, least = burnt + pulses - self._pulses, least - pulses
+            self._pulses = pulses
+        self.mass = max(self.mass - burnt, least)
         self.time = measurements.time
         self.mapped = set()
         # The state is carried to now before anything corrects it, in whatever order things came.
@@ -413,6 +425,8 @@ class OnboardComputer:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
             tilt = self.approach.max_tilt
         asked = thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
+        if self.throttle is not None:
+            asked = replace(asked, thrust=self.throttle.allowed(asked.thrust))
         command = replace(asked, tasks=self._tasks(), abort=self.phase == ABORT)
         self._thrust = command.thrust
         self.attitude_loop.begin(command, self.estimate.attitude, self.mass)

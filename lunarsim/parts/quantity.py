@@ -34,6 +34,7 @@ _SUFFIXES = {
     "e-": "_electrons",
     "e-/s": "_electrons_s",
     "rad/s": "_rad_s",
+    "rad/s^2": "_rad_s2",
     "1/s": "_per_s",
 }
 _KEY = "lunarsim"

@@ -51,7 +51,10 @@ CONTRACTS: dict[str, Contract] = {
     ),
     "vehicle": Contract(
         "the lander",
-        {"lander": "lunarsim.models.lander:Lander"},
+        {
+            "lander": "lunarsim.models.lander:Lander",
+            "jet-lander": "lunarsim.models.jet_lander:JetLander",
+        },
         ("pads", "wet_mass", "check_hover"),
     ),
     "sensor": Contract(
@@ -128,6 +131,8 @@ CONTRACTS: dict[str, Contract] = {
         {
             "pd": "lunarsim.onboard.control.attitude:ProportionalDerivative",
             "ideal": "lunarsim.onboard.control.attitude:IdealAttitude",
+            "quaternion-feedback": "lunarsim.onboard.control.quaternion_feedback:QuaternionFeedback",
+            "phase-plane": "lunarsim.onboard.control.phase_plane:PhasePlane",
         },
         ("torques", "torque", "response_time"),
     ),

@@ -10,6 +10,7 @@ import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix
+from lunarsim.models.jet_lander import JetLander
 from lunarsim.parts import loadable
 
 
@@ -79,6 +80,16 @@ class Tables(Protocol):
         """A table or None."""
         ...
 
+    @property
+    def vehicle(self) -> Chosen:
+        """One part."""
+        ...
+
+    @property
+    def faults(self) -> Any:
+        """A table or None."""
+        ...
+
 
 def check(scenario: Tables) -> None:
     """Raise `InputError` for parts that lack another, contradict another, or have no effect."""
@@ -90,6 +101,7 @@ def check(scenario: Tables) -> None:
     _check_mappers(scenario, sensors)
     _check_navigation(scenario, sensors)
     _check_control(scenario, sensors)
+    _check_actuators(scenario)
     _check_tasking(scenario, sensors)
     _check_effect(scenario, sensors)
     chosen = scenario.decisions.map
@@ -205,6 +217,45 @@ def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
         raise InputError(
             "control.frequency_rad_s", frequency,
             f"at most {most:g} with damping {damping:g}: the attitude loop runs every {step:g} s",
+        )  # fmt: skip
+
+
+def _check_actuators(scenario: Tables) -> None:
+    """Refuse a vehicle, control and faults that do not go together."""
+    lander, control = scenario.vehicle.make(), scenario.control.make()
+    jets = isinstance(lander, JetLander)
+    field, kind = "control.kind", scenario.control.kind
+    if jets and not control.torques:
+        raise InputError(
+            field, kind, f"a law that turns the lander: vehicle of kind {scenario.vehicle.kind!r} "
+            "is turned by its thrusters"
+        )  # fmt: skip
+    if not jets and hasattr(control, "rate_change"):
+        raise InputError(
+            field, kind, f"{_kinds_of('vehicle', JetLander)} as vehicle: it orders firings"
+        )
+    if scenario.faults is not None:
+        if not jets:
+            raise InputError(
+                "faults", "given",
+                f"left out, or {_kinds_of('vehicle', JetLander)} as vehicle: no other has valves",
+            )  # fmt: skip
+        scenario.faults.make().check_count(lander.thrusters.count)
+    if not jets:
+        return
+    period, step = getattr(control, "period", 0.1), scenario.simulation.make().step
+    if abs(period / step - round(period / step)) > 1e-6 or period < step:
+        raise InputError("control.period_s", period, f"a whole number of steps of {step} s")
+    if lander.thrusters.minimum_on > period:
+        raise InputError(
+            "vehicle.thrusters.minimum_on_s", lander.thrusters.minimum_on,
+            f"at most the control's period of {period} s",
+        )  # fmt: skip
+    gain = 2.0 * getattr(control, "damping", 0.0) * getattr(control, "frequency", 0.0)
+    if gain * period > 0.6:
+        raise InputError(
+            "control.frequency_rad_s", control.frequency,
+            f"at most {0.3 / (control.damping * period):g}: pulses come every {period:g} s",
         )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
+from lunarsim.vehicle.faults import Faults
 from lunarsim.world.light import Light
 from lunarsim.world.survey import PriorSurvey
 
@@ -26,7 +27,11 @@ FIXED: dict[str, type] = {
     "simulation": Clock,
 }
 # Likewise, but only where they are given.
-OPTIONAL: dict[str, type] = {"start_knowledge": StartKnowledge, "prior_map": PriorSurvey}
+OPTIONAL: dict[str, type] = {
+    "start_knowledge": StartKnowledge,
+    "prior_map": PriorSurvey,
+    "faults": Faults,
+}
 # One table each, of a part chosen by `kind`: contract and kind if left out.
 CHOSEN: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),

@@ -63,6 +63,7 @@ class Scenario:
     rocks: Any
     sun: Any
     vehicle: ChosenPart
+    faults: Any | None
     start: Any
     start_knowledge: Any | None
     target: Any

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lunarsim._frame_kernels import rotation_between
 from lunarsim.messages.commands import Command
 from lunarsim.messages.measurements import Measurements
+from lunarsim.onboard.control.jets import JetLoop
 from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.sensors._imu_kernels import sample
 from lunarsim.sensors.imu import Imu
@@ -47,7 +48,7 @@ def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
         history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
         return Cycle(plant.moved(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3)))
     name, imu = next(iter(plant.imus.items()))
-    fly = _compiled if loop.compiled else _stepped
+    fly = _driven if plant.actuators else _compiled if loop.compiled else _stepped
     history, increments, torques = fly(plant, loop, imu, command.thrust)
     measurements = plant.moved(history, {name: increments}, command.tasks, abort=command.abort)
     return Cycle(measurements, torques)
@@ -62,6 +63,35 @@ def _compiled(
         PLAIN_RIG, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
         gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum, gyros.remainder,
     )  # fmt: skip
+    return history, increments, torques
+
+
+def _driven(
+    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+) -> tuple[Array, Array, Array]:
+    """Fly a vehicle whose thrusters, gimbal and throttle are given orders."""
+    actuators = plant.actuators
+    if actuators is None or not isinstance(loop, JetLoop):
+        raise TypeError("a lander with thrusters is flown by a loop that orders firings")
+    gyros = imu.gyroscopes
+    offsets = gyros.offsets(plant.steps)
+    history = np.empty((plant.steps, 15))
+    increments = np.empty((plant.steps, 3))
+    torques = np.empty((plant.steps, 3))
+    turn = np.empty(3)
+    state = plant.state
+    throttle = actuators.throttled(thrust)
+    for n in range(plant.steps):
+        due = loop.due
+        torques[n] = loop.torque()
+        if due:
+            actuators.order(loop.on_times, loop.gimbal)
+        before = state.attitude
+        state = actuators.advance(plant.dynamics, state, throttle)
+        rotation_between(before, state.attitude, turn)
+        sample(turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n])
+        loop.take(increments[n])
+        history[n] = state.as_vector()
     return history, increments, torques
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import Measurements
+from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -24,6 +25,7 @@ from lunarsim.simulation.plant import Plant
 from lunarsim.simulation.recorder import Recorder, Tap
 from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import Dynamics, State, Verdict
+from lunarsim.vehicle.actuators import Actuators
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
@@ -48,6 +50,13 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
     if getattr(made, "knows_truth", False) and "truth" not in made.name:
         raise InputError("policy", made.name, "a name with 'truth' in it: it is told the truth")
     return made
+
+
+def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | None:
+    """Return valves, gimbal and throttle of a lander that has them, with what fails on it."""
+    if not isinstance(lander, JetLander):
+        return None
+    return Actuators(lander, step, None if scenario.faults is None else scenario.faults.make())
 
 
 class Simulation:
@@ -111,6 +120,7 @@ class Simulation:
             },
             steps=clock.steps,
             max_time=clock.max_time,
+            actuators=_actuators(scenario, briefing.lander, clock.step),
         )
         # What is told the truth is asked here; every other policy is the computer's.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
@@ -268,4 +278,16 @@ class Simulation:
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
             verdict=self.verdict or Verdict(False, ("unfinished",), None),
+            ending=self._spent(),
         )
+
+    def _spent(self) -> dict[str, Any]:
+        """Return what thrusters have burnt and how often they fired; empty without thrusters."""
+        actuators = self.plant.actuators
+        if actuators is None:
+            return {}
+        return {
+            "thruster_propellant_kg": actuators.spent,
+            "thruster_on_time_s": actuators.on_time,
+            "thruster_firings": actuators.firings,
+        }

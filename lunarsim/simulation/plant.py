@@ -19,7 +19,9 @@ from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import within
 from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
+from lunarsim.models.jet_lander import com_of
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
+from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world import World
 
@@ -72,6 +74,8 @@ class Plant:
         Integration steps in a control cycle.
     max_time
         A flight that is not over by then is, s.
+    actuators
+        Valves, gimbal and throttle of a lander that has them; None: torques act as asked.
 
     Attributes
     ----------
@@ -88,8 +92,10 @@ class Plant:
         *,
         steps: int,
         max_time: float,
+        actuators: Actuators | None = None,
     ) -> None:
         self.world = world
+        self.actuators = actuators
         self.dynamics = dynamics
         self.lander = dynamics.lander
         self.state = state
@@ -184,7 +190,8 @@ class Plant:
         """Return the first step at which a pad is at or below the ground, or None."""
         if history[-1, 2] - self._high > _CONTACT_HEIGHT:
             return None
-        pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], self.lander.pads)
+        mounted = self.lander.pads - com_of(self.lander, float(history[0, 13]))
+        pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], mounted)
         gap = pads[..., 2] - self.world.terrain.elevation(pads[..., :2])
         if not np.any(gap <= 2.0):
             return None

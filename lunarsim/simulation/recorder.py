@@ -136,8 +136,9 @@ class Recorder:
         seed: dict[str, Any],
         policy: str,
         verdict: Verdict,
+        ending: dict[str, Any] | None = None,
     ) -> Flight:
-        """Return the record so far."""
+        """Return the record so far; `ending` goes into its last event."""
         maps = {
             name: MapRecord(
                 mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.tables()
@@ -146,8 +147,10 @@ class Recorder:
             if name in self._errors and not mapper.blank
         }
         decided = computer.decisions_map
-        ending = "touchdown" if verdict.touchdown else "end"
-        last = [{"time": computer.time, "name": ending, "failed": list(verdict.failed)}]
+        name = "touchdown" if verdict.touchdown else "end"
+        last: list[dict[str, Any]] = [
+            {"time": computer.time, "name": name, "failed": list(verdict.failed)} | (ending or {})
+        ]
         if verdict.failed == ("unfinished",):
             last = []
         told = [{"time": time, "name": name, **more} for time, name, more in computer.telemetry]

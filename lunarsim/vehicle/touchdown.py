@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
+from lunarsim.models.jet_lander import com_of
 from lunarsim.models.lander import Lander
 from lunarsim.vehicle.state import State
 
@@ -121,7 +122,8 @@ def _disc(radius: float) -> Array:
 
 def pad_contacts(lander: Lander, state: State, ground: Ground) -> Array:
     """Return the points (legs, 3) on which the pads would rest: highest ground under each pad."""
-    centres = state.position + quat_rotate(state.attitude, lander.pads)
+    pads = lander.pads - com_of(lander, state.mass)
+    centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + _disc(0.5 * lander.pad_diameter)
     return np.column_stack((centres[:, :2], ground.elevation(spots).max(axis=1)))
 

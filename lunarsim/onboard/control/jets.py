@@ -1,0 +1,118 @@
+"""The fast loop of a lander with on-off thrusters: firings and gimbal between control cycles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._frame_kernels import rotation_between
+from lunarsim.messages.commands import Command
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.control.allocation import Allocation
+from lunarsim.onboard.control.contract import AttitudeControl
+from lunarsim.onboard.control.loop import AttitudeLoop
+
+Array = NDArray[np.float64]
+
+# Between new orders to the thrusters where the law does not say, s.
+_PERIOD = 0.1
+# Time in which the gimbal takes over a steady torque of the thrusters, s.
+_TRIM_TIME = 4.0
+
+
+class JetLoop(AttitudeLoop):
+    """Firings of thrusters by a law, and a gimbal that takes steady torques from them.
+
+    A law that gives torques has them modulated into pulses: what a period's pulses could not give
+    is carried into the next, up to the shortest pulse. A law with `rate_change` orders firings.
+
+    Parameters
+    ----------
+    law, lander, step
+        See `AttitudeLoop`.
+
+    Attributes
+    ----------
+    on_times, gimbal
+        Orders of the present period: (n,), s, and (2,), rad.
+    spent
+        Propellant of the thrusters by what was ordered, kg.
+    """
+
+    def __init__(self, law: AttitudeControl, lander: JetLander, step: float) -> None:
+        super().__init__(law, lander, step)
+        self.vehicle = lander
+        self.allocation = Allocation(lander.thrusters)
+        self.period_steps = max(1, round(getattr(law, "period", _PERIOD) / step))
+        self.on_times = np.zeros(lander.thrusters.count)
+        self.gimbal = np.zeros(2)
+        self.spent = 0.0
+        self._carry = np.zeros(3)
+        self._step = 0
+        self._thrust = 0.0
+        self._arm = lander.engine.pivot_depth
+
+    @property
+    def compiled(self) -> bool:
+        """No: the compiled loop knows torques alone."""
+        return False
+
+    @property
+    def period(self) -> float:
+        """Between new orders, s."""
+        return self.period_steps * self.step
+
+    @property
+    def due(self) -> bool:
+        """Whether the next `torque` gives new orders."""
+        return self._step % self.period_steps == 0
+
+    def begin(self, command: Command, attitude: Array, mass: float) -> None:
+        """Take over a command, and what navigation knows now: attitude (4,) and mass (kg)."""
+        super().begin(command, attitude, mass)
+        self._thrust = command.thrust
+        self._arm = self.vehicle.engine.pivot_depth + float(self.vehicle.com(mass)[2])
+
+    def torque(self) -> Array:
+        """Return the mean torque of the present period's firings (3,), N m; order them if due."""
+        if self.due:
+            self._order()
+        self._step += 1
+        return self.state[7:].copy()
+
+    def _order(self) -> None:
+        error = np.empty(3)
+        rotation_between(self.state[:4], self.target, error)
+        rate, inertia, period = self.state[4:7].copy(), self.inertia, self.period
+        law: Any = self.law
+        if hasattr(law, "rate_change"):
+            a = self.allocation.authority / inertia
+            least = self.allocation.least_impulse / inertia
+            impulse = inertia * law.rate_change(error, rate, a, least)
+        else:
+            impulse = np.asarray(law.torque(error, rate, inertia)) * period + self._carry
+        self.on_times = self.allocation.on_times(impulse / period, period)
+        given = self.allocation.impulse(self.on_times)
+        if not hasattr(law, "rate_change"):
+            most = self.allocation.least_impulse
+            self._carry = np.clip(impulse - given, -most, most)
+        self.spent += self.vehicle.thrusters.flow * float(self.on_times.sum())
+        self.state[7:] = given / period
+        self._trim(given)
+
+    def _trim(self, impulse: Array) -> None:
+        """Swing the engine so that it takes over what the thrusters are steadily asked for."""
+        engine = self.vehicle.engine
+        pull = self._thrust * self._arm
+        if engine.gimbal_limit == 0.0 or pull <= 0.0:
+            return
+        most = engine.gimbal_rate * self.period
+        swing = np.clip(-impulse[:2] / (pull * _TRIM_TIME), -most, most)
+        self.gimbal = np.clip(self.gimbal + swing, -engine.gimbal_limit, engine.gimbal_limit)
+
+
+def attitude_loop(law: AttitudeControl, lander: Any, step: float) -> AttitudeLoop:
+    """Return the fast loop that a lander needs."""
+    return (JetLoop if isinstance(lander, JetLander) else AttitudeLoop)(law, lander, step)

@@ -1,0 +1,128 @@
+"""Valves, gimbal and throttle of the true vehicle: what becomes of the orders it is given."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.vehicle.dynamics import Dynamics, rig_of
+from lunarsim.vehicle.faults import Faults
+from lunarsim.vehicle.state import State
+
+Array = NDArray[np.float64]
+
+
+class Actuators:
+    """Thrusters and engine of one flight.
+
+    A valve opens at once and pushes fully; a share of a step counts as that share of the force.
+    An order replaces what is left of the one before, but a valve that has opened stays open for
+    its least time. The gimbal turns at its rate towards where it is told to be, no farther than
+    its limit.
+
+    Parameters
+    ----------
+    lander
+        Figures.
+    step
+        Of the integration, s.
+    faults
+        What fails.
+
+    Attributes
+    ----------
+    gimbal
+        Swing of the engine about body x and body y (2,), rad.
+    spent
+        Propellant of the thrusters burnt, kg.
+    on_time, firings
+        Of each thruster (n,): s, and how often its valve opened.
+    """
+
+    def __init__(self, lander: JetLander, step: float, faults: Faults | None = None) -> None:
+        self.lander = lander
+        self.step = step
+        self.faults = faults or Faults()
+        self.faults.check_count(lander.thrusters.count)
+        self._forces, self._torques = lander.thrusters.forces, lander.thrusters.torques
+        n = lander.thrusters.count
+        self._left = np.zeros(n)
+        self._open_for = np.zeros(n)
+        self._target = np.zeros(2)
+        self._throttle = 0.0
+        self._time = 0.0
+        self.gimbal = np.zeros(2)
+        self.spent = 0.0
+        self.on_time = np.zeros(n)
+        self.firings = np.zeros(n, dtype=np.int64)
+
+    def order(self, on_times: Array, gimbal: Array) -> None:
+        """Take over on-times of the thrusters (n,), s, and the wanted swing (2,), rad."""
+        least = self.lander.thrusters.minimum_on
+        wanted = np.where(on_times > 0.0, np.maximum(on_times, least), 0.0)
+        # What has just opened cannot shut before its least time is over.
+        held = np.where(self._left > 0.0, np.maximum(least - self._open_for, 0.0), 0.0)
+        left = np.maximum(wanted, held)
+        self.firings += (left > 0.0) & (self._left <= 0.0)
+        self._open_for[self._left <= 0.0] = 0.0
+        self._left = left
+        limit = self.lander.engine.gimbal_limit
+        self._target = np.clip(gimbal, -limit, limit)
+
+    def throttled(self, wanted: float) -> float:
+        """Return what the throttle is set to when a thrust is asked for, N; 0 shuts the engine."""
+        f, engine = self.faults, self.lander.engine
+        if f.engine_stuck_from is not None and self._time >= f.engine_stuck_from:
+            return self._throttle if f.engine_stuck_at is None else f.engine_stuck_at
+        if wanted <= 0.0:
+            self._throttle = 0.0
+            return 0.0
+        if self._throttle > 0.0 and abs(wanted - self._throttle) < engine.dead_band:
+            return self._throttle
+        thrust = min(max(wanted, self.lander.thrust_min), self.lander.thrust_max)
+        if engine.has_gap and thrust > engine.gap_from:
+            middle = 0.5 * (engine.gap_from + engine.gap_to)
+            thrust = engine.gap_to if thrust > middle else engine.gap_from
+        elif engine.throttle_step > 0.0:
+            thrust = engine.throttle_step * round(thrust / engine.throttle_step)
+            thrust = min(max(thrust, self.lander.thrust_min), self.lander.thrust_max)
+        self._throttle = thrust
+        return thrust
+
+    def advance(self, dynamics: Dynamics, state: State, throttle: float) -> State:
+        """Return the state a step later, with the valves as ordered and the throttle set."""
+        share = self._shares()
+        limit = self.step * self.lander.engine.gimbal_rate
+        self.gimbal = self.gimbal + np.clip(self._target - self.gimbal, -limit, limit)
+        flow = self.lander.thrusters.flow * float(share.sum())
+        moved = dynamics.advance_rigged(
+            state, throttle, share @ self._torques, self.rig(share @ self._forces, flow)
+        )
+        self.spent += flow * self.step
+        self.on_time += share * self.step
+        self._open_for += np.minimum(self._left, self.step)
+        self._left = np.maximum(self._left - self.step, 0.0)
+        self._left[self._left < 1e-9] = 0.0
+        self._time += self.step
+        return moved
+
+    def rig(self, force: Array, flow: float) -> Array:
+        """Return what acts on the body besides torques, for the kernel; see `rig_of`."""
+        v, (x, y) = self.lander, self.gimbal
+        engine = (np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x))
+        pivot = (0.0, 0.0, -v.engine.pivot_depth)
+        return rig_of(
+            force=force, flow=flow, engine=engine, pivot=pivot, com_dry=v.com_dry,
+            com_full=v.com_full, spent=self.spent,
+        )  # fmt: skip
+
+    def _shares(self) -> Array:
+        """Return the share of the coming step for which each thruster pushes (n,)."""
+        share = np.minimum(self._left, self.step) / self.step
+        if self._time >= self.faults.jets_from:
+            share[list(self.faults.jets_shut)] = 0.0
+            share[list(self.faults.jets_open)] = 1.0
+        wanted = self.lander.thrusters.flow * self.step * float(share.sum())
+        left = self.lander.thrusters.propellant - self.spent
+        return share * (left / wanted) if wanted > left else share
