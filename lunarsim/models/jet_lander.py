@@ -82,7 +82,9 @@ class JetLander(Lander):
 
     def __post_init__(self) -> None:
         torques = self.thrusters.torques
-        both = np.stack((np.maximum(torques, 0.0).sum(axis=0), np.maximum(-torques, 0.0).sum(axis=0)))
+        both = np.stack(
+            (np.maximum(torques, 0.0).sum(axis=0), np.maximum(-torques, 0.0).sum(axis=0))
+        )
         least = tuple(float(v) for v in both.min(axis=0))
         object.__setattr__(self, "torque_max", least)
         super().__post_init__()

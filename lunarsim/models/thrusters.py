@@ -19,7 +19,8 @@ Points = tuple[tuple[float, float, float], ...]
 class Thrusters:
     """On-off thrusters of one size, in four clusters of four unless a layout is given.
 
-    The clusters stand as on the Apollo lunar module: 45 deg off the body's axes, each with one
+    The default is the lunar module's thrust for its mass (16 x 445 N on 7 to 15 t) on a lander of
+    1.5 t. The clusters stand as on the Apollo lunar module: 45 deg off the body's axes, each with one
     thruster that pushes up, one down, and two that push inward along body x and body y.
 
     Attributes
@@ -44,7 +45,7 @@ class Thrusters:
         cannot turn the lander both ways about every axis.
     """
 
-    force: float = quantity(22.0, "N", gt=0, help="of each thruster")
+    force: float = quantity(60.0, "N", gt=0, help="of each thruster")
     specific_impulse: float = quantity(290.0, "s", gt=0, help="of the thrusters")
     propellant: float = quantity(20.0, "kg", ge=0, help="of the thrusters, part of the dry mass")
     minimum_on: float = quantity(0.02, "s", gt=0, le=1, help="shortest time that a valve opens for")

@@ -100,7 +100,7 @@ class OnboardComputer:
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
         self.guidance = software.guidance.build(briefing, lag)
-        self.vertical = VerticalDescent(briefing.weight)
+        self.vertical = VerticalDescent.behind(lag, briefing.weight)
         self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None

@@ -103,7 +103,8 @@ def advance_body(y, dt, thrust, torque, figures, inertia, rig, work):
     principal moments with tanks empty and full; `rig` (17,) see `rig_of`.
     """
     dry = figures[3]
-    if y[13] <= dry - rig[16]:  # tanks empty
+    # What thrusters have spent is summed up elsewhere: leave room for its rounding.
+    if y[13] <= dry - (1.0 - 1e-6) * rig[16]:  # tanks empty
         thrust = 0.0
         y[14] = 0.0
     rk4_step(

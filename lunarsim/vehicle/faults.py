@@ -40,7 +40,9 @@ class Faults:
         if both:
             raise InputError("faults.jets_open", self.jets_open, f"without {min(both)}: it is shut")
         if self.engine_stuck_at is not None and self.engine_stuck_from is None:
-            raise InputError("faults.engine_stuck_at", self.engine_stuck_at, "engine_stuck_from too")
+            raise InputError(
+                "faults.engine_stuck_at", self.engine_stuck_at, "engine_stuck_from too"
+            )
 
     def check_count(self, count: int) -> None:
         """Raise `InputError` if a thruster is named that a layout of `count` has not."""

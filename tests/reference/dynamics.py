@@ -43,3 +43,27 @@ def turned_towards(q, target, most):
     angle = np.linalg.norm(arc)
     arc = arc * min(1.0, most / angle) if angle > 0.0 else arc
     return (start * Rotation.from_rotvec(arc)).as_quat(), arc
+
+
+def rigged_rate_of_change(
+    y, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, *, force, flow,
+    engine, pivot, com_dry, com_full,
+):  # fmt: skip
+    """Return dy/dt (15,) with thrusters that push, a swung engine and a moving centre of mass.
+
+    Forces act where they are made; `torque` is that of the thrusters about the body's origin.
+    """
+    out = rate_of_change(
+        y, thrust_command, np.zeros(3), gravity, exhaust, lag, dry, wet, i_dry, i_wet
+    )
+    q, rate, mass, thrust = y[6:10], y[10:13], y[13], y[14]
+    push = thrust * np.asarray(engine)
+    total = push + np.asarray(force)
+    out[3:6] = Rotation.from_quat(q).apply(total) / mass - [0.0, 0.0, gravity]
+    share = (mass - dry) / (wet - dry)
+    com = np.asarray(com_dry) + share * (np.asarray(com_full) - np.asarray(com_dry))
+    about = np.asarray(torque) - np.cross(com, force) + np.cross(np.asarray(pivot) - com, push)
+    inertia = np.diag(i_dry + share * (i_wet - i_dry))
+    out[10:13] = np.linalg.solve(inertia, about - np.cross(rate, inertia @ rate))
+    out[13] -= flow
+    return out

@@ -41,7 +41,9 @@ def test_a_second_of_steps(seed, lag):
         start[14] = command
     wanted = plain.moved(start, 1.0, command, torque, 1.6, 3000.0, lag, DRY, WET, I_DRY, I_WET)
     for _ in range(200):
-        kernels.advance_body(y, 0.005, command, torque, figures, np.array([I_DRY, I_WET]), PLAIN_RIG, work)
+        kernels.advance_body(
+            y, 0.005, command, torque, figures, np.array([I_DRY, I_WET]), PLAIN_RIG, work
+        )
     assert y == pytest.approx(wanted, rel=1e-7, abs=1e-8)
 
 
@@ -52,7 +54,9 @@ def test_empty_tanks_give_no_thrust_and_keep_the_dry_mass():
         y = state(rng)
         y[13] = DRY + left
         speed = y[3:6].copy()
-        kernels.advance_body(y, 0.01, 3500.0, np.zeros(3), figures, inertia, PLAIN_RIG, np.empty((5, 15)))
+        kernels.advance_body(
+            y, 0.01, 3500.0, np.zeros(3), figures, inertia, PLAIN_RIG, np.empty((5, 15))
+        )
         assert y[13] == DRY
         if left == 0.0:
             assert y[14] == 0.0
@@ -75,7 +79,13 @@ def test_ideal_attitude_goes_along_the_shortest_arc(seed):
         q, arc = plain.turned_towards(expected[6:10], target, slew * dt)
         expected[10:13] = 0.0
         kernels.advance_body(
-            expected, dt, 3500.0, np.zeros(3), figures, np.array([I_DRY, I_WET]), PLAIN_RIG,
+            expected,
+            dt,
+            3500.0,
+            np.zeros(3),
+            figures,
+            np.array([I_DRY, I_WET]),
+            PLAIN_RIG,
             work,
         )
         assert found[:6] == pytest.approx(expected[:6], rel=1e-9)

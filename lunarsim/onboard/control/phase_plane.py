@@ -69,7 +69,10 @@ class PhasePlane:
             Rate change of the shortest pulse (3,), rad/s.
         """
         return np.array(
-            [self._axis(-float(e), *map(float, rest)) for e, *rest in zip(error, rate, authority, least, strict=True)]
+            [
+                self._axis(-float(e), *map(float, rest))
+                for e, *rest in zip(error, rate, authority, least, strict=True)
+            ]
         )
 
     def _axis(self, angle: float, rate: float, a: float, least: float) -> float:
@@ -84,9 +87,10 @@ class PhasePlane:
             if abs(rate) > self.rate_band:
                 return -float(np.sign(rate)) * max(abs(rate) - 0.5 * least, least)
             return 0.0
-        # Half of the acceleration is kept back for what is not known; the band's edge is the aim.
-        back = min(self.slew_limit, np.sqrt(a * (angle - band)))
-        if rate > -back:
+        # Half of the acceleration is kept back for what is not known. Just outside the band one
+        # shortest pulse is enough.
+        back = min(self.slew_limit, np.sqrt(a * max(angle - 1.25 * band, 0.0)))
+        if rate > -max(back, 0.1 * least):
             return -max(rate + back + 0.5 * least, least)
         if -rate > back + self.rate_band:
             return max(-rate - back - 0.5 * least, least)

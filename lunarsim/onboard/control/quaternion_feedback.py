@@ -38,10 +38,10 @@ class QuaternionFeedback:
         Between new orders to thrusters, s.
     """
 
-    frequency: float = quantity(1.2, "rad/s", gt=0, help="natural frequency of the loop")
+    frequency: float = quantity(2.0, "rad/s", gt=0, help="natural frequency of the loop")
     damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the loop")
     slew_limit: float = quantity(10.0, "deg/s", gt=0, help="greatest rate asked for")
-    braking: float = quantity(0.03, "rad/s^2", gt=0, help="acceleration counted on to stop a turn")
+    braking: float = quantity(0.08, "rad/s^2", gt=0, help="acceleration counted on to stop a turn")
     period: float = quantity(0.1, "s", gt=0, le=1, help="between new orders to thrusters")
 
     torques: ClassVar[bool] = True

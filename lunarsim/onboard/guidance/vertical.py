@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
 
+# Greatest product of the position loop's frequency and the vehicle's lag.
+_FREQUENCY_LAG = 0.33
+
 
 @dataclass(frozen=True)
 class VerticalDescent:
@@ -37,6 +40,15 @@ class VerticalDescent:
     lean: float = np.deg2rad(12.0)
     lean_low: float = np.deg2rad(2.0)
     lean_height: float = 8.0
+
+    @classmethod
+    def behind(cls, lag: float, gravity: float) -> VerticalDescent:
+        """Return the law for a vehicle that answers with a lag (s): slower behind a longer one.
+
+        Frequency times lag is kept at 0.33 or less, where the loop with the lag in it still damps
+        as the one without.
+        """
+        return cls(gravity, frequency=min(cls.frequency, _FREQUENCY_LAG / max(lag, 1e-6)))
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.

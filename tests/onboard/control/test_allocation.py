@@ -1,0 +1,97 @@
+"""Allocation of torques to thrusters, against SciPy's linear programmes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog, nnls
+
+from lunarsim.errors import InputError
+from lunarsim.models.thrusters import Thrusters
+from lunarsim.onboard.control.allocation import Allocation
+
+
+def odd_layout(seed: int, count: int = 10) -> Thrusters:
+    """Return thrusters that sit and push anyhow, but can turn every way."""
+    rng = np.random.default_rng(seed)
+    while True:
+        where, along = rng.uniform(-2.0, 2.0, (2, count, 3))
+        try:
+            return Thrusters(
+                positions=tuple(map(tuple, where)), directions=tuple(map(tuple, along))
+            )
+        except InputError:
+            continue
+
+
+LAYOUTS = [Thrusters(), Thrusters(cluster_height=0.7), odd_layout(1), odd_layout(2)]
+
+
+def totals(layout: Thrusters, allocation: Allocation, torque) -> float:
+    return float(allocation.group_thrust(np.asarray(torque)).sum())
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_no_other_thrusters_make_the_torque_with_less(layout):
+    allocation = Allocation(layout)
+    columns = layout.torques.T / layout.force
+    rng = np.random.default_rng(7)
+    for torque in rng.normal(0.0, 10.0, (60, 3)):
+        best = linprog(np.ones(layout.count), A_eq=columns, b_eq=torque)
+        assert best.status == 0
+        assert totals(layout, allocation, torque) == pytest.approx(best.fun, rel=1e-7)
+        assert nnls(columns, torque)[1] < 1e-9
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_long_firings_give_the_torque_that_was_asked_for(layout):
+    allocation = Allocation(layout)
+    rng = np.random.default_rng(3)
+    period = 1.0
+    for direction in rng.standard_normal((40, 3)):
+        torque = 0.5 * allocation.authority.min() * direction / np.abs(direction).sum()
+        on = allocation.on_times(torque, period)
+        assert on.min() >= 0.0
+        assert on.max() <= period
+        error = np.abs(allocation.impulse(on) - torque * period)
+        # Each of three groups errs by at most half of a shortest pulse.
+        assert np.all(error <= 3 * 0.5 * layout.minimum_on * np.abs(layout.torques).max() + 1e-9)
+        assert np.all((on == 0.0) | (on >= layout.minimum_on - 1e-12))
+
+
+def test_too_much_is_made_less_in_the_same_direction():
+    layout = Thrusters()
+    allocation = Allocation(layout)
+    torque = np.array([3e4, -1e4, 5e3])
+    given = allocation.impulse(allocation.on_times(torque, 1.0))
+    assert given / np.linalg.norm(given) == pytest.approx(torque / np.linalg.norm(torque), abs=2e-2)
+    # The greatest multiple that any firing of all thrusters reaches.
+    columns = np.column_stack((layout.torques.T, -torque))
+    most = linprog(
+        [0.0] * 16 + [-1.0], A_eq=columns, b_eq=np.zeros(3), bounds=[(0, 1)] * 16 + [(0, None)]
+    )
+    assert np.linalg.norm(given) == pytest.approx(most.x[-1] * np.linalg.norm(torque), rel=0.02)
+
+
+def test_the_authority_of_four_clusters_is_all_that_they_have():
+    layout = Thrusters()
+    allocation = Allocation(layout)
+    arm = layout.cluster_radius / np.sqrt(2.0)
+    assert allocation.authority == pytest.approx([4 * 60.0 * arm] * 3)
+    # Pitch and roll take two thrusters, yaw one, of 20 ms.
+    assert allocation.least_impulse == pytest.approx(
+        [2 * 60.0 * arm * 0.02, 2 * 60.0 * arm * 0.02, 60.0 * arm * 0.02]
+    )
+
+
+def test_short_firings_go_round_the_thrusters_of_a_group():
+    allocation = Allocation(Thrusters())
+    torque = np.array([0.0, 0.0, allocation.least_impulse[2] * 1.2 / 0.1])
+    used = [tuple(np.flatnonzero(allocation.on_times(torque, 0.1))) for _ in range(8)]
+    assert all(len(one) == 1 for one in used)
+    assert len(set(used)) == 4
+
+
+def test_a_torque_that_is_no_number_is_refused():
+    with pytest.raises(InputError, match="finite"):
+        Allocation(Thrusters()).on_times(np.array([np.nan, 0.0, 0.0]), 0.1)

@@ -1,0 +1,224 @@
+"""Quaternion feedback and phase plane, against the closed forms of the loops that they close."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import quat_from_rotation_vector, quat_to_rotation_vector
+from lunarsim.messages.commands import Command
+from lunarsim.models.jet_lander import Engine, JetLander
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.control.allocation import Allocation
+from lunarsim.onboard.control.attitude import ProportionalDerivative
+from lunarsim.onboard.control.jets import JetLoop
+from lunarsim.onboard.control.phase_plane import PhasePlane
+from lunarsim.onboard.control.quaternion_feedback import QuaternionFeedback
+from lunarsim.onboard.control.throttle import ThrottleRegions
+
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def step_response(law, angle: float, seconds: float, dt: float = 0.001) -> np.ndarray:
+    """Return angle left about body y (n,) after a step, with torques that act at once."""
+    inertia = np.array(Lander().inertia_full)
+    left, rate, out = angle, 0.0, []
+    for _ in range(round(seconds / dt)):
+        torque = law.torque(np.array([0.0, left, 0.0]), np.array([0.0, rate, 0.0]), inertia)
+        rate += dt * torque[1] / inertia[1]
+        left -= dt * rate
+        out.append(left)
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    "law", [ProportionalDerivative(2.0, 0.6), QuaternionFeedback(2.0, 0.6, braking=50.0)]
+)
+def test_a_small_step_is_that_of_a_damped_oscillator(law):
+    angle, dt = 1e-3, 0.001
+    found = step_response(law, angle, 4.0, dt)
+    t = dt * np.arange(1, len(found) + 1)
+    damped = 2.0 * np.sqrt(1.0 - 0.6**2)
+    closed = angle * np.exp(-1.2 * t) * (np.cos(damped * t) + 1.2 / damped * np.sin(damped * t))
+    assert found == pytest.approx(closed, abs=3e-3 * angle)
+
+
+def test_a_large_turn_keeps_its_axis_and_its_rate():
+    law, inertia = QuaternionFeedback(slew_limit=0.1), np.array([900.0, 1400.0, 1900.0])
+    q, rate, dt = LEVEL.copy(), np.zeros(3), 0.01
+    axis = np.array([0.48, -0.6, 0.64])
+    target = quat_from_rotation_vector(1.2 * axis)
+    fastest, off = 0.0, 0.0
+    for _ in range(3000):
+        error = quat_to_rotation_vector(_between(q, target))
+        torque = law.torque(error, rate, inertia)
+        rate = rate + dt * (torque - np.cross(rate, inertia * rate)) / inertia
+        q = _product(q, quat_from_rotation_vector(rate * dt))
+        fastest = max(fastest, float(np.linalg.norm(rate)))
+        turned = quat_to_rotation_vector(q)
+        off = max(off, float(np.linalg.norm(np.cross(turned, axis))))
+    assert 0.095 < fastest < 0.1001
+    assert off < 1e-3
+    assert np.linalg.norm(quat_to_rotation_vector(_between(q, target))) < 1e-4
+
+
+def _product(p, q):
+    from scipy.spatial.transform import Rotation
+
+    return (Rotation.from_quat(p) * Rotation.from_quat(q)).as_quat()
+
+
+def _between(q, target):
+    from scipy.spatial.transform import Rotation
+
+    return (Rotation.from_quat(q).inv() * Rotation.from_quat(target)).as_quat()
+
+
+def test_braking_stops_a_turn_within_the_torque_that_is_counted_on():
+    law, inertia, most = QuaternionFeedback(slew_limit=1.0, braking=0.03), np.full(3, 1000.0), 0.05
+    left, rate, least, dt = 1.0, 0.0, 0.0, 0.01
+    for _ in range(3000):
+        torque = law.torque(np.array([left, 0.0, 0.0]), np.array([rate, 0.0, 0.0]), inertia)[0]
+        rate += dt * float(np.clip(torque / 1000.0, -most, most))
+        left -= dt * rate
+        least = min(least, left)
+    assert abs(left) < 1e-3
+    assert least > -0.02  # the plain law with these thrusters would swing far past
+
+
+def coasting(law, least, disturbance, seconds, angle, rate, dt=0.002, a=0.05):
+    """Return angle and rate (n, 2) of one axis under pulses that act at once, and when they came."""
+    rows, pulses = [], []
+    every = round(law.period / dt)
+    for n in range(round(seconds / dt)):
+        if n % every == 0:
+            change = law.rate_change(
+                np.array([-angle, 0.0, 0.0]),
+                np.array([rate, 0.0, 0.0]),
+                np.full(3, a),
+                np.full(3, least),
+            )[0]
+            rate += change
+            if change:
+                pulses.append((n * dt, change))
+        angle += dt * (rate + 0.5 * dt * disturbance)
+        rate += dt * disturbance
+        rows.append((angle, rate))
+    return np.array(rows), np.array(pulses)
+
+
+def test_the_limit_cycle_goes_from_edge_to_edge_at_half_a_pulse():
+    law, least = PhasePlane(dead_band=0.005, rate_band=0.01, period=0.02), 1e-3
+    rows, pulses = coasting(law, least, 0.0, 200.0, 0.0, 0.5 * least)
+    assert np.abs(pulses[:, 1]) == pytest.approx(least)
+    assert np.all(np.diff(np.sign(pulses[:, 1])) != 0)
+    period = 2.0 * np.diff(pulses[:, 0]).mean()
+    # A look every 20 ms sees the edge up to a period late, twice a cycle.
+    assert period == pytest.approx(8.0 * law.dead_band / least, rel=0.01)
+    assert np.abs(rows[:, 0]).max() == pytest.approx(law.dead_band, abs=0.02 * least)
+    assert np.abs(rows[:, 1]).max() == pytest.approx(0.5 * least, rel=1e-6)
+
+
+@pytest.mark.parametrize("disturbance", [2e-5, -1e-4])
+def test_under_a_steady_torque_the_limit_cycle_bounces_on_one_edge(disturbance):
+    law, least = PhasePlane(dead_band=0.005, rate_band=0.01, period=0.02), 1e-3
+    rows, pulses = coasting(law, least, disturbance, 400.0, 0.0, 0.0)
+    late = pulses[pulses[:, 0] > 200.0]
+    assert np.all(np.sign(late[:, 1]) == -np.sign(disturbance))
+    # What is fired balances the torque: a closed form whatever the law.
+    span = late[-1, 0] - late[0, 0]
+    assert late[1:, 1].sum() == pytest.approx(-disturbance * span, rel=0.02)
+    assert np.diff(late[:, 0]).mean() == pytest.approx(least / abs(disturbance), rel=0.15)
+    settled = rows[round(200.0 / 0.002) :, 0] * np.sign(disturbance)
+    swing = least**2 / (8.0 * abs(disturbance))
+    assert np.ptp(settled) == pytest.approx(swing, rel=0.35)
+    assert settled.max() == pytest.approx(law.dead_band, abs=0.05 * law.dead_band)
+
+
+def test_a_large_error_is_turned_out_within_rate_and_dead_band():
+    law = PhasePlane(slew_limit=0.05, period=0.02)
+    rows, _ = coasting(law, 1e-3, 0.0, 60.0, 0.8, 0.0)
+    assert np.abs(rows[:, 1]).max() < 0.05 + 2e-3
+    assert rows[:, 0].min() > -2.0 * law.dead_band
+    assert np.abs(rows[-1000:, 0]).max() < 1.1 * law.dead_band
+
+
+def loop(law, lander=None, thrust=2400.0, target=LEVEL) -> JetLoop:
+    made = JetLoop(law, lander or JetLander(), 0.01)
+    made.begin(Command(thrust, np.asarray(target)), LEVEL, 1300.0)
+    return made
+
+
+def test_small_torques_are_carried_until_they_make_a_pulse():
+    class Steady:
+        period = 0.1
+
+        def torque(self, error, rate, inertia):
+            return np.array([0.0, 0.0, 2.0])
+
+    made = loop(Steady())
+    sums = np.zeros(3)
+    for _ in range(400):
+        due = made.due
+        made.torque()
+        made.take(np.zeros(3))
+        sums += made.allocation.impulse(made.on_times) * due
+    assert sums == pytest.approx([0.0, 0.0, 2.0 * 4.0], abs=made.allocation.least_impulse[2])
+
+
+def test_the_gimbal_takes_over_a_steady_torque():
+    """Thrusters hold a torque of 30 N m; the engine's swing must come to make it."""
+    lander = JetLander(engine=Engine(gimbal_rate=0.1))
+    holding = np.array([30.0, -20.0, 0.0])
+
+    class Holding:
+        period = 0.1
+        taken = np.zeros(3)
+
+        def torque(self, error, rate, inertia):
+            return holding - self.taken
+
+    law = Holding()
+    made = loop(law, lander)
+    for _ in range(4000):
+        made.torque()
+        made.take(np.zeros(3))
+        x, y = made.gimbal
+        law.taken = 2400.0 * lander.engine.pivot_depth * np.array([-x, -y, 0.0])
+    assert law.taken == pytest.approx(holding, rel=0.05, abs=1.0)
+
+
+def test_recorded_increments_give_the_firings_again():
+    rng = np.random.default_rng(4)
+    increments = rng.normal(0.0, 2e-4, (60, 3))
+    target = quat_from_rotation_vector([0.05, -0.02, 0.01])
+    for law in (QuaternionFeedback(), PhasePlane(), ProportionalDerivative(1.0)):
+        first, again = loop(law, target=target), loop(law, target=target)
+        torques = []
+        for increment in increments:
+            torques.append(first.torque())
+            first.take(increment)
+        assert again.replay(increments).tobytes() == np.array(torques).tobytes()
+        assert again.spent == first.spent > 0.0
+
+
+def test_throttle_regions_do_not_chatter():
+    regions = ThrottleRegions(Engine(gap_from=3000.0, gap_to=5000.0))
+    asked = [2900.0, 3100.0, 3149.0, 3151.0, 2900.0, 2851.0, 2849.0, 3100.0]
+    given = [2900.0, 3000.0, 3000.0, 5000.0, 5000.0, 5000.0, 2849.0, 3000.0]
+    assert [regions.allowed(a) for a in asked] == given
+    assert ThrottleRegions(Engine()).allowed(4321.0) == 4321.0
+
+
+def test_allocation_serves_every_axis_of_the_loop():
+    least = Allocation(JetLander().thrusters).least_impulse
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            angle = np.zeros(3)
+            angle[axis] = sign * 0.05
+            made = loop(PhasePlane(), target=quat_from_rotation_vector(angle))
+            made.torque()
+            impulse = made.allocation.impulse(made.on_times)
+            assert sign * impulse[axis] > least[axis]
+            others = np.delete(impulse, axis)
+            assert np.abs(others).max() < 1e-9

@@ -1,0 +1,146 @@
+"""Flights with thrusters, gimbal and throttle; and those without them, which stay what they were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import STANDARD_GRAVITY
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.simulation.recorder import Tap
+
+JETS = {"kind": "jet-lander"}
+SMALL = {
+    "name": "small",
+    "terrain": {"size_m": 80.0},
+    "rocks": {"cover": 0.04, "min_diameter_m": 0.3},
+    "target": {"scatter_m": [15.0, 15.0]},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "fix": {"kind": "navigation-fix"},
+        "flash": {"kind": "flash-lidar", "rows": 96, "cols": 96},
+    },
+    "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}},
+}
+# The last row of the small flight as the version without thrusters flew it.
+UNCHANGED = {
+    "time": 37.72000000000027, "position_x": -1.3953257878056657,
+    "position_y": 10.414822463545839, "position_z": 1.6492077200722477,
+    "velocity_x": -0.026143958854634306, "velocity_z": -2.0138363505825736,
+    "attitude_x": -0.0030787350808899236, "attitude_w": 0.9999933657800543,
+    "rate_y": -0.012206095105931118, "mass": 1458.7401979577721,
+    "thrust": 2359.1505557060937, "estimated_x": 10.807393942483953,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small():
+    return Scenario.from_dict(SMALL)
+
+
+def flown(scenario, seed=3, tap=None, **tables):
+    simulation = Simulation(scenario.changed(**tables), seed, "no-divert", tap=tap)
+    return simulation, simulation.run()
+
+
+@pytest.fixture(scope="module")
+def landed(small):
+    tap = Tap()
+    return *flown(small, vehicle=JETS, control={"kind": "phase-plane"}, tap=tap), tap
+
+
+def test_a_flight_without_thrusters_is_what_it_was(small):
+    """Figures of the version before thrusters came; the kernel has to give the same bits."""
+    flight = Simulation(small, 3, "no-divert").run()
+    last = {name: float(column[-1]) for name, column in flight.trajectory.items()}
+    for name, value in UNCHANGED.items():
+        assert last[name] == pytest.approx(value, rel=1e-9, abs=1e-9), name
+    assert "faults" not in flight.scenario
+    assert "engine" not in flight.scenario
+    assert set(flight.events[-1]) == {"time", "name", "failed"}
+
+
+def test_thrusters_land_it(landed):
+    simulation, flight, _ = landed
+    touchdown = flight.verdict.touchdown
+    assert touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
+    assert touchdown.horizontal_speed < 0.6
+    assert np.hypot(*(simulation.estimate.position - simulation.site)[:2]) < 2.0
+
+
+def test_every_kilogramme_is_counted(landed):
+    simulation, flight, _ = landed
+    actuators, thrusters = simulation.plant.actuators, simulation.lander.thrusters
+    last = flight.events[-1]
+    assert last["thruster_propellant_kg"] == actuators.spent
+    by_time = sum(last["thruster_on_time_s"]) * 60.0 / (290.0 * STANDARD_GRAVITY)
+    assert last["thruster_propellant_kg"] == pytest.approx(by_time, rel=1e-9)
+    assert 0.2 < actuators.spent < 5.0
+    assert sum(last["thruster_firings"]) > 100
+    # What the engine burnt, by its thrust row by row, and what the thrusters did, is all.
+    rows = flight.trajectory
+    thrust = 0.5 * (rows["thrust"][1:] + rows["thrust"][:-1])
+    engine = float(thrust @ np.diff(rows["time"])) / simulation.lander.exhaust_velocity
+    assert flight.propellant_used == pytest.approx(engine + actuators.spent, rel=3e-3)
+    # The computer counts by its orders: right but for what touchdown cut short.
+    assert simulation.computer.mass == pytest.approx(simulation.state.mass, abs=0.3)
+    assert simulation.computer.attitude_loop.spent == pytest.approx(actuators.spent, abs=0.02)
+    assert thrusters.count == len(last["thruster_on_time_s"])
+
+
+def test_the_record_is_saved_and_read_again(landed, tmp_path):
+    _, flight, _ = landed
+    again = type(flight).load(flight.save(tmp_path))
+    assert again.events[-1] == flight.events[-1]
+
+
+def test_the_same_seed_fires_the_same_bits(small, landed):
+    _, flight, _ = landed
+    _, again = flown(small, vehicle=JETS, control={"kind": "phase-plane"})
+    for name, column in flight.trajectory.items():
+        assert column.tobytes() == again.trajectory[name].tobytes()
+
+
+def test_torques_of_the_loop_are_those_of_its_firings(landed):
+    simulation, _, tap = landed
+    _, _, torques = tap.exchanges[50]
+    assert torques.shape == (10, 3)
+    assert np.all(torques == torques[0])
+    most = np.array(simulation.lander.torque_max)
+    assert all(np.all(np.abs(t) <= most + 1e-9) for _, _, t in tap.exchanges)
+
+
+def test_an_engine_that_sticks_open_does_not_land(small):
+    _, flight = flown(
+        small, vehicle=JETS, control={"kind": "quaternion-feedback"}, simulation={"max_time_s": 60.0},
+        faults={"engine_stuck_from_s": 10.0, "engine_stuck_at_n": 6000.0},
+    )  # fmt: skip
+    late = flight.trajectory["time"] > 12.0
+    assert flight.trajectory["thrust"][late] == pytest.approx(6000.0)
+    assert not flight.verdict.safe
+
+
+@pytest.mark.parametrize(
+    ("tables", "field"),
+    [
+        ({"vehicle": JETS, "control": {"kind": "ideal"}}, "control.kind"),
+        ({"control": {"kind": "phase-plane"}}, "control.kind"),
+        ({"faults": {"jets_shut": [1]}}, "faults"),
+        ({"vehicle": JETS, "control": {"kind": "phase-plane"}, "faults": {"jets_shut": [16]}}, "faults.jets_shut"),
+        ({"vehicle": JETS, "control": {"kind": "phase-plane", "period_s": 0.105}}, "control.period_s"),
+        ({"vehicle": JETS}, "control.frequency_rad_s"),
+        (
+            {
+                "vehicle": JETS | {"thrusters": {"minimum_on_s": 0.2}},
+                "control": {"kind": "phase-plane"},
+            },
+            "vehicle.thrusters.minimum_on_s",
+        ),
+    ],
+)  # fmt: skip
+def test_parts_that_do_not_go_together_are_refused(small, tables, field):
+    with pytest.raises(InputError) as refused:
+        small.changed(**tables)
+    assert refused.value.field == field
