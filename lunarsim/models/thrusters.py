@@ -1,4 +1,4 @@
-"""What the reaction-control thrusters of a lander are: where they sit, what they push, how short."""
+"""What the thrusters of a lander are: where they sit, along what they push, how short they fire."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Thrusters:
     """On-off thrusters of one size, in four clusters of four unless a layout is given.
 
     The default is the lunar module's thrust for its mass (16 x 445 N on 7 to 15 t) on a lander of
-    1.5 t. The clusters stand as on the Apollo lunar module: 45 deg off the body's axes, each with one
-    thruster that pushes up, one down, and two that push inward along body x and body y.
+    1.5 t. The clusters stand as on that module: 45 deg off the body's axes, each with one thruster
+    that pushes up, one down, and two that push inward along body x and body y.
 
     Attributes
     ----------

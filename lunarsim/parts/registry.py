@@ -131,7 +131,9 @@ CONTRACTS: dict[str, Contract] = {
         {
             "pd": "lunarsim.onboard.control.attitude:ProportionalDerivative",
             "ideal": "lunarsim.onboard.control.attitude:IdealAttitude",
-            "quaternion-feedback": "lunarsim.onboard.control.quaternion_feedback:QuaternionFeedback",
+            "quaternion-feedback": (
+                "lunarsim.onboard.control.quaternion_feedback:QuaternionFeedback"
+            ),
             "phase-plane": "lunarsim.onboard.control.phase_plane:PhasePlane",
         },
         ("torques", "torque", "response_time"),

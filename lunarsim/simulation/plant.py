@@ -17,9 +17,9 @@ from lunarsim.frames import quat_rotate
 from lunarsim.messages.commands import SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import within
+from lunarsim.models.jet_lander import com_of
 from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
-from lunarsim.models.jet_lander import com_of
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
 from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.touchdown import ABORTED

@@ -1,4 +1,4 @@
-"""Flights with thrusters, gimbal and throttle; and those without them, which stay what they were."""
+"""Flights with thrusters, gimbal and throttle; those without them stay what they were."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from lunarsim.simulation import Simulation
 from lunarsim.simulation.recorder import Tap
 
 JETS = {"kind": "jet-lander"}
+PHASE_PLANE = {"kind": "phase-plane"}
 SMALL = {
     "name": "small",
     "terrain": {"size_m": 80.0},
@@ -114,7 +115,8 @@ def test_torques_of_the_loop_are_those_of_its_firings(landed):
 
 def test_an_engine_that_sticks_open_does_not_land(small):
     _, flight = flown(
-        small, vehicle=JETS, control={"kind": "quaternion-feedback"}, simulation={"max_time_s": 60.0},
+        small, vehicle=JETS, control={"kind": "quaternion-feedback"},
+        simulation={"max_time_s": 60.0},
         faults={"engine_stuck_from_s": 10.0, "engine_stuck_at_n": 6000.0},
     )  # fmt: skip
     late = flight.trajectory["time"] > 12.0
@@ -128,8 +130,11 @@ def test_an_engine_that_sticks_open_does_not_land(small):
         ({"vehicle": JETS, "control": {"kind": "ideal"}}, "control.kind"),
         ({"control": {"kind": "phase-plane"}}, "control.kind"),
         ({"faults": {"jets_shut": [1]}}, "faults"),
-        ({"vehicle": JETS, "control": {"kind": "phase-plane"}, "faults": {"jets_shut": [16]}}, "faults.jets_shut"),
-        ({"vehicle": JETS, "control": {"kind": "phase-plane", "period_s": 0.105}}, "control.period_s"),
+        (
+            {"vehicle": JETS, "control": PHASE_PLANE, "faults": {"jets_shut": [16]}},
+            "faults.jets_shut",
+        ),
+        ({"vehicle": JETS, "control": PHASE_PLANE | {"period_s": 0.105}}, "control.period_s"),
         ({"vehicle": JETS}, "control.frequency_rad_s"),
         (
             {

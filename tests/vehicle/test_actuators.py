@@ -231,7 +231,10 @@ def test_what_fails_is_not_what_is_ordered():
         ),
         (lambda: Thrusters(force=float("nan")), "thrusters.force"),
         (lambda: Engine(gap_from=3000.0), "engine.gap_to"),
-        (lambda: JetLander(engine=Engine(gap_from=3000.0, gap_to=9000.0)), "vehicle.engine.gap_to_n"),
+        (
+            lambda: JetLander(engine=Engine(gap_from=3000.0, gap_to=9000.0)),
+            "vehicle.engine.gap_to_n",
+        ),
         (
             lambda: JetLander(thrusters=Thrusters(propellant=2000.0)),
             "vehicle.thrusters.propellant_kg",

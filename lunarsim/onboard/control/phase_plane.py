@@ -89,7 +89,7 @@ class PhasePlane:
             return 0.0
         # Half of the acceleration is kept back for what is not known. Just outside the band one
         # shortest pulse is enough.
-        back = min(self.slew_limit, np.sqrt(a * max(angle - 1.25 * band, 0.0)))
+        back = min(self.slew_limit, float(np.sqrt(a * max(angle - 1.25 * band, 0.0))))
         if rate > -max(back, 0.1 * least):
             return -max(rate + back + 0.5 * least, least)
         if -rate > back + self.rate_band:

@@ -87,7 +87,7 @@ def test_braking_stops_a_turn_within_the_torque_that_is_counted_on():
 
 
 def coasting(law, least, disturbance, seconds, angle, rate, dt=0.002, a=0.05):
-    """Return angle and rate (n, 2) of one axis under pulses that act at once, and when they came."""
+    """Return angle and rate (n, 2) of one axis under pulses at once, and when they came."""
     rows, pulses = [], []
     every = round(law.period / dt)
     for n in range(round(seconds / dt)):
