@@ -87,7 +87,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
     "lunarsim/vehicle/_kernels.py": (
         "tests/vehicle/test_kernels.py", "tests/vehicle/test_dynamics.py",
+        "tests/vehicle/test_actuators.py",
     ),
+    "lunarsim/vehicle/_leg_kernels.py": ("tests/vehicle/test_legs.py",),
     "lunarsim/world/terrain/_crater_kernels.py": (
         "tests/world/terrain/test_craters.py", "tests/world/terrain/test_hazard_field.py",
     ),

@@ -35,6 +35,8 @@ _SUFFIXES = {
     "e-/s": "_electrons_s",
     "rad/s": "_rad_s",
     "rad/s^2": "_rad_s2",
+    "N/m": "_n_m1",
+    "N s/m": "_n_s_m1",
     "1/s": "_per_s",
 }
 _KEY = "lunarsim"

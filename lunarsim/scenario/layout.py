@@ -12,6 +12,7 @@ from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
 from lunarsim.vehicle.faults import Faults
+from lunarsim.vehicle.legs import Legs
 from lunarsim.world.light import Light
 from lunarsim.world.survey import PriorSurvey
 
@@ -31,6 +32,7 @@ OPTIONAL: dict[str, type] = {
     "start_knowledge": StartKnowledge,
     "prior_map": PriorSurvey,
     "faults": Faults,
+    "legs": Legs,
 }
 # One table each, of a part chosen by `kind`: contract and kind if left out.
 CHOSEN: dict[str, tuple[str, str]] = {

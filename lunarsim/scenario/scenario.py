@@ -64,6 +64,7 @@ class Scenario:
     sun: Any
     vehicle: ChosenPart
     faults: Any | None
+    legs: Any | None
     start: Any
     start_knowledge: Any | None
     target: Any

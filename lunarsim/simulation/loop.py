@@ -120,6 +120,7 @@ class Simulation:
             },
             steps=clock.steps,
             max_time=clock.max_time,
+            legs=None if scenario.legs is None else scenario.legs.make(),
             actuators=_actuators(scenario, briefing.lander, clock.step),
         )
         # What is told the truth is asked here; every other policy is the computer's.
@@ -282,11 +283,12 @@ class Simulation:
         )
 
     def _spent(self) -> dict[str, Any]:
-        """Return what thrusters have burnt and how often they fired; empty without thrusters."""
-        actuators = self.plant.actuators
+        """Return what thrusters have burnt and what the legs did; empty without both."""
+        actuators, rest = self.plant.actuators, self.plant.rest
+        told: dict[str, Any] = {} if rest is None else rest.told()
         if actuators is None:
-            return {}
-        return {
+            return told
+        return told | {
             "thruster_propellant_kg": actuators.spent,
             "thruster_on_time_s": actuators.on_time,
             "thruster_firings": actuators.firings,

@@ -22,6 +22,7 @@ from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
 from lunarsim.vehicle.actuators import Actuators
+from lunarsim.vehicle.legs import Legs, Rest, judge_motion
 from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world import World
 
@@ -76,9 +77,13 @@ class Plant:
         A flight that is not over by then is, s.
     actuators
         Valves, gimbal and throttle of a lander that has them; None: torques act as asked.
+    legs
+        With them the motion after the touchdown gives the verdict; None: the state at it does.
 
     Attributes
     ----------
+    rest
+        What became of the lander on its legs; None without a touchdown on legs.
     state, time, verdict
         Now; the verdict is None in flight.
     """
@@ -93,9 +98,12 @@ class Plant:
         steps: int,
         max_time: float,
         actuators: Actuators | None = None,
+        legs: Legs | None = None,
     ) -> None:
         self.world = world
         self.actuators = actuators
+        self.legs = legs
+        self.rest: Rest | None = None
         self.dynamics = dynamics
         self.lander = dynamics.lander
         self.state = state
@@ -171,7 +179,9 @@ class Plant:
     def _judge(self, touched: bool, abort: bool) -> None:
         """Set the verdict if the flight is over."""
         terrain = self.world.terrain
-        if touched:
+        if touched and self.legs is not None:
+            self.verdict, self.rest = judge_motion(self.legs, self.dynamics, self.state, terrain)
+        elif touched:
             self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
         elif self.state.position[2] < self._low - 1.0:
             self.verdict = Verdict(False, ("off-map",), None)

@@ -124,6 +124,19 @@ def test_an_engine_that_sticks_open_does_not_land(small):
     assert not flight.verdict.safe
 
 
+def test_on_legs_the_motion_gives_the_verdict(small, tmp_path):
+    simulation, flight = flown(small, legs={"friction": 0.6})
+    rest, last = simulation.plant.rest, flight.events[-1]
+    assert rest.settled
+    assert flight.verdict.safe == (not flight.verdict.failed)
+    assert flight.verdict.touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
+    assert last["leg_energy_j"] == rest.energy > 2000.0
+    assert last["rest_tilt_deg"] == pytest.approx(np.rad2deg(rest.tilt))
+    assert type(flight).load(flight.save(tmp_path)).events[-1] == last
+    with pytest.raises(InputError, match="crush_force_n"):
+        small.changed(legs={"crush_force_n": -1.0})
+
+
 @pytest.mark.parametrize(
     ("tables", "field"),
     [

@@ -1,0 +1,201 @@
+"""Compiled contact of legs with the ground, on top of the body's one derivative.
+
+The state of a leg is (5,): crushed length, compression of spring and damper, and the point on the
+ground that its pad holds on to (3,), NaN while the pad is free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+from lunarsim.vehicle._kernels import derivative
+
+
+@kernel()
+def height(ground, frame, x, y):
+    """Return the ground's height by bilinear interpolation; NaN off the raster.
+
+    `frame` is x and y of the first post and the posting.
+    """
+    u = (x - frame[0]) / frame[2]
+    v = (y - frame[1]) / frame[2]
+    i, j = int(np.floor(v)), int(np.floor(u))
+    if i < 0 or j < 0 or i + 1 >= ground.shape[0] or j + 1 >= ground.shape[1]:
+        return np.nan
+    a, b = u - j, v - i
+    low = (1.0 - a) * ground[i, j] + a * ground[i, j + 1]
+    high = (1.0 - a) * ground[i + 1, j] + a * ground[i + 1, j + 1]
+    return (1.0 - b) * low + b * high
+
+
+@kernel()
+def limit(leg, law):
+    """Return the force at which a leg gives way (N); none once its stroke is spent."""
+    return law[2] if leg[0] < law[5] else np.inf
+
+
+@kernel()
+def touch(y, pad, leg, law, ground, frame, out):
+    """Write how a pad meets the ground; return whether it is under it.
+
+    `law` is stiffness, damping, crush force, friction, radius of the pad, stroke. `out` (12,):
+    force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper, its
+    rate, and the normal force before the crush limit.
+    """
+    qx, qy, qz, qw = y[6], y[7], y[8], y[9]
+    wx, wy, wz = y[10], y[11], y[12]
+    spin = np.empty(3)
+    spin[0] = wy * pad[2] - wz * pad[1]
+    spin[1] = wz * pad[0] - wx * pad[2]
+    spin[2] = wx * pad[1] - wy * pad[0]
+    for k in range(3):
+        v = pad if k == 0 else spin
+        cx = qy * v[2] - qz * v[1] + qw * v[0]
+        cy = qz * v[0] - qx * v[2] + qw * v[1]
+        cz = qx * v[1] - qy * v[0] + qw * v[2]
+        if k == 0:
+            out[3] = y[0] + v[0] + 2.0 * (qy * cz - qz * cy)
+            out[4] = y[1] + v[1] + 2.0 * (qz * cx - qx * cz)
+            out[5] = y[2] + v[2] + 2.0 * (qx * cy - qy * cx)
+        elif k == 1:
+            out[6] = y[3] + v[0] + 2.0 * (qy * cz - qz * cy)
+            out[7] = y[4] + v[1] + 2.0 * (qz * cx - qx * cz)
+            out[8] = y[5] + v[2] + 2.0 * (qx * cy - qy * cx)
+    out[0] = out[1] = out[2] = out[9] = out[10] = out[11] = 0.0
+    px, py, r = out[3], out[4], law[4]
+    top = height(ground, frame, px, py)
+    gx = (height(ground, frame, px + r, py) - height(ground, frame, px - r, py)) / (2.0 * r)
+    gy = (height(ground, frame, px, py + r) - height(ground, frame, px, py - r)) / (2.0 * r)
+    if not (np.isfinite(top) and np.isfinite(gx) and np.isfinite(gy)):
+        return False
+    nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    nx, ny = -gx * nz, -gy * nz
+    pressed = (top - out[5]) * nz - leg[0]
+    if pressed <= 0.0:
+        return False
+    into = -(out[6] * nx + out[7] * ny + out[8] * nz)
+    out[9], out[10] = pressed, into
+    out[11] = law[0] * pressed + law[1] * into
+    normal = min(max(out[11], 0.0), limit(leg, law))
+    slide(out, leg, law, (nx, ny, nz), normal)
+    return True
+
+
+@kernel()
+def slide(out, leg, law, n, normal):
+    """Add normal force and friction: the pad holds on to a point with a spring and a damper."""
+    hold = np.zeros(3)
+    if np.isfinite(leg[2]):
+        off = np.empty(3)
+        for k in range(3):
+            off[k] = law[0] * (out[3 + k] - leg[2 + k]) + law[1] * out[6 + k]
+        along = off[0] * n[0] + off[1] * n[1] + off[2] * n[2]
+        size = 0.0
+        for k in range(3):
+            hold[k] = -(off[k] - along * n[k])
+            size += hold[k] * hold[k]
+        size = np.sqrt(size)
+        if size > law[3] * normal:
+            for k in range(3):
+                hold[k] *= law[3] * normal / size
+    for k in range(3):
+        out[k] = normal * n[k] + hold[k]
+
+
+@kernel()
+def loads(y, pads, legs, law, ground, frame, rig, torque, out):
+    """Write the legs' force into `rig` and their torque, body axes; return the power they take."""
+    power = 0.0
+    total = np.zeros(3)
+    turn = np.zeros(3)
+    for n in range(pads.shape[0]):
+        if not touch(y, pads[n], legs[n], law, ground, frame, out):
+            continue
+        ax, ay, az = out[3] - y[0], out[4] - y[1], out[5] - y[2]
+        turn[0] += ay * out[2] - az * out[1]
+        turn[1] += az * out[0] - ax * out[2]
+        turn[2] += ax * out[1] - ay * out[0]
+        for k in range(3):
+            total[k] += out[k]
+            power -= out[k] * out[6 + k]
+    x, yy, z, w = y[6], y[7], y[8], y[9]
+    for k in range(2):
+        v = total if k == 0 else turn
+        cx = yy * v[2] - z * v[1] - w * v[0]
+        cy = z * v[0] - x * v[2] - w * v[1]
+        cz = x * v[1] - yy * v[0] - w * v[2]
+        into = rig if k == 0 else torque
+        into[0] = v[0] + 2.0 * (yy * cz - z * cy)
+        into[1] = v[1] + 2.0 * (z * cx - x * cz)
+        into[2] = v[2] + 2.0 * (x * cy - yy * cx)
+    return power
+
+
+@kernel()
+def yielded(y, dt, pads, legs, law, ground, frame, out):
+    """Let legs crush and pads slip after a step."""
+    for n in range(pads.shape[0]):
+        leg = legs[n]
+        if not touch(y, pads[n], leg, law, ground, frame, out):
+            leg[1] = 0.0
+            leg[2] = leg[3] = leg[4] = np.nan
+            continue
+        most = limit(leg, law)
+        give = 0.0
+        if out[11] > most:
+            # At the crush force spring and damper relax towards it; the honeycomb takes the rest.
+            level = most / law[0]
+            left = level + (leg[1] - level) * np.exp(-dt * law[0] / law[1])
+            give = max(out[9] - left, 0.0)
+            leg[0] += give
+        leg[1] = out[9] - give
+        normal = min(max(out[11], 0.0), limit(leg, law))
+        if not np.isfinite(leg[2]):
+            for k in range(3):
+                leg[2 + k] = out[3 + k]
+            continue
+        size = 0.0
+        for k in range(3):
+            off = law[0] * (out[3 + k] - leg[2 + k])
+            size += off * off
+        size = np.sqrt(size)
+        if size > law[3] * normal:
+            for k in range(3):
+                leg[2 + k] = out[3 + k] - (out[3 + k] - leg[2 + k]) * law[3] * normal / size
+
+
+@kernel()
+def settle(y, steps, dt, pads, legs, law, ground, frame, figures, inertia, rig):
+    """Advance a lander with its engine off by steps on its legs, in place.
+
+    Returns
+    -------
+    taken
+        Energy that the legs took, J: what they store included.
+    """
+    work = np.empty((5, 15))
+    out = np.empty(12)
+    torque = np.empty(3)
+    power = np.empty(4)
+    taken = 0.0
+    for _ in range(steps):
+        for stage in range(4):
+            here = y if stage == 0 else work[4]
+            power[stage] = loads(here, pads, legs, law, ground, frame, rig, torque, out)
+            derivative(
+                here, work[stage], 0.0, torque, figures[0], figures[1], 0.0, figures[3], figures[4],
+                inertia[0], inertia[1], rig,
+            )  # fmt: skip
+            if stage < 3:
+                reach = dt if stage == 2 else 0.5 * dt
+                for s in range(15):
+                    work[4, s] = y[s] + reach * work[stage, s]
+        for s in range(15):
+            y[s] += dt / 6.0 * (work[0, s] + 2.0 * (work[1, s] + work[2, s]) + work[3, s])
+        taken += dt / 6.0 * (power[0] + 2.0 * (power[1] + power[2]) + power[3])
+        norm = np.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
+        for s in range(6, 10):
+            y[s] /= norm
+        yielded(y, dt, pads, legs, law, ground, frame, out)
+    return taken

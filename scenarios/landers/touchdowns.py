@@ -1,0 +1,171 @@
+"""What the static judgement of a touchdown is worth: beside the motion of the lander on its legs.
+
+A lander comes down on relief with rocks, anywhere, at speeds, tilts and rates drawn about those of
+flights. Each touchdown is judged twice: by the static limits, and by what becomes of the lander on
+legs that spring, damp and crush. The table counts both verdicts; the share of static-safe
+touchdowns that tip over is given with its 95 % interval.
+
+python scenarios/landers/touchdowns.py --touchdowns 500 --jobs 2
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.frames import (
+    attitude_from_thrust,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_rotate,
+)
+from lunarsim.models.lander import Lander
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.rocks.population import RockPopulation
+from lunarsim.vehicle import Dynamics, State, judge_touchdown, pad_contacts
+from lunarsim.vehicle.legs import Legs, judge_motion
+from lunarsim.world.grounds.fractal import FractalGround
+from lunarsim.world.terrain import Terrain
+
+RELIEFS = (0.0, 3.0, 6.0)  # rms slope, deg
+COVERS = (0.02, 0.05)
+GRAVITY = 1.622
+PER_GROUND = 10
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some touchdowns on one ground."""
+
+    number: int
+    count: int
+    relief: float
+    cover: float
+    seed: int
+    friction: float
+
+
+@dataclass(frozen=True)
+class Landed:
+    """Both verdicts of one touchdown."""
+
+    relief: float
+    cover: float
+    static: tuple[str, ...]
+    motion: tuple[str, ...]
+    tilt_deg: float
+    stroke_m: float
+
+
+def touching(lander: Lander, terrain: Terrain, rng: np.random.Generator) -> State | None:
+    """Return a state in which the first pad has just touched; None over unknown ground."""
+    west, east, south, north = terrain.bounds
+    room = 12.0
+    xy = rng.uniform((west + room, south + room), (east - room, north - room))
+    level = attitude_from_thrust([0.0, 0.0, 1.0], rng.uniform(0.0, 2.0 * np.pi))
+    lean = np.deg2rad(1.5) * np.array([*rng.standard_normal(2), 0.0])
+    attitude = quat_multiply(level, quat_from_rotation_vector(lean))
+    velocity = np.array([*(0.25 * rng.standard_normal(2)), -2.0 + 0.2 * rng.standard_normal()])
+    rate = np.deg2rad(1.0) * rng.standard_normal(3)
+    high = State(np.array([*xy, 0.0]), velocity, attitude, rate, 1200.0)
+    pads = pad_contacts(lander, high, terrain)
+    drop = float(np.max(pads[:, 2] - quat_rotate(attitude, lander.pads)[:, 2]))
+    if not np.isfinite(drop):
+        return None
+    return State(np.array([*xy, drop]), velocity, attitude, rate, 1200.0)
+
+
+def land(task: Task) -> list[Landed]:
+    """Judge the touchdowns on one ground both ways."""
+    seed = flight_seed(task.seed, task.number)
+    rocks = RockPopulation(cover=task.cover, min_diameter=0.2)
+    terrain = FractalGround(size=80.0, rms_slope=np.deg2rad(task.relief)).build(
+        rocks, Streams(seed)
+    )
+    rng = np.random.default_rng(seed.spawn(1)[0])
+    lander, legs = Lander(), Legs(friction=task.friction)
+    dynamics = Dynamics(lander, GRAVITY)
+    found = []
+    while len(found) < task.count:
+        state = touching(lander, terrain, rng)
+        if state is None:
+            continue
+        static = judge_touchdown(lander, state, terrain, GRAVITY)
+        motion, rest = judge_motion(legs, dynamics, state, terrain)
+        tilt = float("nan") if rest is None else float(np.rad2deg(rest.tilt))
+        stroke = float("nan") if rest is None else float(rest.strokes.max())
+        found.append(Landed(task.relief, task.cover, static.failed, motion.failed, tilt, stroke))
+    return found
+
+
+def confusion(landed: list[Landed]) -> dict[str, int]:
+    """Return how often each pair of verdicts came."""
+    counts = Counter(
+        f"static {'safe' if not one.static else 'unsafe'}, "
+        f"motion {'safe' if not one.motion else 'unsafe'}"
+        for one in landed
+    )
+    return dict(counts)
+
+
+@click.command()
+@click.option("--touchdowns", type=click.IntRange(min=1), default=500, show_default=True)
+@click.option("--friction", type=click.FloatRange(0.0, 3.0, min_open=True), default=0.7,
+              show_default=True, help="Between pads and ground.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
+def main(touchdowns: int, friction: float, seed: int, jobs: int, out: Path | None) -> None:
+    """Set the static judgement of touchdowns beside the motion on legs."""
+    console = Console(width=120)
+    cases = [(relief, cover) for relief in RELIEFS for cover in COVERS]
+    tasks, left = [], touchdowns
+    while left > 0:
+        relief, cover = cases[len(tasks) % len(cases)]
+        count = min(PER_GROUND, left)
+        tasks.append(Task(len(tasks), count, relief, cover, seed, friction))
+        left -= count
+    landed = [one for some in gathered(land, tasks, jobs, console, "grounds") for one in some]
+    report(console, landed)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        rows = [asdict(one) for one in landed]
+        out.write_text(json.dumps({"confusion": confusion(landed), "touchdowns": rows}, indent=1))
+
+
+def report(console: Console, landed: list[Landed]) -> None:
+    """Print the confusion by ground, and why static-safe touchdowns fail."""
+    table = Table(title="Touchdowns by static verdict and by motion")
+    for name in ("relief, deg", "cover", "n", "both safe", "static only", "motion only", "neither"):
+        table.add_column(name, justify="right")
+    for relief, cover in [*sorted({(one.relief, one.cover) for one in landed}), (None, None)]:
+        some = [o for o in landed if relief is None or (o.relief, o.cover) == (relief, cover)]
+        both = Counter((not o.static, not o.motion) for o in some)
+        name = ("all", "") if relief is None else (f"{relief:g}", f"{cover:g}")
+        cells = [both[True, True], both[True, False], both[False, True], both[False, False]]
+        table.add_row(*name, str(len(some)), *map(str, cells))
+    console.print(table)
+    safe = [one for one in landed if not one.static]
+    tipped = sum("tip-over" in one.motion for one in safe)
+    console.print(
+        f"static-safe that tip over: {tipped} of {len(safe)}, {Proportion(tipped, len(safe))}; "
+        "goal: under 0.01"
+    )
+    why = dict(Counter(f for one in safe for f in one.motion))
+    console.print(f"static-safe, why the motion fails: {why}")
+    console.print(f"all that tip over: {sum('tip-over' in one.motion for one in landed)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""The scripts and scenarios of landers, small."""
+
+from __future__ import annotations
+
+import json
+
+from click.testing import CliRunner
+
+from lunarsim.scenario import Scenario
+from tests.conftest import SCENARIOS
+
+
+def test_touchdowns_are_judged_both_ways(script, tmp_path):
+    study = script("landers", "touchdowns")
+    out = tmp_path / "touchdowns.json"
+    runs = []
+    for jobs in ("1", "1"):
+        arguments = ["--touchdowns", "12", "--seed", "5", "--jobs", jobs, "--json", str(out)]
+        done = CliRunner().invoke(study.main, arguments)
+        assert done.exit_code == 0, done.output
+        assert "static-safe that tip over" in done.output
+        runs.append(json.loads(out.read_text()))
+    assert runs[0] == runs[1]
+    assert sum(runs[0]["confusion"].values()) == 12
+    assert all(row["stroke_m"] > 0.005 for row in runs[0]["touchdowns"] if row["motion"] == [])
+
+
+def test_the_lunar_module_can_be_loaded():
+    scenario = Scenario.load(SCENARIOS / "landers" / "lunar_module.toml")
+    lander = scenario.vehicle.make()
+    assert lander.thrusters.count == 16
+    # 550 ft lb a thruster, four of a sense about pitch and roll.
+    assert abs(lander.torque_max[0] / 4.0 - 745.7) < 3.0
+    assert lander.engine.gap_from == 28024.0

@@ -1,0 +1,205 @@
+"""Legs on the ground: energy, rest, friction and tipping, against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lunarsim.errors import InputError
+from lunarsim.frames import attitude_from_thrust, quat_multiply
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.models.lander import Lander
+from lunarsim.rocks.field import RockField
+from lunarsim.vehicle import Dynamics, State
+from lunarsim.vehicle import _leg_kernels as kernels
+from lunarsim.vehicle.legs import Legs, judge_motion, settle
+from lunarsim.world.terrain import Terrain
+from tests.worlds import flat_terrain, sloped_terrain
+
+G, MASS = 1.622, 1300.0
+LANDER, LEGS = Lander(), Legs()
+UP = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
+
+
+def above(height=0.02, lander=LANDER, **changes) -> State:
+    state = State(
+        np.array([0.0, 0.0, lander.com_height + height]), np.array([0.0, 0.0, -2.0]), UP,
+        np.zeros(3), MASS,
+    )  # fmt: skip
+    return replace(state, **changes)
+
+
+def on_slope(degrees: float, **changes) -> tuple[State, Terrain]:
+    """Return a lander that stands square on a slope up towards east, just above it."""
+    lean = Rotation.from_rotvec([0.0, -np.deg2rad(degrees), 0.0])
+    attitude = quat_multiply(lean.as_quat(), UP)
+    place = lean.apply([0.0, 0.0, LANDER.com_height + 0.001])
+    state = above(position=place, attitude=attitude, velocity=np.zeros(3))
+    return replace(state, **changes), sloped_terrain((np.tan(np.deg2rad(degrees)), 0.0), 80.0)
+
+
+def energy(lander: Lander, state: State) -> float:
+    turning = 0.5 * float(lander.inertia(state.mass) @ state.rate**2)
+    moving = 0.5 * state.mass * float(state.velocity @ state.velocity)
+    return moving + turning + state.mass * G * float(state.position[2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_the_legs_take_up_is_what_the_lander_loses(seed):
+    rng = np.random.default_rng(seed)
+    lean = Rotation.from_rotvec(np.deg2rad(3.0) * rng.standard_normal(3)).as_quat()
+    state = above(
+        height=0.4, velocity=np.array([*rng.normal(0.0, 0.8, 2), -2.5]),
+        attitude=quat_multiply(UP, lean), rate=0.05 * rng.standard_normal(3),
+    )  # fmt: skip
+    ground = Terrain(
+        sloped_terrain((0.08, -0.03)).relief, RockField.hemispheres(1.6, 1.5, 0.0, 0.2)
+    )
+    rest = settle(LEGS, Dynamics(LANDER, G), state, ground)
+    assert rest.settled
+    lost = energy(LANDER, state) - energy(LANDER, rest.state)
+    assert lost > 4000.0
+    assert rest.energy == pytest.approx(lost, rel=2e-4)
+
+
+def test_a_lander_set_down_rests_as_its_springs_say():
+    """Compression m g / 4 k; nothing crushes; the body stays where it was but for that."""
+    rest = settle(LEGS, Dynamics(LANDER, G), above(0.0, velocity=np.zeros(3)), flat_terrain())
+    assert rest.settled
+    assert rest.state.position[2] == pytest.approx(
+        LANDER.com_height - MASS * G / (4.0 * LEGS.stiffness), abs=1e-5
+    )
+    assert rest.crushed == pytest.approx(0.0)
+    assert rest.tilt < 1e-6
+    assert rest.clearance == pytest.approx(LANDER.belly_clearance, abs=0.01)
+
+
+@pytest.mark.parametrize("degrees", [4.0, 9.0])
+def test_rest_on_a_plane_is_the_static_one(degrees):
+    """Loads of the uphill and downhill pair balance the moment of the weight about the middle."""
+    state, ground = on_slope(degrees)
+    rest = settle(LEGS, Dynamics(LANDER, G), state, ground)
+    assert rest.settled
+    angle = np.deg2rad(degrees)
+    arm = LANDER.leg_radius / np.sqrt(2.0)
+    weight = MASS * G
+    # Normal loads of a pair: half of the weight's normal part, and the moment of its tangential
+    # part at the height of the centre of mass; each tilts the body against the ground.
+    more = weight * np.sin(angle) * LANDER.com_height / (2.0 * arm)
+    softer = np.arctan(2.0 * more / (2.0 * LEGS.stiffness) / (2.0 * arm))
+    assert rest.tilt == pytest.approx(angle + softer, abs=3e-4)
+
+
+@pytest.mark.parametrize(("friction", "slides"), [(0.30, False), (0.15, True)])
+def test_it_slides_where_the_slope_is_steeper_than_friction(friction, slides):
+    """tan(12 deg) = 0.213; what slides does so at g (sin - mu cos)."""
+    state, ground = on_slope(12.0)
+    ends = [
+        settle(replace(LEGS, friction=friction, max_time=t), Dynamics(LANDER, G), state, ground)
+        for t in (1.5, 2.5)
+    ]
+    assert ends[1].settled != slides
+    if slides:
+        angle = np.deg2rad(12.0)
+        gained = np.linalg.norm(ends[1].state.velocity) - np.linalg.norm(ends[0].state.velocity)
+        assert gained == pytest.approx(G * (np.sin(angle) - friction * np.cos(angle)), rel=0.01)
+        assert ends[1].state.velocity[0] < 0.0
+
+
+def test_the_honeycomb_takes_the_energy_that_springs_cannot():
+    """A flat drop: what crushes takes its force times its length, friction none."""
+    legs = replace(LEGS, damping=1.0)
+    state = above(0.0, velocity=np.array([0.0, 0.0, -3.0]))
+    rest = settle(replace(legs, max_time=0.25), Dynamics(LANDER, G), state, flat_terrain())
+    spring = 0.5 * LEGS.crush_force**2 / LEGS.stiffness
+    crushed = float(rest.crushed[0])
+    fall = LEGS.crush_force / LEGS.stiffness + crushed
+    needed = 0.5 * MASS * 9.0 + MASS * G * fall
+    assert 4.0 * (spring + LEGS.crush_force * crushed) == pytest.approx(needed, rel=0.01)
+
+
+def test_a_tall_lander_tips_at_the_speed_of_the_pendulum():
+    """Stiff legs and much friction come near the rigid strike of the static tip margin."""
+    lander = Lander(com_height=4.5, horizontal_speed_limit=9.0)
+    legs = Legs(stiffness=2e6, damping=2e4, crush_force=1e7, friction=3.0)
+    inertia = lander.inertia(MASS)[0]
+    arm = lander.leg_radius / np.sqrt(2.0)
+    length = np.hypot(arm, lander.com_height)
+    # m v h = (I + m L^2) w;  (I + m L^2) w^2 / 2 = m g (L - h)
+    about = inertia + MASS * length**2
+    barrier = MASS * G * (length - lander.com_height)
+    critical = np.sqrt(2.0 * about * barrier) / (MASS * lander.com_height)
+    tipped = {}
+    for share in (0.85, 1.25):
+        velocity = np.array([share * critical, 0.0, -1e-3])
+        state = above(0.0, lander, velocity=velocity)
+        tipped[share] = settle(legs, Dynamics(lander, G), state, flat_terrain(80.0)).tipped
+    assert tipped == {0.85: False, 1.25: True}
+
+
+def test_verdicts_name_what_failed():
+    dynamics = Dynamics(LANDER, G)
+    good, rest = judge_motion(LEGS, dynamics, above(), flat_terrain())
+    assert good.safe
+    assert good.touchdown.vertical_speed == 2.0
+    assert rest.settled
+    hard, _ = judge_motion(
+        LEGS, dynamics, above(velocity=np.array([0.0, 0.0, -6.0])), flat_terrain()
+    )
+    assert "legs" in hard.failed
+    assert "tip-over" not in hard.failed
+    rock = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, 0.4))
+    assert "belly" in judge_motion(LEGS, dynamics, above(), rock)[0].failed
+    state, steep = on_slope(14.0)
+    assert judge_motion(LEGS, dynamics, state, steep)[0].failed == ("slope",)
+    off, none = judge_motion(LEGS, dynamics, above(position=np.array([100.0, 0.0, 1.6])), steep)
+    assert off.failed == ("off-map",)
+    assert none is None
+
+
+def test_pads_are_counted_from_the_body_not_from_a_centre_of_mass_that_moves():
+    lander = JetLander(com_dry=(0.0, 0.0, 0.3), com_full=(0.0, 0.0, 0.3))
+    state = above(0.3, lander, velocity=np.zeros(3))
+    rest = settle(LEGS, Dynamics(lander, G), state, flat_terrain())
+    assert rest.state.position[2] == pytest.approx(lander.com_height + 0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pad_against_a_plain_reference(seed):
+    """Normal force, friction cone and velocity of one pad on a plane, with SciPy's rotations."""
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_rotvec(rng.normal(0.0, 0.2, 3))
+    gradient = rng.normal(0.0, 0.1, 2)
+    pad, rate = LANDER.pads[seed % 4], rng.normal(0.0, 0.2, 3)
+    velocity = np.array([*rng.normal(0.0, 1.0, 2), -1.0])
+    arm = turn.apply(pad)
+    sunk = 0.03
+    where = np.array([0.4, -0.3, 0.0]) + [0.0, 0.0, gradient @ [0.4, -0.3] - sunk]
+    y = np.concatenate((where - arm, velocity, turn.as_quat(), rate, [MASS, 0.0]))
+    axis = 0.05 * np.arange(-100, 101)
+    ground = gradient[0] * axis[None, :] + gradient[1] * axis[:, None]
+    frame = np.array([axis[0], axis[0], 0.05])
+    law = np.array([2e5, 5e3, 1.2e4, 0.5, 0.15, 0.2])
+    hold = where + rng.normal(0.0, 0.01, 3)
+    leg = np.array([0.004, 0.0, *hold])
+    out = np.empty(12)
+    assert kernels.touch(y, pad, leg, law, ground, frame, out)
+    n = np.array([-gradient[0], -gradient[1], 1.0])
+    n /= np.linalg.norm(n)
+    moving = velocity + turn.apply(np.cross(rate, pad))
+    normal = np.clip(2e5 * (sunk * n[2] - 0.004) - 5e3 * moving @ n, 0.0, 1.2e4)
+    pull = -(2e5 * (where - hold) + 5e3 * moving)
+    pull -= (pull @ n) * n
+    pull *= min(1.0, 0.5 * normal / np.linalg.norm(pull))
+    assert out[6:9] == pytest.approx(moving, abs=1e-12)
+    assert out[:3] == pytest.approx(normal * n + pull, rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["stiffness", "damping", "crush_force", "stroke", "friction"])
+def test_legs_that_cannot_be_are_refused(name):
+    for value in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match=f"legs.{name}"):
+            Legs(**{name: value})
