@@ -58,6 +58,10 @@ class Software:
         Where its phases end, and what paths must respect.
     decisions
         When a policy is asked, on which mapper's map, and what it chooses from.
+    descent
+        How to come down after the approach; None: straight down at a constant speed.
+    braking
+        What comes before the approach; None: nothing.
     """
 
     navigation: Any
@@ -67,6 +71,8 @@ class Software:
     mappers: Mapping[str, Any]
     approach: Any
     decisions: Any
+    descent: Any = None
+    braking: Any = None
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost
-from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
 from lunarsim.onboard.navigation.arrivals import Arrivals
@@ -42,7 +42,7 @@ from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
 
-APPROACH, VERTICAL, ABORT = 0, 1, 2
+APPROACH, VERTICAL, ABORT, BRAKING = 0, 1, 2, 3
 _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expected_rocks"}
 
 
@@ -100,13 +100,19 @@ class OnboardComputer:
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
         self.guidance = software.guidance.build(briefing, lag)
-        self.vertical = VerticalDescent.behind(lag, briefing.weight)
+        self.vertical: DescentLaw = (
+            VerticalDescent.behind(lag, briefing.weight)
+            if software.descent is None
+            else software.descent.build(briefing, lag)
+        )
+        self.braking = software.braking
+        self._brake = None if self.braking is None else self.braking.part().build(briefing, lag)
         self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
         )
         self.site: Array = briefing.target.copy()
-        self.phase = APPROACH
+        self.phase = APPROACH if software.braking is None else BRAKING
         self.time = 0.0
         self.mass = self.lander.wet_mass
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
@@ -272,7 +278,8 @@ class OnboardComputer:
             mapper.refresh(self.time)
         self._bar_diverts()
         self._level_site()
-        if not self._decided and self.approach.time_to_go is None and elapsed == 0.0:
+        begins = not self._decided and elapsed == 0.0 and self.phase == APPROACH
+        if begins and self.approach.time_to_go is None:
             # The plan was made for the planned start: begin from where the lander is.
             self._retime()
 
@@ -322,7 +329,8 @@ class OnboardComputer:
         self._level_maps()
         for event in self.navigation.events[self._events :]:
             self.telemetry.append((event.time, event.name, dict(event.details)))
-            if event.name in {"lock", "relock"} and self.approach.time_to_go is None:
+            free = self.phase == APPROACH and self.approach.time_to_go is None
+            if event.name in {"lock", "relock"} and free:
                 # A path planned from tens of metres off is planned afresh.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
                 self._retime()
@@ -405,15 +413,46 @@ class OnboardComputer:
         if np.isfinite(time_to_go):
             self._arrival = self.time + time_to_go
 
+    def _end_braking(self) -> None:
+        """Follow the time-to-go of braking; begin the approach when its end comes."""
+        end = self.braking.end(self.site)
+        left = self.braking.time_left(self.estimate, end, self.time_to_go)
+        self._arrival = self.time + left
+        if left > self.braking.ends_at:
+            return
+        self.phase = APPROACH
+        told = {"altitude": self.altitude}
+        self.telemetry.append((self.time, "approach", told))
+        fixed = self.approach.time_to_go
+        time_to_go = fixed or float(self.cost_of(self.site[None, :]).time_to_go[0])
+        if not np.isfinite(time_to_go):
+            # Nothing within the limits: fly there all the same, as long as height and speed want.
+            time_to_go = self._plain_time()
+            self.telemetry.append((self.time, "approach-out-of-limits", told))
+        self._arrival = self.time + time_to_go
+
+    def _plain_time(self) -> float:
+        """Return a time-to-go by way and speed alone, s: twice the way over the speed now."""
+        way = np.linalg.norm(
+            self.approach.end(self.site, self.lander).position - self.estimate.position
+        )
+        return float(max(2.0 * way / max(np.linalg.norm(self.estimate.velocity), 1.0), 5.0))
+
     def command(self) -> Command:
         """Return what vehicle and sensors are to do until the next cycle."""
+        if self.phase == BRAKING:
+            self._end_braking()
         if self.phase == APPROACH and (
             self.altitude <= self.approach.vertical_altitude or self.time_to_go <= 0.0
         ):
             self.phase = VERTICAL
             self.telemetry.append((self.time, "vertical-descent", {"altitude": self.altitude}))
         end: PhaseEnd
-        if self.phase == APPROACH:
+        if self.phase == BRAKING:
+            end = self.braking.end(self.site)
+            wanted = self._brake.command(self.estimate, end, self.time, self.time_to_go)
+            tilt = self.braking.max_tilt
+        elif self.phase == APPROACH:
             end = self.approach.end(self.site, self.lander)
             wanted = self.guidance.command(self.estimate, end, self.time, self.time_to_go)
             tilt = self.approach.max_tilt

@@ -126,6 +126,14 @@ CONTRACTS: dict[str, Contract] = {
         },
         ("build", "cost"),
     ),
+    "descent": Contract(
+        "how to come down after the approach",
+        {
+            "rate-of-descent": "lunarsim.onboard.guidance.rate_of_descent:RateOfDescent",
+            "gravity-turn": "lunarsim.onboard.guidance.gravity_turn:GravityTurn",
+        },
+        ("build",),
+    ),
     "control": Contract(
         "how the attitude follows guidance",
         {

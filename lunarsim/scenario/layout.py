@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
@@ -33,7 +34,10 @@ OPTIONAL: dict[str, type] = {
     "prior_map": PriorSurvey,
     "faults": Faults,
     "legs": Legs,
+    "braking": Braking,
 }
+# One table each, of a part chosen by `kind`, but only where they are given: contract.
+OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}
 # One table each, of a part chosen by `kind`: contract and kind if left out.
 CHOSEN: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),

@@ -81,11 +81,13 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
     for name, of in layout.OPTIONAL.items():
         yield f"[{name}] (may be left out)", _first_line(of), settings_of(of)
     chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
+    chosen |= layout.OPTIONAL_CHOSEN
     named = {f"{name}.NAME": contract for name, (contract, _) in layout.NAMED.items()}
     for name, contract in (chosen | named).items():
         for kind in kinds(contract):
             default = layout.CHOSEN.get(name, ("", ""))[1] == kind
             heading = f"[{name}] kind = {_word(kind)}" + (" (default)" if default else "")
+            heading += " (may be left out)" * (name in layout.OPTIONAL_CHOSEN)
             try:
                 of = resolve(contract, kind)
                 table = settings_of(of)

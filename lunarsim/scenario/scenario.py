@@ -78,6 +78,8 @@ class Scenario:
     decisions: Any
     approach: Any
     guidance: ChosenPart
+    braking: Any | None
+    descent: ChosenPart | None
     control: ChosenPart
     simulation: Any
 
@@ -107,6 +109,9 @@ class Scenario:
             values[key] = _table(key, of, data.get(key, {}), folder)
         for key, of in layout.OPTIONAL.items():
             values[key] = _table(key, of, data[key], folder) if key in data else None
+        for key, contract in layout.OPTIONAL_CHOSEN.items():
+            given = key in data
+            values[key] = _chosen(key, contract, data[key], None, folder) if given else None
         for key, (contract, kind) in layout.CHOSEN.items():
             values[key] = _chosen(key, contract, data.get(key, {}), kind, folder)
         for key, (contract, default) in layout.NAMED.items():
@@ -178,6 +183,8 @@ class Scenario:
             mappers={name: part.make() for name, part in self.mappers.items()},
             approach=self.approach.make(),
             decisions=self.decisions.make(),
+            descent=None if self.descent is None else self.descent.make(),
+            braking=None if self.braking is None else self.braking.make(),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -53,7 +53,7 @@ COLUMNS: dict[str, str] = {
     "estimated_mass": "kg",
     **{f"site_{a}": "m" for a in "xyz"},
     "time_to_go": "s",
-    "phase": "0 approach, 1 vertical descent, 2 abort",
+    "phase": "0 approach, 1 vertical descent, 2 abort, 3 braking",
     "lost": "1 while navigation says that it is lost",
 }
 _SCAN_COLUMNS = ("x", "y", "z", "time")

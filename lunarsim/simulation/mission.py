@@ -97,6 +97,8 @@ def plan_time_to_go(
         If the target cannot be reached.
     """
     approach: Approach = software.approach
+    if software.braking is not None:
+        return float(software.braking.time_to_go)
     if approach.time_to_go is not None:
         return approach.time_to_go
     here = _as_estimate(state)
@@ -127,12 +129,14 @@ def _as_estimate(state: State) -> Estimate:
 def steered(state: State, briefing: Briefing) -> State:
     """Return a start with the attitude and thrust that guidance asks for there."""
     software, lander = briefing.software, briefing.lander
-    law = software.guidance.build(briefing, software.control.response_time + lander.thrust_lag)
-    end = software.approach.end(briefing.target, lander)
+    braking = software.braking
+    part = software.guidance if braking is None else braking.part()
+    law = part.build(briefing, software.control.response_time + lander.thrust_lag)
+    end, tilt = software.approach.end(briefing.target, lander), software.approach.max_tilt
+    if braking is not None:
+        end, tilt = braking.end(briefing.target), braking.max_tilt
     wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
-    command = thrust_to_command(
-        wanted, state.mass, lander, briefing.heading, software.approach.max_tilt
-    )
+    command = thrust_to_command(wanted, state.mass, lander, briefing.heading, tilt)
     return replace(state, attitude=command.attitude, thrust=command.thrust)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,19 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 # Greatest product of the position loop's frequency and the vehicle's lag.
 _FREQUENCY_LAG = 0.33
+
+
+class DescentLaw(Protocol):
+    """The last phase of flight, to the ground."""
+
+    @property
+    def lean(self) -> float:
+        """Greatest lean of the thrust from the vertical now, rad."""
+        ...
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
+        """Return the thrust acceleration (3,), ENU, m/s^2; see `VerticalDescent.command`."""
+        ...
 
 
 @dataclass(frozen=True)

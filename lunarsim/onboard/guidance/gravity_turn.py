@@ -1,0 +1,108 @@
+"""Gravity turn: thrust against the velocity, so large that speed and height end together.
+
+With thrust acceleration N g against the velocity, c the cosine of the angle between velocity and
+down, and g uniform, the height that is lost until the lander stands still is
+
+    h = v^2 (1 + 2 N c + c^2) / (4 g (N^2 - 1))
+
+(Citron, Dunin and Meissinger, "A terminal guidance technique for lunar landing", AIAA Journal 2(3),
+1964): it solves ``dh/dt = -v c`` along ``v' = g c - N g``, ``v psi' = -g sin psi``. N is found from
+it afresh every cycle. Where the lander stands in the end is not steered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
+
+
+def turn_thrust(height: float, velocity: Array, gravity: float) -> float:
+    """Return N, the thrust acceleration over gravity, that ends speed and height together.
+
+    Parameters
+    ----------
+    height
+        To be lost, m.
+    velocity
+        ENU (3,), m/s.
+    gravity
+        Downward acceleration, m/s^2.
+
+    Raises
+    ------
+    InputError
+        If there is no height to be lost or something is not finite.
+    """
+    speed = float(np.linalg.norm(velocity))
+    if not (np.isfinite(speed) and np.isfinite(height) and height > 0.0):
+        raise InputError("guidance.height", height, "a height above the end, and finite figures")
+    if speed == 0.0:
+        return 1.0
+    c = -float(velocity[2]) / speed
+    b, w = 4.0 * gravity * height, speed * speed
+    return float((w * c + np.sqrt(w * w * c * c + b * (b + w * (1.0 + c * c)))) / b)
+
+
+@dataclass(frozen=True)
+class GravityTurn:
+    """Thrust against the velocity until the last speed, then straight down at it.
+
+    Attributes
+    ----------
+    last_speed
+        At which the turn is over; straight down from there, m/s.
+    stop_height
+        Above the ground, at which the turn aims to have no speed, m.
+    max_lean
+        Greatest lean of the thrust, rad.
+    """
+
+    last_speed: float = quantity(1.5, "m/s", gt=0, help="straight down after the turn")
+    stop_height: float = quantity(3.0, "m", ge=0, help="above ground, where the turn aims to stop")
+    max_lean: float = quantity(60.0, "deg", gt=0, lt=85, help="of the thrust")
+
+    def build(self, briefing: Briefing, lag: float) -> GravityTurnLaw:
+        """Return the law of one flight."""
+        last = VerticalDescent.behind(lag, briefing.weight)
+        return GravityTurnLaw(self, briefing.weight, last)
+
+
+class GravityTurnLaw:
+    """A gravity turn in flight; see `GravityTurn`."""
+
+    def __init__(self, settings: GravityTurn, gravity: float, last: VerticalDescent) -> None:
+        self.settings = settings
+        self.gravity = gravity
+        self.last = last
+        self._turned = False
+
+    @property
+    def lean(self) -> float:
+        """Greatest lean of the thrust, rad."""
+        return self.last.lean if self._turned else self.settings.max_lean
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        height = float(estimate.position[2] - end.position[2]) - self.settings.stop_height
+        speed = float(np.linalg.norm(estimate.velocity))
+        self._turned |= height <= 0.0 or speed <= self.settings.last_speed
+        if self._turned:
+            # Over the ground that it has come to: it has no site to hold.
+            here = PhaseEnd(
+                np.array([*estimate.position[:2], end.position[2]]),
+                np.array([0.0, 0.0, -self.settings.last_speed]),
+            )
+            return self.last.command(estimate, here, time)
+        pull = turn_thrust(height, estimate.velocity, self.gravity) * self.gravity
+        return np.asarray(-pull / speed * estimate.velocity)

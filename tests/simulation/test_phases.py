@@ -1,0 +1,103 @@
+"""Phases chosen by the scenario: braking before the approach, other laws after it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import SCENARIOS
+
+
+@pytest.fixture
+def blind() -> Scenario:
+    """A lander without maps over level ground."""
+    return Scenario.from_dict(
+        {
+            "name": "blind",
+            "terrain": {"size_m": 80.0, "rms_slope_deg": 0.0},
+            "rocks": {"cover": 0.0},
+            "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},
+            "tasking": {},
+            "mappers": {},
+            "vehicle": {"propellant_mass_kg": 600.0},
+        }
+    )
+
+
+def flown(scenario: Scenario, **tables):
+    simulation = Simulation(scenario.changed(**tables), 3, "no-divert")
+    return simulation, simulation.run()
+
+
+def landed_well(simulation, flight, most=1.0):
+    touchdown = flight.verdict.touchdown
+    return (
+        touchdown is not None
+        and touchdown.horizontal_speed < 0.5
+        and np.hypot(*(simulation.estimate.position - simulation.site)[:2]) < most
+    )
+
+
+@pytest.mark.parametrize(
+    ("law", "jerk"), [("apollo", None), ("apollo", 0.02), ("e-guidance", None)]
+)
+def test_braking_hands_over_where_it_aims(blind, law, jerk):
+    aim = {"end_position_m": [-500.0, 0.0, 420.0], "end_velocity_m_s": [25.0, 0.0, -16.0]}
+    simulation, flight = flown(
+        blind, braking=aim | {"law": law, "time_to_go_s": 60.0, "jerk_m_s3": jerk},
+        start={"position_m": [-4500.0, 0.0, 2400.0], "velocity_m_s": [110.0, 0.0, -50.0]},
+    )  # fmt: skip
+    t = flight.trajectory
+    phases = [int(p) for p in t["phase"]]
+    assert sorted(set(phases)) == [0, 1, 3]
+    assert phases == sorted(phases, key=[3, 0, 1].index)
+    first = phases.index(0)
+    # Two seconds before the end, in which it flies 50 m on.
+    for name, value, within in (
+        ("position_x", -500.0, 70.0), ("position_z", 420.0, 45.0), ("velocity_x", 25.0, 4.0),
+        ("velocity_z", -16.0, 3.0),
+    ):  # fmt: skip
+        assert t[name][first] == pytest.approx(value, abs=within)
+    assert landed_well(simulation, flight)
+    assert "approach" in [e["name"] for e in flight.events]
+
+
+def test_other_laws_bring_it_down(blind):
+    pilot, flight = flown(
+        blind, descent={"kind": "rate-of-descent"}, approach={"vertical_altitude_m": 30.0}
+    )
+    assert landed_well(pilot, flight, 2.0)
+    assert pilot.computer.vertical.clicks >= 3
+    turn, flight = flown(
+        blind, descent={"kind": "gravity-turn", "last_speed_m_s": 1.5},
+        approach={"vertical_altitude_m": 100.0, "vertical_speed_m_s": 8.0},
+    )  # fmt: skip
+    assert landed_well(turn, flight, 10.0)
+    assert flight.verdict.touchdown.vertical_speed == pytest.approx(1.5, abs=0.2)
+
+
+def test_without_the_tables_phases_are_what_they_were(blind):
+    text = blind.to_toml()
+    assert "[braking]" not in text
+    assert "[descent]" not in text
+    assert "[legs]" not in text
+    existing = Scenario.load(SCENARIOS / "hirise.toml")
+    assert existing.braking is existing.descent is existing.legs is existing.faults is None
+    again = Scenario.from_toml(blind.changed(descent={"kind": "gravity-turn"}).to_toml())
+    assert again.descent.kind == "gravity-turn"
+    assert again.changed(descent=None).descent is None
+
+
+def test_wrong_tables_are_refused(blind):
+    for tables, field in (
+        ({"descent": {"kind": "gravity-tern"}}, "descent.kind"),
+        ({"descent": {}}, "descent.kind"),
+        ({"braking": {"law": "apolo"}}, "braking.law"),
+        ({"braking": {"ends_at_s": 100.0}}, "braking.ends_at_s"),
+    ):
+        with pytest.raises(InputError) as refused:
+            blind.changed(**tables)
+        assert refused.value.field == field
