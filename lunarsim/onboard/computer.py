@@ -106,7 +106,9 @@ class OnboardComputer:
             else software.descent.build(briefing, lag)
         )
         self.braking = software.braking
-        self._brake = None if self.braking is None else self.braking.part().build(briefing, lag)
+        self._brake: Any = None
+        if self.braking is not None:
+            self._brake = self.braking.part().build(briefing, lag)
         self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
@@ -433,10 +435,10 @@ class OnboardComputer:
 
     def _plain_time(self) -> float:
         """Return a time-to-go by way and speed alone, s: twice the way over the speed now."""
-        way = np.linalg.norm(
-            self.approach.end(self.site, self.lander).position - self.estimate.position
-        )
-        return float(max(2.0 * way / max(np.linalg.norm(self.estimate.velocity), 1.0), 5.0))
+        end = self.approach.end(self.site, self.lander)
+        way = float(np.linalg.norm(end.position - self.estimate.position))
+        speed = float(np.linalg.norm(self.estimate.velocity))
+        return max(2.0 * way / max(speed, 1.0), 5.0)
 
     def command(self) -> Command:
         """Return what vehicle and sensors are to do until the next cycle."""

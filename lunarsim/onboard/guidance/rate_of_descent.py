@@ -41,6 +41,8 @@ class RateOfDescent:
         Between two looks at the speed over ground, s.
     speed_time
         Speed over ground that he wants is the distance to the site over this, s.
+    still_height
+        Below it he wants no speed over ground, wherever the site is, m.
     lean_time
         He leans so as to take a wrong speed out in this time, s.
     max_lean
@@ -54,6 +56,7 @@ class RateOfDescent:
     fastest: float = quantity(4.5, "m/s", gt=0, help="rate of descent not exceeded")
     look_interval: float = quantity(0.5, "s", gt=0, help="between looks at speed over ground")
     speed_time: float = quantity(8.0, "s", gt=0, help="speed wanted is distance over this")
+    still_height: float = quantity(10.0, "m", ge=0, help="below it he wants no speed over ground")
     lean_time: float = quantity(3.0, "s", gt=0, help="in which a wrong speed is taken out")
     max_lean: float = quantity(15.0, "deg", gt=0, lt=60, help="of the thrust")
 
@@ -110,7 +113,9 @@ class RateOfDescentLaw:
     def _look(self, estimate: Estimate, end: PhaseEnd) -> None:
         """Choose a lean by how the lander drifts now."""
         s = self.settings
-        wanted = (end.position[:2] - estimate.position[:2]) / s.speed_time
+        low = estimate.position[2] - end.position[2] < s.still_height
+        share = 0.0 if low else 1.0 / s.speed_time
+        wanted = share * (end.position[:2] - estimate.position[:2])
         push = (wanted - estimate.velocity[:2]) / s.lean_time
         size, most = float(np.hypot(*push)), self.gravity * np.tan(s.max_lean)
         self._sideways = np.asarray(push * (most / size) if size > most else push)
