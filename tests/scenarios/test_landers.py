@@ -15,13 +15,13 @@ def test_touchdowns_are_judged_both_ways(script, tmp_path):
     out = tmp_path / "touchdowns.json"
     runs = []
     for jobs in ("1", "1"):
-        arguments = ["--touchdowns", "12", "--seed", "5", "--jobs", jobs, "--json", str(out)]
+        arguments = ["--touchdowns", "6", "--seed", "5", "--jobs", jobs, "--json", str(out)]
         done = CliRunner().invoke(study.main, arguments)
         assert done.exit_code == 0, done.output
         assert "static-safe that tip over" in done.output
         runs.append(json.loads(out.read_text()))
     assert runs[0] == runs[1]
-    assert sum(runs[0]["confusion"].values()) == 12
+    assert sum(runs[0]["confusion"].values()) == 6
     assert all(row["stroke_m"] > 0.005 for row in runs[0]["touchdowns"] if row["motion"] == [])
 
 
