@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 METHODS = ("monte-carlo", "latin-hypercube", "sobol")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _EDGE = 2.0**-53
+# Share of a normal distribution that must be left between bounds.
+_LEAST_MASS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ class TruncatedNormal:
         low, high = self._scores()
         if not low < high:
             raise InputError("low", self.low, f"less than high, which is {self.high}")
-        if truncnorm.ppf(0.5, low, high) in (low, high, np.inf, -np.inf):
+        mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
+        if mass < _LEAST_MASS:
             raise InputError("low", self.low, "bounds with some of the distribution between them")
 
     def _scores(self) -> tuple[float, float]:

@@ -151,9 +151,10 @@ class Store:
         try:
             store.manifest["flights"] = plan.flights
             store._take(retry)
+            # The manifest first: it is by this that a folder is known to be ours.
+            store.save_manifest(state="running")
             (folder / "results").mkdir(exist_ok=True)
             (folder / "timing").mkdir(exist_ok=True)
-            store.save_manifest(state="running")
             store._journal = (folder / "journal.jsonl").open("a", encoding="utf-8")
         except BaseException:
             store._release()

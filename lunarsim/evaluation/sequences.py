@@ -8,9 +8,10 @@ holds for all numbers of trials at once.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-from scipy.optimize import brentq
-from scipy.special import betaln
+# Halvings of an interval in (0, 1); SciPy's root finders take seconds to load for as much.
+_HALVINGS = 60
 
 
 def share_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
@@ -30,21 +31,31 @@ def share_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, 
     if total == 0:
         return 0.0, 1.0
     failures = total - count
-    mixed = float(betaln(count + 0.5, failures + 0.5) - betaln(0.5, 0.5))
+    mixed = _log_beta(count + 0.5, failures + 0.5) - _log_beta(0.5, 0.5)
     limit = mixed + math.log(1.0 - level)
 
-    def above(p: float) -> float:
+    def kept(p: float) -> bool:
         likelihood = count * math.log(p) if count else 0.0
-        return likelihood + (failures * math.log1p(-p) if failures else 0.0) - limit
+        return likelihood + (failures * math.log1p(-p) if failures else 0.0) > limit
 
-    middle, edge = count / total, 1e-15
-    low = high = middle
-    if count == 0 or above(edge) > 0.0:
-        low = 0.0
-    else:
-        low = float(brentq(above, edge, min(middle, 1.0 - edge), xtol=1e-12))
-    if failures == 0 or above(1.0 - edge) > 0.0:
-        high = 1.0
-    else:
-        high = float(brentq(above, max(middle, edge), 1.0 - edge, xtol=1e-12))
+    middle = count / total
+    low = 0.0 if count == 0 else _edge(kept, middle, 0.0)
+    high = 1.0 if failures == 0 else _edge(kept, middle, 1.0)
     return low, high
+
+
+def _edge(kept: Callable[[float], bool], inside: float, outside: float) -> float:
+    """Return where shares stop being kept, between one that is and an end of (0, 1)."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (inside + outside)
+        if middle in (inside, outside):
+            break
+        if kept(middle):
+            inside = middle
+        else:
+            outside = middle
+    return outside
+
+
+def _log_beta(a: float, b: float) -> float:
+    return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsim.campaign import store
+from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.run import run
 from tests.campaign.surrogate import plan
@@ -50,7 +51,8 @@ def main() -> None:
     if "most_bytes" in options:
         most = options.pop("most_bytes")
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-    engine = LocalEngine(options.pop("jobs", 2), options.pop("time_limit", None))
+    jobs = options.pop("jobs", 2)
+    engine = LocalEngine(jobs) if jobs else InlineEngine()
     ran = run(plan(**options), engine, folder)
     print(ran.state, ran.flown, ran.before, ran.failed)
 

@@ -24,6 +24,7 @@ from lunarsim.campaign.run import run
 from lunarsim.campaign.stopping import WidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.errors import InputError
+from lunarsim.evaluation.sequences import share_sequence
 from tests.campaign.surrogate import plan
 from tests.conftest import ROOT
 
@@ -58,11 +59,11 @@ def _command(process: int) -> str:
         return ""
 
 
-def wait_for(condition, seconds: float = 20.0):
+def wait_for(condition, seconds: float = 60.0):
     until = time.monotonic() + seconds
     while not (value := condition()):
         assert time.monotonic() < until, "it never came"
-        time.sleep(0.01)
+        time.sleep(0.1)
     return value
 
 
@@ -169,7 +170,7 @@ POINTS = [
 @pytest.mark.parametrize("point", POINTS, ids=lambda p: f"{p[0]} {p[1]} {p[2]}")
 def test_a_kill_at_a_named_point_loses_nothing(tmp_path, whole, point):
     folder = tmp_path / "c"
-    first = start(folder, die=point, folder=str(tmp_path))
+    first = start(folder, die=point, folder=str(tmp_path), jobs=0)
     first.communicate(timeout=60)
     assert first.returncode == -signal.SIGKILL
     before = journalled(folder)
@@ -178,9 +179,9 @@ def test_a_kill_at_a_named_point_loses_nothing(tmp_path, whole, point):
     assert ran.notes == ()
     assert parts(folder) == whole
     assert not list(folder.rglob(".*.part"))
-    # Only flights in the air are flown twice, and there were two workers with a group each.
+    # Nothing else is flown again: every flight but one that was in the air is there once.
     flown = (tmp_path / "flown.txt").read_text().split() if before else []
-    assert len(flown) - before <= 4
+    assert len(flown) - before <= 1
 
 
 def _killed_at_random(tmp_path: Path, whole: dict[str, bytes], rounds: int, seed: int) -> None:
@@ -191,8 +192,8 @@ def _killed_at_random(tmp_path: Path, whole: dict[str, bytes], rounds: int, seed
         while True:
             driver = start(folder, sleep=0.01, folder=str(tmp_path))
             had = journalled(folder)
-            target = had + int(rng.integers(1, 40))
-            wait_for(lambda: driver.poll() is not None or journalled(folder) >= min(target, 80))  # noqa: B023
+            target = had + int(rng.integers(5, 60))
+            wait_for(lambda: driver.poll() is not None or journalled(folder) >= target)  # noqa: B023
             workers = children(driver.pid)
             if driver.poll() is None and workers and rng.random() < 0.5:
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)
@@ -210,7 +211,7 @@ def _killed_at_random(tmp_path: Path, whole: dict[str, bytes], rounds: int, seed
 
 
 def test_kills_at_random_times_lose_nothing(tmp_path, whole):
-    _killed_at_random(tmp_path, whole, 2, seed=1)
+    _killed_at_random(tmp_path, whole, 1, seed=1)
 
 
 @pytest.mark.slow
@@ -223,7 +224,7 @@ def test_workers_end_with_a_driver_that_is_killed(tmp_path):
     driver = start(tmp_path / "c", flights=4, hangs=["0-0"], folder=str(tmp_path))
     workers = wait_for(lambda: children(driver.pid) if journalled(tmp_path / "c") >= 6 else [])
     driver.kill()
-    driver.communicate(timeout=20)
+    driver.communicate(timeout=60)
     wait_for(lambda: not any("spawn_main" in _command(w) for w in workers), 2.0)
 
 
@@ -236,7 +237,7 @@ def test_an_interrupt_returns_at_once_and_keeps_what_is_finished(tmp_path, whole
     workers = children(driver.pid)
     began = time.monotonic()
     driver.send_signal(number)
-    said, _ = driver.communicate(timeout=20)
+    said, _ = driver.communicate(timeout=60)
     assert time.monotonic() - began < 2.0
     assert driver.returncode == 0 and said.startswith("interrupted")
     assert not any("spawn_main" in _command(w) for w in workers)
@@ -290,7 +291,7 @@ def test_a_flipped_bit_is_found(tmp_path, whole):
 
 def test_half_a_line_in_the_journal_is_dropped(tmp_path, whole):
     folder = tmp_path / "c"
-    driver = start(folder, die=("before", "results/part-00001.parquet", 1))
+    driver = start(folder, die=("before", "results/part-00001.parquet", 1), jobs=0)
     driver.communicate(timeout=60)
     before = journalled(folder)
     path = folder / "journal.jsonl"
@@ -304,13 +305,13 @@ def test_half_a_line_in_the_journal_is_dropped(tmp_path, whole):
 def test_a_disk_that_takes_no_more_ends_the_run_and_the_next_goes_on(tmp_path, whole):
     """The system cuts a line of the journal off in the midst, as a full disk does."""
     folder = tmp_path / "c"
-    driver = start(folder, most_bytes=6000, folder=str(tmp_path))
+    driver = start(folder, most_bytes=6000, folder=str(tmp_path), jobs=0)
     _, said = driver.communicate(timeout=60)
     assert driver.returncode == 1
     assert "journal.jsonl" in said and "the same command goes on" in said
     before = journalled(folder)
     assert 0 < before < 20
-    assert len((tmp_path / "flown.txt").read_text().split()) - before <= 5
+    assert len((tmp_path / "flown.txt").read_text().split()) - before <= 2
     assert status_of(folder).state == "killed"
     ran = run(plan(), InlineEngine(), folder)
     assert (ran.before, ran.notes) == (before, ())
@@ -327,14 +328,20 @@ def test_a_time_budget_starts_no_flight_later_and_the_next_run_goes_on(tmp_path,
 
 
 @pytest.mark.parametrize("engine", [InlineEngine(), LocalEngine(2)], ids=["inline", "local"])
-def test_a_narrow_interval_stops_at_the_same_flight_whoever_flies(tmp_path, engine):
+def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, engine):
     def rule() -> WidthRule:
         return WidthRule("safe", 0.5, 2)
 
     ran = run(plan(flights=200), engine, tmp_path / "c", rule=rule())
     assert ran.state == "stopped" and ran.complete
-    assert ran.flights == 27
     found = load_results(tmp_path / "c")
+    safe = np.array(found.table["safe"].to_pylist()).reshape(-1, 2)
+
+    def width(flights: int) -> float:
+        intervals = [share_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)]
+        return max(high - low for low, high in intervals)
+
+    assert width(ran.flights) <= 0.5 < min(width(n) for n in range(1, ran.flights))
     assert len(found.table) == found.wanted == 2 * ran.flights
     again = run(plan(flights=200), InlineEngine(), tmp_path / "c", rule=rule())
     assert (again.state, again.flown, again.flights) == ("stopped", 0, ran.flights)
@@ -387,5 +394,5 @@ def test_status_while_it_flies_and_after_a_kill(tmp_path):
     assert found.state == "flying" and found.wanted == 800
     assert 5.0 < found.rate < 100.0 and found.seconds_left > 5.0
     driver.kill()
-    driver.communicate(timeout=20)
+    driver.communicate(timeout=60)
     assert status_of(folder).state == "killed"

@@ -209,8 +209,11 @@ class LocalEngine:
         return worker.end()
 
     def _heard_last(self) -> Iterator[Finished]:
-        """Yield what workers have finished and nobody has heard yet."""
+        """End all workers; yield what they have finished and nobody has heard yet."""
         for worker in self._workers:
+            worker.process.kill()
+        for worker in self._workers:
+            worker.process.join()
             while worker.group is not None and worker.orders.poll():
                 message = _received(worker.orders)
                 if message is None:
