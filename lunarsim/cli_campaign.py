@@ -199,6 +199,60 @@ def export(folder: Path, out: Path, timing: bool) -> None:
     click.echo(f"{out}: {write(folder, out, timing=timing)} rows")
 
 
+@campaign.command()
+@_FOLDER
+@click.option(
+    "--out", type=_PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
+)
+def report(folder: Path, out: Path | None) -> None:
+    """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
+    from lunarsim.campaign.report import write_report
+    from lunarsim.campaign.results import load_results
+
+    load_results(folder, ["outcome"])
+    target = folder / "report.html" if out is None else out
+    write_report(folder, target)
+    click.echo(f"report in {target}")
+
+
+@campaign.command()
+@click.argument("first", type=_PATH, metavar="A")
+@click.argument("second", type=_PATH, metavar="B")
+@click.option(
+    "--margin", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
+    help="Differences of the share up to this do not matter.",
+)  # fmt: skip
+@click.option("--metric", default="safe", show_default=True, help="A column of true and false.")
+@click.option(
+    "--require-equivalent", is_flag=True,
+    help="Fail too where the flights are too few to show that the share is within the margin.",
+)  # fmt: skip
+def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
+    """Compare campaign B with A, flight by flight: exit code 1 if an arm has become worse.
+
+    Worse: McNemar's exact test of the flights that ended otherwise, at 5 % after Holm's correction
+    for all arms. Equivalent: the 90 % interval of the difference lies within the margin, which is
+    two one-sided tests at 5 %.
+    """
+    from lunarsim.campaign.analysis import diff as compare
+    from lunarsim.campaign.results import load_results
+
+    verdicts = compare(load_results(first), load_results(second), margin, metric)
+    table = Table()
+    for heading in ("arm", "pairs", f"{metric}: B - A [90 %]", "p", "p after Holm", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("arm", "verdict") else "right")
+    for v in verdicts:
+        d = v.difference
+        word = "worse" if v.worse else ("equivalent" if v.equivalent else "not shown equivalent")
+        table.add_row(
+            d.first, str(d.pairs), f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]", f"{d.p:.3g}",
+            f"{d.corrected:.3g}", word,
+        )  # fmt: skip
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    if any(v.worse or (require_equivalent and not v.equivalent) for v in verdicts):
+        sys.exit(1)
+
+
 @click.command()
 @_FOLDER
 @click.option("--flight", required=True, help="Its id, such as 12-0: index and number of the arm.")
