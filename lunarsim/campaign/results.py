@@ -233,10 +233,10 @@ def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
 def failures(found: Results) -> list[tuple[str, str, int]]:
     """Return arm, what went wrong, and how often: causes of unsafe landings, errors of flights."""
     counts: Counter[tuple[str, str]] = Counter()
-    columns = ("arm", "outcome", "failed", "error")
-    for arm, outcome, causes, error in zip(
-        *(found.table[name].to_pylist() for name in columns), strict=True
-    ):
+    table = found.table
+    whys = table["failed"] if "failed" in table.column_names else table["error"]
+    columns = (table["arm"], table["outcome"], whys, table["error"])
+    for arm, outcome, causes, error in zip(*(c.to_pylist() for c in columns), strict=True):
         if outcome != FLOWN:
             counts[arm, f"{outcome}: {error}"] += 1
         elif causes:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 
 import lunarsim
@@ -167,7 +168,7 @@ def _worst(found: Results) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for arm in found.arms:
         mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
-        for row in table.take([int(i) for i in order if mine[i]][:_WORST]).to_pylist():
+        for row in table.take(pa.array(order[mine[order]][:_WORST])).to_pylist():
             why = row["error"] or row.get("failed") or row["outcome"]
             out.append({"id": row["id"], "arm": arm, "why": why})
     return out
