@@ -126,7 +126,7 @@ def run(
         store.save_manifest(engine=engine.name)
         if rule is not None:
             _shown(rule, store, plan)
-        if progress is not None:
+        if progress is not None and before:
             progress(before)
         flown, failed, in_time = _fly(plan, engine, store, halt, rule, time_budget, progress)
         state = _state(store, plan, rule, in_time)
