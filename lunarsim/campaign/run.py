@@ -99,16 +99,12 @@ def run(
     ----------
     plan, engine, out
         What, by whom, and the folder: new, or of the same campaign.
-    rule
-        When to stop before all flights are flown.
-    time_budget
-        Wall-clock time after which no flight starts, s; those in the air end.
+    rule, time_budget
+        When to stop early; wall-clock time after which no flight starts, s (those in the air end).
     retry
         Whether flights without a verdict are flown again.
-    progress
-        Called with the number of rows that have come.
-    files
-        Writes what else belongs into the folder, once it is known to be ours.
+    progress, files
+        Called with the number of rows that have come; writes what else belongs into the folder.
 
     Raises
     ------
