@@ -259,7 +259,7 @@ def test_an_interrupt_in_the_caller_keeps_what_is_finished(tmp_path, whole):
             raise KeyboardInterrupt
 
     ran = run(plan(), LocalEngine(2), tmp_path / "c", progress=progress)
-    assert (ran.state, ran.flown) == ("interrupted", 7)
+    assert (ran.state, ran.flown) == ("interrupted", 8)
     run(plan(), InlineEngine(), tmp_path / "c")
     assert parts(tmp_path / "c") == whole
 
