@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 import lunarsim
+from lunarsim.cli_campaign import campaign, replay, sweep
 from lunarsim.errors import InputError, RenderingError, check_output
 
 _INTERRUPTED = 130
@@ -49,6 +50,10 @@ def main() -> None:
     """  # noqa: D301  (click wants the character itself)
 
 
+main.add_command(campaign)
+main.add_command(sweep)
+main.add_command(replay)
+
 _SCENARIO = click.argument("scenario", type=click.Path(path_type=Path))
 _SEED = click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed."
@@ -80,7 +85,7 @@ def fly(
     out: Path | None,
 ) -> None:  # fmt: skip
     """Fly one descent of SCENARIO (a TOML file) and print how it ended."""
-    from lunarsim.campaign.compare import check_folder, check_request
+    from lunarsim.campaign.comparison import check_folder, check_request
     from lunarsim.parts import resolve
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
@@ -171,7 +176,7 @@ def compare(
     distance; the largest touchdown speeds and tilt; precision and recall of the hazard map (cells
     with p > 0.5 against the exact map); and wall-clock time a flight.
     """
-    from lunarsim.campaign.compare import compare as run
+    from lunarsim.campaign.comparison import compare as run
     from lunarsim.scenario import Scenario
 
     loaded = Scenario.load(scenario)

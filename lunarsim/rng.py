@@ -24,6 +24,11 @@ def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"calibration"), flight))
 
 
+def design_seed(root: int) -> np.random.SeedSequence:
+    """Return the seed sequence of a campaign's design of experiments; no flight has it."""
+    return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"design"), 0))
+
+
 class Streams:
     """Random generators of one flight, one a component.
 

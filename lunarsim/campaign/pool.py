@@ -8,19 +8,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import takewhile
 from typing import TypeVar
 
-import numba
-import threadpoolctl
+import numba  # noqa: F401  (loaded, so that its threads are held too)
 from rich.console import Console
 from rich.progress import Progress
 
+from lunarsim.campaign.engines.worker import one_thread
+
 T = TypeVar("T")
 R = TypeVar("R")
-
-
-def _one_thread() -> None:
-    """Keep a worker to one thread: the processes share the cores."""
-    numba.set_num_threads(1)
-    threadpoolctl.threadpool_limits(1)
 
 
 def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[tuple[int, R]]:
@@ -43,7 +38,7 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
         return
     # OpenGL contexts and Numba's thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=one_thread)
     try:
         waiting: dict[Future[R], int] = {}
         queue = iter(enumerate(tasks))

@@ -15,6 +15,33 @@ from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 
+# Columns that `evaluate` gives and what they hold.
+COLUMNS: dict[str, str] = {
+    "policy": "text",
+    "safe": "bool",
+    "failed": "text",
+    "aborted": "bool",
+    "navigation_lost": "bool",
+    "propellant_kg": "float",
+    "duration_s": "float",
+    "divert_m": "float",
+    "decisions": "int",
+    "target_exactly_safe": "bool",
+    "touchdown_x_m": "float",
+    "touchdown_y_m": "float",
+    "touchdown_exactly_safe": "bool",
+    "vertical_speed_m_s": "float",
+    "horizontal_speed_m_s": "float",
+    "tilt_deg": "float",
+    "slope_deg": "float",
+    "roughness_m": "float",
+    "tip_margin": "float",
+    "p_safe": "float",
+    "map_hits": "int",
+    "map_false_safe": "int",
+    "map_missed": "int",
+    "safe_site_in_reach": "bool",
+}
 # Safe cells tried for reachability; they are spread over the mapped ground.
 _TRIES = 400
 
@@ -56,6 +83,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "roughness_m": touchdown.roughness if touchdown else nan,
         "tip_margin": touchdown.tip_margin if touchdown else nan,
     }
+    row["p_safe"] = believed_safe(flight)
     quality = MapQuality.none()
     if flight.hazard_map is not None:
         quality = map_quality(flight.hazard_map, truth, flight.map_error)
@@ -65,6 +93,15 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "map_missed": quality.missed,
         "safe_site_in_reach": safe_site_in_reach(flight, truth),
     }
+
+
+def believed_safe(flight: Flight) -> float:
+    """Return the deciding map's probability of safety at the last site; NaN where it has none."""
+    m = flight.hazard_map
+    if m is None or not m.grid.contains(flight.sites[-1, :2]):
+        return float("nan")
+    row, col = (int(i) for i in m.grid.cell(flight.sites[-1, :2]))
+    return float(m.p_safe[row, col]) if m.observed[row, col] else float("nan")
 
 
 def first_aim(flight: Flight) -> Array:

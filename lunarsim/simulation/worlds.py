@@ -8,17 +8,26 @@ from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
 from lunarsim.world.grounds.contract import check_room
+from lunarsim.world.terrain import Terrain
 
 
-def build_world(scenario: Scenario, streams: Streams) -> World:
+def build_world(scenario: Scenario, streams: Streams, terrain: Terrain | None = None) -> World:
     """Return the true world of one flight: the scenario's ground with what is drawn for it.
+
+    Parameters
+    ----------
+    scenario, streams
+        The study and the flight's seeds.
+    terrain
+        Relief and rocks, where a world of the same ground and seed has them already.
 
     Raises
     ------
     InputError
         If the terrain cannot be loaded or is smaller than the lander's footprint.
     """
-    terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
+    if terrain is None:
+        terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
     lander = scenario.vehicle.make()
     check_room(terrain, 2.0 * lander.leg_radius + lander.pad_diameter)
     light = scenario.sun.make()

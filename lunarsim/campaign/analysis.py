@@ -1,0 +1,223 @@
+"""Figures of a campaign: every arm by itself, arms against each other, two campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.results import Results
+from lunarsim.errors import InputError, suggestion
+from lunarsim.evaluation.comparisons import (
+    Difference,
+    Ellipse,
+    holm,
+    landing_ellipse,
+    mean_bootstrap,
+    mean_difference,
+    quantile_interval,
+    share_difference,
+)
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.rng import design_seed
+
+# All pairs of arms up to so many; each against the first beyond.
+_MOST_PAIRED = 8
+_TOLD = ("propellant_kg", "divert_m", "duration_s")
+
+
+@dataclass(frozen=True)
+class ArmFigures:
+    """One arm by itself.
+
+    Attributes
+    ----------
+    name
+        Of the arm.
+    rows, flown
+        Flights, and those that gave a verdict.
+    shares
+        Share of flown flights with a metric true, by metric.
+    means
+        Mean and its bootstrap interval, by metric.
+    quantiles
+        Median and 95 % quantile, each with its interval, by metric.
+    ellipse
+        Of the touchdowns about where the arm's lie, or None.
+    """
+
+    name: str
+    rows: int
+    flown: int
+    shares: dict[str, Proportion]
+    means: dict[str, tuple[float, float, float]]
+    quantiles: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]
+    ellipse: Ellipse | None
+
+
+def column(found: Results, name: str, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+    """Return a column of numbers, or of true and false as 1 and 0; NaN where there is none."""
+    values = pc.cast(found.table[name], "float64").to_numpy(zero_copy_only=False)
+    return np.asarray(values if rows is None else values[rows], dtype=np.float64)
+
+
+def metrics(found: Results, kind: str) -> list[str]:
+    """Return the names of the metrics of a kind."""
+    return [name for name, k in found.manifest["columns"].items() if k == kind]
+
+
+def arm_rows(found: Results) -> dict[str, NDArray[np.bool_]]:
+    """Return which rows are of each arm."""
+    names = found.table["arm"]
+    return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in found.arms}
+
+
+def figures_of(found: Results) -> list[ArmFigures]:
+    """Return the figures of every arm; flights without a verdict are counted, not judged."""
+    rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
+    flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
+    told = [name for name in _TOLD if name in found.manifest["columns"]]
+    out = []
+    for arm, rows in arm_rows(found).items():
+        here = rows & flown
+        count = int(here.sum())
+        shares = {
+            name: Proportion(int(np.nansum(column(found, name, here))), count)
+            for name in metrics(found, "bool")
+        }
+        numbers = {name: column(found, name, here) for name in told}
+        out.append(
+            ArmFigures(
+                arm, int(rows.sum()), count, shares,
+                {n: (_mean(v), *mean_bootstrap(v, rng)) for n, v in numbers.items()},
+                {n: (quantile_interval(v, 0.5), quantile_interval(v, 0.95))
+                 for n, v in numbers.items()},
+                _ellipse(found, here),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else float("nan")
+
+
+def _ellipse(found: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
+    names = ("touchdown_x_m", "touchdown_y_m")
+    if not all(name in found.manifest["columns"] for name in names):
+        return None
+    return landing_ellipse(np.column_stack([column(found, name, rows) for name in names]))
+
+
+def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the pairs of arms that are compared: all of a few, else each with the first."""
+    if len(arms) <= _MOST_PAIRED:
+        return list(combinations(arms, 2))
+    return [(arms[0], other) for other in arms[1:]]
+
+
+def differences(found: Results, metric: str = "safe") -> list[Difference]:
+    """Return the differences of a metric between arms, on the flights that both have flown.
+
+    Raises
+    ------
+    InputError
+        If the campaign has no such metric that is a number, or true or false.
+    """
+    kind = found.manifest["columns"].get(metric)
+    if kind not in ("bool", "float", "int"):
+        raise InputError("metric", metric, suggestion(metric, found.manifest["columns"]))
+    rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
+    flights = int(found.table["flight"].to_numpy().max(initial=-1)) + 1
+    values = {}
+    for arm, rows in arm_rows(found).items():
+        values[arm] = np.full(flights, np.nan)
+        values[arm][found.table["flight"].to_numpy()[rows]] = column(found, metric, rows)
+    made = []
+    for pair in pairs_of(found.arms):
+        a, b = (values[arm] for arm in pair)
+        both = np.isfinite(a) & np.isfinite(b)
+        if kind == "bool":
+            made.append(share_difference(a[both] > 0.5, b[both] > 0.5, pair))
+        else:
+            made.append(mean_difference(a[both], b[both], pair, rng))
+    corrected = holm([d.p for d in made])
+    return [replace(d, corrected=float(p)) for d, p in zip(made, corrected, strict=True)]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a second campaign says against a first, for one arm.
+
+    Attributes
+    ----------
+    difference
+        Of the share, second less first; its interval is at 90 %, as two one-sided tests at 5 %.
+    equivalent
+        Whether the interval lies within the margin.
+    worse
+        Whether the second is proven worse: McNemar's test at 5 %, corrected for all arms.
+    """
+
+    difference: Difference
+    equivalent: bool
+    worse: bool
+
+
+def diff(first: Results, second: Results, margin: float, metric: str = "safe") -> list[Verdict]:
+    """Compare two campaigns over the same flights, arm by arm.
+
+    Parameters
+    ----------
+    first, second
+        Campaigns with arms of the same names and the same root seed.
+    margin
+        Differences of a share up to this do not matter.
+    metric
+        Column that is true or false.
+
+    Raises
+    ------
+    InputError
+        If they did not fly the same, or there is no such metric.
+    """
+    for name in ("seed", "arms"):
+        ours, theirs = (_key(found, name) for found in (first, second))
+        if ours != theirs:
+            raise InputError("B", str(second.folder), f"the same {name} as A: {ours}, not {theirs}")
+    if first.manifest["columns"].get(metric) != "bool":
+        raise InputError("--metric", metric, suggestion(metric, metrics(first, "bool")))
+    made = []
+    for arm in first.arms:
+        a, b = (_by_flight(found, arm, metric) for found in (first, second))
+        flights = sorted(a.keys() & b.keys())
+        if not flights:
+            raise InputError("B", str(second.folder), f"flights that A has too, of arm {arm!r}")
+        hits = np.array([(a[i], b[i]) for i in flights], dtype=bool)
+        made.append(share_difference(hits[:, 0], hits[:, 1], (arm, arm), level=0.9))
+    corrected = holm([d.p for d in made])
+    return [
+        Verdict(
+            replace(d, corrected=float(p)),
+            equivalent=bool(d.low > -margin and d.high < margin),
+            worse=bool(p < 0.05 and d.value < 0.0),
+        )
+        for d, p in zip(made, corrected, strict=True)
+    ]
+
+
+def _key(found: Results, name: str) -> object:
+    return found.arms if name == "arms" else found.manifest[name]
+
+
+def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:
+    """Return the metric by flight; a flight without a verdict is no success."""
+    rows = found.table.filter(pc.equal(found.table["arm"], arm))
+    values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)
+    return {flight: bool(value) for flight, value in values}

@@ -1,0 +1,230 @@
+"""Fly several policies over the same worlds and write what came of it: a campaign in short.
+
+Flight i of every policy has the same world, start, sensor noise and navigation errors: they all
+derive from the root seed and i alone, so any number of processes gives the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import lunarsim
+from lunarsim.campaign.dispersions import Dispersions
+from lunarsim.campaign.engines.contract import Engine
+from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.engines.local import LocalEngine
+from lunarsim.campaign.factors import Arm
+from lunarsim.campaign.files import write_whole
+from lunarsim.campaign.fly_spec import fly_spec
+from lunarsim.campaign.keys import with_values
+from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.spec import CampaignSpec, Head
+from lunarsim.errors import InputError
+from lunarsim.onboard.policies.contract import RetargetingPolicy
+from lunarsim.parts import resolve
+from lunarsim.scenario import Scenario
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class CompareResult:
+    """What a comparison gave.
+
+    Attributes
+    ----------
+    rows
+        One dictionary a flight and policy, by flight, then policy; see `lunarsim.campaign.store`.
+    seconds
+        Wall-clock seconds of each flight, by policy.
+    safe_share, safe_share_at_heading
+        Mean share of exactly safe ground where targets are drawn: at every heading, and at the
+        heading that is flown.
+    complete
+        False when the run was interrupted.
+    failed
+        Rows without a verdict: their code raised, or their process died.
+    """
+
+    rows: list[dict[str, Any]]
+    seconds: dict[str, list[float]]
+    safe_share: float
+    safe_share_at_heading: float
+    complete: bool
+    failed: list[dict[str, Any]]
+
+
+def policy_name(policy: str | RetargetingPolicy) -> str:
+    """Return the name of a policy in tables and folders."""
+    name = policy if isinstance(policy, str) else policy.name
+    return name.rpartition(":")[2] if ":" in name else name
+
+
+def check_request(policies: Sequence[str | RetargetingPolicy], flights: int, jobs: int) -> None:
+    """Raise `InputError` for a request that cannot be met."""
+    for policy in policies:
+        if isinstance(policy, str):
+            resolve("policy", policy, "--policies")
+        elif not (hasattr(policy, "decide") and isinstance(getattr(policy, "name", None), str)):
+            raise InputError("policies", policy, "an object with `name` and `decide(observation)`")
+    if not policies:
+        raise InputError("--policies", "", "at least one; `lunarsim parts policy` lists them")
+    names = [policy_name(policy) for policy in policies]
+    if len(set(names)) < len(names):
+        raise InputError("--policies", ",".join(names), "each policy once")
+    if flights < 1:
+        raise InputError("--flights", flights, "at least 1")
+    if jobs < 1:
+        raise InputError("--jobs", jobs, "at least 1")
+
+
+def check_folder(out: Path) -> None:
+    """Raise `InputError` if `out` cannot take results."""
+    if out.exists() and not out.is_dir():
+        raise InputError("--out", str(out), "a folder, not a file")
+    if out.exists() and any(out.iterdir()):
+        raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
+
+
+def compare(
+    scenario: Scenario,
+    policies: Sequence[str | RetargetingPolicy],
+    *,
+    flights: int,
+    seed: int,
+    jobs: int = 1,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    figures: bool = True,
+) -> CompareResult:
+    """Fly `flights` flights under each policy.
+
+    Parameters
+    ----------
+    scenario
+        The study.
+    policies
+        Policies: names, "module:Class", or objects that can be pickled where `jobs` is above 1.
+    flights, seed, jobs
+        Flights a policy, root seed, processes.
+    out
+        Folder for all results: new, or of the same comparison, which is then gone on with; left
+        out: nothing is kept. `results.parquet` has all rows in one file.
+    progress, figures
+        Called with the number of flights finished since the last call; whether to draw the first
+        flight of each policy and the comparison.
+
+    Raises
+    ------
+    InputError
+        If the scenario, the request or the folder will not do; nothing has been written then.
+    """
+    check_request(policies, flights, jobs)
+    spec = _spec(scenario, policies, flights, seed, figures)
+    if out is not None and not (out / "manifest.json").exists():
+        check_folder(out)
+    engine: Engine = InlineEngine() if jobs == 1 else LocalEngine(min(jobs, flights))
+    if jobs > 1:
+        _check_travel(policies)
+    if out is None:
+        with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
+            spec_here = spec.keeping(records="none", figures=False)
+            return _compare(spec_here, engine, Path(folder), None, progress)
+    return _compare(spec, engine, out, out, progress)
+
+
+def _compare(
+    spec: CampaignSpec, engine: Engine, folder: Path, out: Path | None, progress: Progress | None
+) -> CompareResult:
+    """Fly into `folder`; write what `out` is promised besides the results."""
+    ran = fly_spec(spec, engine, folder, progress=progress)
+    result = _result(folder, ran.complete)
+    if out is not None and result.rows:
+        _write(result, out, spec)
+        if spec.head.figures:
+            from lunarsim.viz import draw_comparison  # noqa: PLC0415
+
+            draw_comparison(result.rows, spec.scenario, out / "figures" / "comparison.png")
+    return result
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _spec(
+    scenario: Scenario,
+    policies: Sequence[str | RetargetingPolicy],
+    flights: int,
+    seed: int,
+    figures: bool,
+) -> CampaignSpec:
+    arms = []
+    for policy in policies:
+        name = policy_name(policy)
+        if isinstance(policy, str):
+            values = {"policy": policy}
+            arms.append(Arm(name, values, with_values(scenario, values, "policies")))
+        else:
+            arms.append(Arm(name, {}, scenario, policy))
+    head = Head(scenario.name, flights, seed, records="all", figures=figures)
+    return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
+
+
+def _check_travel(policies: Sequence[str | RetargetingPolicy]) -> None:
+    for policy in policies:
+        try:
+            pickle.dumps(policy)
+        except Exception as error:  # pickling raises what it likes
+            said = str(error).split("\n")[0]
+            raise InputError(
+                "policies", policy, f"an object that can be pickled ({said}), or jobs = 1"
+            ) from None
+
+
+def _result(folder: Path, complete: bool) -> CompareResult:
+    rows = pq.read_table(folder / "results").sort_by([("flight", "ascending")]).to_pylist()
+    timing = pq.read_table(folder / "timing").to_pylist()
+    seconds = {time["id"]: time["seconds"] for time in timing}
+    flown = [row for row in rows if row["outcome"] == FLOWN]
+    names = dict.fromkeys(row["policy"] for row in flown)
+    shares = {row["flight"]: row for row in flown}.values()
+    return CompareResult(
+        rows=flown,
+        seconds={n: [seconds[r["id"]] for r in flown if r["policy"] == n] for n in names},
+        safe_share=_mean([row["safe_share"] for row in shares]),
+        safe_share_at_heading=_mean([row["safe_share_at_heading"] for row in shares]),
+        complete=complete,
+        failed=[row for row in rows if row["outcome"] != FLOWN],
+    )
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
+    """Write the results in one file and their summary, so that no reader ever sees half a file."""
+    table = pa.Table.from_pylist(result.rows, pq.read_schema(next((out / "results").iterdir())))
+    write_whole(out / "results.parquet", lambda p: pq.write_table(table, p))
+    summary = {
+        "scenario": spec.scenario.name,
+        "seed": spec.head.seed,
+        "version": lunarsim.__version__,
+        "complete": result.complete,
+        "without_verdict": len(result.failed),
+        "exactly_safe_share": result.safe_share,
+        "exactly_safe_share_at_heading": result.safe_share_at_heading,
+        "seconds_per_flight": {p: _mean(s) for p, s in result.seconds.items()},
+    }
+    write_whole(out / "summary.json", lambda p: _write_text(p, json.dumps(summary, indent=1)))

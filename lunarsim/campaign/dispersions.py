@@ -1,0 +1,293 @@
+"""What a campaign draws anew for every flight: distributions, and three ways to draw from them.
+
+Every draw starts from one number in (0, 1) a key. Plain Monte Carlo takes it from a stream of the
+flight's own seed, so that flight i draws the same whatever else is flown; Latin hypercube and
+Sobol designs (`scipy.stats.qmc`) fix the number of flights. Keys may be correlated by a Gaussian
+copula: the matrix is that of the normal scores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc, truncnorm
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.parts import quantity, settings_of
+from lunarsim.rng import Streams, design_seed, flight_seed
+from lunarsim.scenario.errors import input_error
+
+Array = NDArray[np.float64]
+
+METHODS = ("monte-carlo", "latin-hypercube", "sobol")
+# Draws stay this far from 0 and 1, where normal scores are infinite.
+_EDGE = 2.0**-53
+# Share of a normal distribution that must be left between bounds.
+_LEAST_MASS = 1e-12
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A normal distribution.
+
+    Attributes
+    ----------
+    mean, sigma
+        In the unit of the key.
+    """
+
+    mean: float = quantity(0.0)
+    sigma: float = quantity(1.0, gt=0)
+
+    def at(self, u: float) -> float:
+        """Return the quantile at `u`."""
+        return float(self.mean + self.sigma * ndtri(u))
+
+
+@dataclass(frozen=True)
+class TruncatedNormal:
+    """A normal distribution cut off at bounds.
+
+    Attributes
+    ----------
+    mean, sigma, low, high
+        In the unit of the key; a bound that is left out is none.
+    """
+
+    mean: float = quantity(0.0)
+    sigma: float = quantity(1.0, gt=0)
+    low: float | None = quantity(None)
+    high: float | None = quantity(None)
+
+    def __post_init__(self) -> None:
+        if self.low is None and self.high is None:
+            raise InputError("low", None, "a bound, low or high or both; else take kind = normal")
+        low, high = self._scores()
+        if not low < high:
+            raise InputError("low", self.low, f"less than high, which is {self.high}")
+        mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
+        if mass < _LEAST_MASS:
+            raise InputError("low", self.low, "bounds with some of the distribution between them")
+
+    def _scores(self) -> tuple[float, float]:
+        low = -np.inf if self.low is None else (self.low - self.mean) / self.sigma
+        high = np.inf if self.high is None else (self.high - self.mean) / self.sigma
+        return low, high
+
+    def at(self, u: float) -> float:
+        """Return the quantile at `u`."""
+        low, high = self._scores()
+        return float(self.mean + self.sigma * truncnorm.ppf(u, low, high))
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """A uniform distribution.
+
+    Attributes
+    ----------
+    low, high
+        In the unit of the key.
+    """
+
+    low: float = quantity(0.0)
+    high: float = quantity(1.0)
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise InputError("low", self.low, f"less than high, which is {self.high}")
+
+    def at(self, u: float) -> float:
+        """Return the quantile at `u`."""
+        return float(self.low + (self.high - self.low) * u)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some values.
+
+    Attributes
+    ----------
+    values
+        Numbers, texts, or whatever the key takes.
+    weights
+        As many, not all zero; equal if left out.
+    """
+
+    values: tuple[Any, ...] = quantity(())
+    weights: tuple[float, ...] | None = quantity(None, ge=0)
+
+    def __post_init__(self) -> None:
+        if not self.values:
+            raise InputError("values", [], "at least one value")
+        if self.weights is not None:
+            if len(self.weights) != len(self.values):
+                raise InputError("weights", self.weights, f"{len(self.values)}, one a value")
+            if sum(self.weights) <= 0.0:
+                raise InputError("weights", self.weights, "at least one above 0")
+
+    def at(self, u: float) -> Any:
+        """Return the value at `u` of the cumulated weights."""
+        weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
+        index = int(np.searchsorted(np.cumsum(weights) / weights.sum(), u, side="right"))
+        return self.values[min(index, len(self.values) - 1)]
+
+
+Distribution = Normal | TruncatedNormal | Uniform | Choice
+KINDS: dict[str, type[Distribution]] = {
+    "normal": Normal,
+    "truncated-normal": TruncatedNormal,
+    "uniform": Uniform,
+    "choice": Choice,
+}
+_NEEDED = {
+    "normal": ("mean", "sigma"),
+    "truncated-normal": ("mean", "sigma"),
+    "uniform": ("low", "high"),
+    "choice": ("values",),
+}
+
+
+def distribution(key: str, table: Any) -> Distribution:
+    """Return the distribution that a table of a spec describes.
+
+    Raises
+    ------
+    InputError
+        Naming ``dispersions.KEY`` and what is wrong.
+    """
+    path = f"dispersions.{key}"
+    if not isinstance(table, Mapping):
+        raise InputError(path, table, "a table with a kind: " + ", ".join(KINDS))
+    values = dict(table)
+    kind = values.pop("kind", None)
+    if kind not in KINDS:
+        raise InputError(f"{path}.kind", kind, suggestion(str(kind), KINDS))
+    for name in _NEEDED[kind]:
+        if name not in values:
+            raise InputError(f"{path}.{name}", None, f"a value: kind {kind!r} has no default")
+    of: type = KINDS[kind]
+    model = settings_of(of)
+    try:
+        made: Distribution = model.model_validate(values).make()
+    except ValidationError as error:
+        raise input_error(path, model, error, None, kind) from None
+    except InputError as error:
+        raise InputError(f"{path}.{error.field}", error.value, error.expected) from None
+    return made
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Keys whose normal scores are correlated.
+
+    Attributes
+    ----------
+    keys
+        Two or more.
+    matrix
+        As many rows and columns; symmetric, positive definite, ones on its diagonal.
+    """
+
+    keys: tuple[str, ...] = quantity(())
+    matrix: tuple[tuple[float, ...], ...] = quantity(())
+
+    def __post_init__(self) -> None:
+        if len(self.keys) < 2 or len(set(self.keys)) < len(self.keys):
+            raise InputError("keys", list(self.keys), "two or more keys, each once")
+        try:
+            matrix = np.array(self.matrix, dtype=np.float64)
+        except ValueError:
+            matrix = np.zeros(())
+        given = [list(row) for row in self.matrix]
+        count = len(self.keys)
+        if matrix.shape != (count, count):
+            raise InputError("matrix", given, f"{count} rows of {count} numbers")
+        if not np.array_equal(matrix, matrix.T) or not np.allclose(np.diag(matrix), 1.0, atol=0.0):
+            raise InputError("matrix", given, "symmetric, with ones on its diagonal")
+        least = float(np.linalg.eigvalsh(matrix)[0])
+        if least <= 1e-10:
+            raise InputError(
+                "matrix", given, f"positive definite; its least eigenvalue is {least:.3g}"
+            )
+
+    @cached_property
+    def root(self) -> Array:
+        """Lower triangular root of the matrix."""
+        return np.asarray(np.linalg.cholesky(np.array(self.matrix)))
+
+
+@dataclass(frozen=True)
+class Dispersions:
+    """All that is drawn for a flight.
+
+    Attributes
+    ----------
+    distributions
+        By key of the scenario, in the order of the spec.
+    correlations
+        Groups of keys; no key is in two.
+    method, seed, flights
+        How; root seed; number of flights, which matters to designs alone.
+    """
+
+    distributions: Mapping[str, Distribution]
+    correlations: tuple[Correlation, ...] = ()
+    method: str = "monte-carlo"
+    seed: int = 1
+    flights: int = 1
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError("method", self.method, suggestion(self.method, METHODS))
+        if self.method != "monte-carlo" and not self.distributions:
+            raise InputError(
+                "method", self.method, "monte-carlo, or some [dispersions] that the design is of"
+            )
+        seen: set[str] = set()
+        for i, group in enumerate(self.correlations):
+            for key in group.keys:
+                field = f"correlations.{i}.keys"
+                if key not in self.distributions:
+                    raise InputError(field, key, suggestion(key, self.distributions))
+                if isinstance(self.distributions[key], Choice):
+                    raise InputError(field, key, "a key whose values have an order, no choice")
+                if key in seen:
+                    raise InputError(field, key, "a key of no other group")
+                seen.add(key)
+
+    def draws(self, flight: int) -> dict[str, Any]:
+        """Return the values of flight number `flight` by key."""
+        u = dict(zip(self.distributions, self._uniforms(flight), strict=True))
+        for group in self.correlations:
+            scores = group.root @ ndtri([u[key] for key in group.keys])
+            u |= dict(zip(group.keys, _inside(ndtr(scores)), strict=True))
+        return {key: law.at(float(u[key])) for key, law in self.distributions.items()}
+
+    def _uniforms(self, flight: int) -> Array:
+        """Return a number in (0, 1) for each key (d,)."""
+        if self.method == "monte-carlo":
+            streams = Streams(flight_seed(self.seed, flight))
+            drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
+            return _inside(np.array(drawn))
+        return _inside(self._design[flight])
+
+    @cached_property
+    def _design(self) -> Array:
+        """Points of the design (flights, d)."""
+        rng = np.random.default_rng(design_seed(self.seed))
+        count = len(self.distributions)
+        if self.method == "sobol":
+            return np.asarray(qmc.Sobol(count, rng=rng).random(self.flights))
+        return np.asarray(qmc.LatinHypercube(count, rng=rng).random(self.flights))
+
+
+def _inside(u: Array) -> Array:
+    return np.clip(u, _EDGE, 1.0 - _EDGE)

@@ -1,0 +1,16 @@
+"""Who flies: this process, processes of this machine, a Ray cluster; all give the same rows."""
+
+from __future__ import annotations
+
+from lunarsim.campaign.engines.contract import Engine
+
+
+def engine_of(name: str, jobs: int, address: str | None, time_limit: float | None) -> Engine:
+    """Return the engine called `name`: local or ray."""
+    if name == "ray":
+        from lunarsim.campaign.engines.ray_cluster import RayEngine  # noqa: PLC0415
+
+        return RayEngine(address, jobs, time_limit)
+    from lunarsim.campaign.engines.local import LocalEngine  # noqa: PLC0415
+
+    return LocalEngine(jobs, time_limit)

@@ -1,0 +1,238 @@
+"""Flights in processes of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from lunarsim.campaign.engines.worker import BEGAN, DONE, ENDED, READY, serve
+from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished
+from lunarsim.campaign.plan import Group, Work
+
+# How long an interrupt may go unseen, s.
+_TICK = 0.2
+# A flight whose process dies is begun so often.
+TRIES = 3
+
+
+class WorkersDieError(RuntimeError):
+    """Workers end before they have begun; what they wrote to stderr says why."""
+
+
+class _Worker:
+    """One process and what it is doing."""
+
+    def __init__(self, work: Work) -> None:
+        # OpenGL contexts and Numba's thread pools do not survive a fork.
+        context = multiprocessing.get_context("spawn")
+        self.orders, theirs = context.Pipe()
+        theirs_line, self.lifeline = context.Pipe(duplex=False)
+        self.process = context.Process(
+            target=serve, args=(work, theirs, theirs_line, os.getpid()), daemon=True
+        )
+        self.process.start()
+        theirs.close()
+        theirs_line.close()
+        self.ready = False
+        self.group: Group | None = None
+        self.left: list[int] = []
+        self.arm: int | None = None
+        self.began = 0.0
+
+    def give(self, group: Group) -> None:
+        self.group, self.left, self.arm = group, list(group.arms), None
+        self.orders.send(group)
+
+    def end(self) -> int | None:
+        """Kill the process if it is still there; return its exit code."""
+        self.process.kill()
+        self.process.join()
+        self.orders.close()
+        self.lifeline.close()
+        return self.process.exitcode
+
+
+class LocalEngine:
+    """Processes that start by spawn, take a group at a time, and end with this one.
+
+    Parameters
+    ----------
+    jobs
+        Processes.
+    time_limit
+        Wall-clock time after which a flight is ended, s; None: never.
+
+    Attributes
+    ----------
+    name, asks_to_halt
+        See `Engine`.
+    """
+
+    name = "local"
+    asks_to_halt = True
+
+    def __init__(self, jobs: int, time_limit: float | None = None) -> None:
+        self.jobs, self.time_limit = jobs, time_limit
+        self._workers: list[_Worker] = []
+        self._again: deque[Group] = deque()
+        self._tries: Counter[tuple[int, int]] = Counter()
+        self._stillborn = 0
+
+    def fly(
+        self, work: Work, groups: Iterable[Group], halt: Callable[[], bool]
+    ) -> Iterator[Finished]:
+        """Yield flights as they end; see `Engine`.
+
+        A flight whose process dies is begun again, `TRIES` times in all.
+
+        Raises
+        ------
+        WorkersDieError
+            If workers end before they are ready.
+        """
+        source = iter(groups)
+        try:
+            while True:
+                self._assign(work, source)
+                busy = [w for w in self._workers if w.group is not None]
+                if not busy:
+                    return
+                for connection in wait([w.orders for w in busy], self._patience(busy)):
+                    yield from self._hear(next(w for w in busy if w.orders is connection))
+                if halt():
+                    yield from self._heard_last()
+                    return
+                yield from self._overdue()
+        finally:
+            for worker in self._workers:
+                worker.end()
+            self._workers.clear()
+
+    def _assign(self, work: Work, source: Iterator[Group]) -> None:
+        """Give everybody who is free a group, and start workers while there are groups."""
+        free = deque(w for w in self._workers if w.group is None)
+        while free or len(self._workers) < self.jobs:
+            group = self._again.popleft() if self._again else next(source, None)
+            if group is None:
+                return
+            if not free:
+                self._workers.append(_Worker(work))
+                free.append(self._workers[-1])
+            # Who died idle cannot be told; his end is heard like that of any other.
+            with contextlib.suppress(OSError):
+                free.popleft().give(group)
+
+    def _patience(self, busy: list[_Worker]) -> float:
+        if self.time_limit is None:
+            return _TICK
+        now = time.monotonic()
+        left = [w.began + self.time_limit - now for w in busy if w.arm is not None]
+        return min([_TICK, *(max(v, 0.0) for v in left)])
+
+    def _hear(self, worker: _Worker) -> Iterator[Finished]:
+        """Take one message of a worker, or its death."""
+        assert worker.group is not None
+        try:
+            what, value = worker.orders.recv()
+        except Exception:  # the end of a process, in the midst of a message or between two
+            yield from self._died(worker)
+            return
+        if what == READY:
+            worker.ready, self._stillborn = True, 0
+        elif what == BEGAN:
+            worker.arm, worker.began = value, time.monotonic()
+        elif what == ENDED:
+            worker.left.remove(value.arm)
+            worker.arm = None
+            yield replace(value, tries=1 + self._tries.pop((value.flight, value.arm), 0))
+        elif what == DONE:
+            worker.group = None
+
+    def _died(self, worker: _Worker) -> Iterator[Finished]:
+        """Let the flights of a dead worker be begun again, or record the one that kills it."""
+        code = self._dismiss(worker)
+        group = worker.group
+        assert group is not None
+        if not worker.ready:
+            self._stillborn += 1
+            if self._stillborn >= TRIES:
+                raise WorkersDieError(
+                    f"{TRIES} workers in a row ended before they were ready (exit code {code})"
+                )
+        elif worker.left:
+            arm = worker.left[0] if worker.arm is None else worker.arm
+            self._tries[group.flight, arm] += 1
+            tries = self._tries[group.flight, arm]
+            if tries >= TRIES:
+                worker.left.remove(arm)
+                error = f"its process ended {_how(code)}, {tries} times"
+                yield self._failed(worker, arm, KILLED, error, tries)
+        self._put_back(worker)
+
+    def _overdue(self) -> Iterator[Finished]:
+        """End flights that take longer than the limit."""
+        if self.time_limit is None:
+            return
+        now = time.monotonic()
+        for worker in [w for w in self._workers if w.arm is not None]:
+            if now - worker.began < self.time_limit or worker.orders.poll():
+                continue
+            arm = worker.arm
+            assert arm is not None
+            self._dismiss(worker)
+            worker.left.remove(arm)
+            error = f"it took longer than {self.time_limit:g} s"
+            yield self._failed(worker, arm, TIMEOUT, error, 1)
+            self._put_back(worker)
+
+    def _failed(self, worker: _Worker, arm: int, outcome: str, error: str, tries: int) -> Finished:
+        assert worker.group is not None
+        return Finished(
+            worker.group.flight, arm, outcome, error=error, tries=tries, finished=time.time(),
+            seconds=time.monotonic() - worker.began, worker=str(worker.process.pid),
+        )  # fmt: skip
+
+    def _put_back(self, worker: _Worker) -> None:
+        if worker.group is not None and worker.left:
+            self._again.appendleft(replace(worker.group, arms=tuple(worker.left)))
+
+    def _dismiss(self, worker: _Worker) -> int | None:
+        self._workers.remove(worker)
+        return worker.end()
+
+    def _heard_last(self) -> Iterator[Finished]:
+        """End all workers; yield what they have finished and nobody has heard yet."""
+        for worker in self._workers:
+            worker.process.kill()
+        for worker in self._workers:
+            worker.process.join()
+            while worker.group is not None and worker.orders.poll():
+                message = _received(worker.orders)
+                if message is None:
+                    break
+                if message[0] == ENDED:
+                    yield message[1]
+
+
+def _received(connection: Connection) -> Any:
+    try:
+        return connection.recv()
+    except Exception:
+        return None
+
+
+def _how(code: int | None) -> str:
+    """Return an exit code in words."""
+    if code is None or code >= 0:
+        return f"with exit code {code}"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)
+    more = ", as for want of memory" if code == -signal.SIGKILL else ""
+    return f"by signal {name}{more}"

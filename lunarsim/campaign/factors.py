@@ -1,0 +1,229 @@
+"""Arms: the combinations of values that a campaign compares, each over the same draws."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsim.campaign.keys import GROUND_TABLES, tables_of, with_values
+from lunarsim.errors import InputError
+from lunarsim.onboard.policies.contract import RetargetingPolicy
+from lunarsim.scenario import Scenario
+
+# More are a mistake in a spec rather than a study.
+MOST_ARMS = 1000
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One combination of values.
+
+    Attributes
+    ----------
+    name
+        In tables and folders.
+    values
+        By key of the scenario.
+    scenario
+        With these values.
+    policy
+        A policy object that a caller gave; None: the scenario's own.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    scenario: Scenario
+    policy: RetargetingPolicy | None = None
+
+
+def flattened(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str, Any]:
+    """Return a table of dotted keys from one whose keys may be dotted, nested or both.
+
+    Parameters
+    ----------
+    table
+        As TOML gives it.
+    path
+        Of the table, for messages.
+    leaf
+        Types at which a value begins.
+
+    Raises
+    ------
+    InputError
+        If something is neither a table nor a value, or a key is there twice.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError(path, table, "a table")
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, leaf):
+            inner = {key: value}
+        elif isinstance(value, Mapping) and Mapping not in _as_tuple(leaf):
+            below = flattened(value, f"{path}.{key}", leaf)
+            inner = {f"{key}.{rest}": v for rest, v in below.items()}
+        else:
+            raise InputError(f"{path}.{key}", value, "a list of values")
+        for name in inner:
+            if name in found:
+                raise InputError(f"{path}.{name}", inner[name], "each key once")
+        found |= inner
+    return found
+
+
+def _as_tuple(leaf: type | tuple[type, ...]) -> tuple[type, ...]:
+    return leaf if isinstance(leaf, tuple) else (leaf,)
+
+
+def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, Any]]]:
+    """Return name and values of every combination, the last factor running fastest.
+
+    Raises
+    ------
+    InputError
+        If a factor has no value or one twice, or there are too many combinations.
+    """
+    for key, levels in factors.items():
+        if not isinstance(levels, list | tuple) or not levels:
+            raise InputError(f"factors.{key}", levels, "a list of at least one value")
+        words = [word(level) for level in levels]
+        if len(set(words)) < len(words):
+            raise InputError(f"factors.{key}", list(levels), "each value once")
+    count = int(np.prod([float(len(levels)) for levels in factors.values()])) if factors else 1
+    if count > MOST_ARMS:
+        raise InputError("factors", count, f"at most {MOST_ARMS} combinations")
+    combinations = itertools.product(*factors.values())
+    return [(_name(values), values) for c in combinations
+            for values in [dict(zip(factors, c, strict=True))]]  # fmt: skip
+
+
+def _name(values: Mapping[str, Any]) -> str:
+    """Return a name: the value of a single factor, else key = value of each."""
+    if not values:
+        return "all"
+    if len(values) == 1:
+        return word(next(iter(values.values())))
+    return ", ".join(f"{key}={word(value)}" for key, value in values.items())
+
+
+def word(value: Any) -> str:
+    """Return a value in short."""
+    if isinstance(value, str):
+        return value.rpartition(":")[2] if ":" in value else value
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return json.dumps(value)
+
+
+def listed(tables: Any) -> list[tuple[str, dict[str, Any]]]:
+    """Return name and values of the combinations that a spec lists as ``[[arms]]``.
+
+    Raises
+    ------
+    InputError
+        If one has no name, no values, or the name of another.
+    """
+    if not isinstance(tables, list) or not tables:
+        raise InputError("arms", tables, "[[arms]], each with a name and a table `set`")
+    found = []
+    for i, table in enumerate(tables):
+        path = f"arms.{i}"
+        if not isinstance(table, Mapping) or set(table) - {"name", "set"}:
+            raise InputError(path, table, "a table with the keys name and set")
+        name = table.get("name")
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{path}.name", name, "a text of at least one character")
+        values = table.get("set", {})
+        if not isinstance(values, Mapping):
+            raise InputError(f"{path}.set", values, "a table of values by key")
+        found.append((name, dict(values)))
+    return found
+
+
+def arms_of(
+    scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], where: str
+) -> tuple[Arm, ...]:
+    """Return the arms, each scenario checked.
+
+    Raises
+    ------
+    InputError
+        If two have one name, or a scenario will not do.
+    """
+    folders = Counter(folder_name(name) for name, _ in combinations)
+    for name, _ in combinations:
+        if folders[folder_name(name)] > 1:
+            raise InputError(where, name, "each combination once, under a name of its own")
+    if len(combinations) > MOST_ARMS:
+        raise InputError(where, len(combinations), f"at most {MOST_ARMS} combinations")
+    return tuple(Arm(n, values, with_values(scenario, values, where)) for n, values in combinations)
+
+
+def groups_of(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
+    """Return the indices of arms that fly over the same ground, by ground."""
+    found: dict[str, list[int]] = {}
+    for i, arm in enumerate(arms):
+        found.setdefault(tables_of(arm.scenario, GROUND_TABLES), []).append(i)
+    return tuple(tuple(group) for group in found.values())
+
+
+def folder_name(arm: str) -> str:
+    """Return an arm's name without what folders cannot be called."""
+    kept = "".join(c if c.isalnum() or c in "-_.=, " else "_" for c in arm).strip(". ")
+    return kept or "arm"
+
+
+def parse_over(texts: Sequence[str]) -> dict[str, list[Any]]:
+    """Return factors from the command line: ``key=a,b,c`` or ``key=low:high:count``.
+
+    Raises
+    ------
+    InputError
+        If a text is neither.
+    """
+    factors: dict[str, list[Any]] = {}
+    for text in texts:
+        key, sign, values = text.partition("=")
+        key = key.strip()
+        if not sign or not key or not values.strip():
+            raise InputError("--over", text, "KEY=A,B,C or KEY=LOW:HIGH:COUNT")
+        if key in factors:
+            raise InputError("--over", text, "each key once")
+        factors[key] = _range(text, values) if values.count(":") == 2 else _list(text, values)
+    return factors
+
+
+def _range(text: str, values: str) -> list[Any]:
+    low, high, count = (part.strip() for part in values.split(":"))
+    try:
+        ends, number = (float(low), float(high)), int(count)
+    except ValueError:
+        # A part by "module:Class" has one colon, not two.
+        raise InputError("--over", text, "LOW:HIGH:COUNT, two numbers and a whole one") from None
+    if number < 2 or not np.isfinite(ends).all() or ends[0] >= ends[1]:
+        raise InputError("--over", text, "LOW below HIGH, and a COUNT of 2 or more")
+    return [float(v) for v in np.linspace(*ends, number)]
+
+
+def _list(text: str, values: str) -> list[Any]:
+    words = [part.strip() for part in values.split(",")]
+    if not all(words):
+        raise InputError("--over", text, "no empty value")
+    return [_parsed(part) for part in words]
+
+
+def _parsed(text: str) -> Any:
+    """Return a number, true or false, or the text."""
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError:
+        return text
+    return value if isinstance(value, bool | int | float) else text

@@ -1,0 +1,86 @@
+"""Files that are there whole or not at all, and what a folder's results were made by."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import lunarsim
+
+# Packages whose versions may change a result.
+_PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
+             "rasterio", "pyarrow")  # fmt: skip
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file beside `path`, bring it to the disk, and rename it to `path`.
+
+    Parameters
+    ----------
+    path
+        What a reader sees: the old file or the new one, never a part of it.
+    write
+        Writes to the path that it is given.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    write(temporary)
+    with temporary.open("rb") as file:
+        os.fsync(file.fileno())
+    temporary.replace(path)
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a JSON file whole."""
+    text = json.dumps(data, indent=1)
+    write_whole(path, lambda p: _text(p, text))
+
+
+def _text(path: Path, text: str) -> None:
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+@cache
+def code_digest() -> str:
+    """Return a digest of the package's source files: two that differ may give other results."""
+    root = Path(lunarsim.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        if path.suffix in (".py", ".json", ".glsl", ".npz") and "__pycache__" not in path.parts:
+            digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def file_digests(data: Any) -> dict[str, str]:
+    """Return the digest of every existing file that tables name in a key that ends in ``path``."""
+    found: dict[str, str] = {}
+    items = data.items() if isinstance(data, Mapping) else enumerate(data)
+    for key, value in items:
+        if isinstance(value, Mapping | list | tuple):
+            found |= file_digests(value)
+        elif isinstance(value, str) and str(key).endswith("path") and Path(value).is_file():
+            found[value] = hashlib.sha256(Path(value).read_bytes()).hexdigest()[:16]
+    return found
+
+
+def environment() -> dict[str, str]:
+    """Return the interpreter, the machine's kind and the versions that may matter."""
+    packages = {}
+    for name in _PACKAGES:
+        try:
+            packages[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return {
+        "python": platform.python_version(),
+        "platform": f"{sys.platform} {platform.machine()}",
+        "cores": str(os.cpu_count()),
+        **packages,
+    }

@@ -1,0 +1,61 @@
+"""A spec flown into a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from lunarsim.campaign.engines.contract import Engine
+from lunarsim.campaign.files import write_whole
+from lunarsim.campaign.flying import check_flyable, plan_of
+from lunarsim.campaign.run import Ran, run
+from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.store import check_folder
+
+
+def fly_spec(
+    spec: CampaignSpec,
+    engine: Engine,
+    out: Path,
+    *,
+    retry: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Ran:
+    """Fly what a folder lacks of a spec; see `lunarsim.campaign.run.run`.
+
+    Parameters
+    ----------
+    spec, engine, out
+        What, by whom, and the folder of results.
+    retry, progress
+        See `run`.
+
+    Raises
+    ------
+    InputError
+        If the first flight of an arm cannot be flown, or the folder is another's; nothing has been
+        written then.
+    """
+    plan = plan_of(spec, out)
+    if check_folder(out, plan) is None:
+        check_flyable(spec)
+    stop = spec.stop
+    rule = None if stop is None else WidthRule(stop.metric, stop.width, len(spec.arms))
+    return run(
+        plan, engine, out, rule=rule, time_budget=spec.head.time_budget, retry=retry,
+        progress=progress, files=lambda folder: write_files(spec, folder),
+    )  # fmt: skip
+
+
+def write_files(spec: CampaignSpec, folder: Path) -> None:
+    """Write the spec and the scenario that it starts from, whole."""
+    texts = {"scenario.toml": spec.scenario.to_toml()}
+    if all(arm.policy is None for arm in spec.arms):
+        texts["spec.toml"] = spec.to_toml()
+    for name, text in texts.items():
+        write_whole(folder / name, lambda p, t=text: _write(p, t))  # type: ignore[misc]
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,112 @@
+"""What each flight of a campaign gets, before anything is flown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+# Kinds of columns that a results table may have.
+KINDS = ("bool", "int", "float", "text")
+
+
+def row_id(flight: int, arm: int) -> str:
+    """Return the name of one flight of one arm: ``12-0``."""
+    return f"{flight}-{arm}"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Flights that one worker flies one after the other: one index, arms over one ground.
+
+    Attributes
+    ----------
+    flight
+        Index; with the root seed it gives the seed.
+    arms
+        Indices of arms.
+    draws
+        Dispersed values by key.
+    """
+
+    flight: int
+    arms: tuple[int, ...]
+    draws: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What workers fly with.
+
+    Attributes
+    ----------
+    function
+        "module:name" of a function of `study`, group, arm and a memory (a dictionary that lasts for
+        the group) that returns the metrics of one flight.
+    study
+        Anything that can be pickled, the same for all flights.
+    """
+
+    function: str
+    study: Any = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All flights of a campaign.
+
+    Attributes
+    ----------
+    name, seed, flights
+        Of the campaign; root seed; indices.
+    arms
+        Name of each arm and its values by key.
+    groups
+        Indices of arms that are flown together.
+    draws
+        Dispersed values of a flight's index.
+    columns
+        Kind of every metric that a flight gives: bool, int, float or text.
+    inputs
+        Kind of every input by key: of the arms' values and of what is drawn.
+    work
+        What workers fly with.
+    identity
+        What makes the results, as plain tables: another one is another campaign.
+    """
+
+    name: str
+    seed: int
+    flights: int
+    arms: Sequence[tuple[str, Mapping[str, Any]]]
+    groups: Sequence[tuple[int, ...]]
+    draws: Callable[[int], dict[str, Any]]
+    columns: Mapping[str, str]
+    inputs: Mapping[str, str]
+    work: Work
+    identity: Mapping[str, Any]
+
+    def inputs_of(self, flight: int, arm: int) -> dict[str, Any]:
+        """Return the inputs of one flight by key."""
+        return {**self.arms[arm][1], **self.draws(flight)}
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield what every flight gets: id, flight, arm, seed and inputs."""
+        for flight in range(self.flights):
+            drawn = self.draws(flight)
+            for arm, (name, values) in enumerate(self.arms):
+                yield {
+                    "id": row_id(flight, arm), "flight": flight, "arm": name, "seed": self.seed,
+                    **values, **drawn,
+                }  # fmt: skip
+
+
+def kind_of(values: Sequence[Any]) -> str:
+    """Return the kind of a column that holds values; lists and mixtures are text."""
+    if all(isinstance(v, bool) for v in values):
+        return "bool"
+    if all(isinstance(v, int) and not isinstance(v, bool) for v in values):
+        return "int"
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        return "float"
+    return "text"

@@ -1,0 +1,28 @@
+"""A plan as a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv as pcsv
+import pyarrow.parquet as pq
+
+from lunarsim.campaign.plan import Plan
+from lunarsim.campaign.store import schema_of
+
+
+def write_plan(plan: Plan, path: Path, suffix: str) -> None:
+    """Write a row a flight: id, flight, arm, seed and inputs.
+
+    Parameters
+    ----------
+    plan, path
+        What; where.
+    suffix
+        .csv or .parquet.
+    """
+    whole = schema_of(plan.inputs, {})
+    schema = pa.schema([whole.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)])
+    table = pa.Table.from_pylist(list(plan.rows()), schema)
+    (pcsv.write_csv if suffix == ".csv" else pq.write_table)(table, path)

@@ -1,0 +1,91 @@
+"""One flight of a campaign flown again, and whether it ends as it did."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow.compute as pc
+
+from lunarsim.campaign.flying import fly_whole, plan_of
+from lunarsim.campaign.plan import Group
+from lunarsim.campaign.results import load_results
+from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.errors import InputError
+from lunarsim.simulation import Flight, Simulation
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A flight flown again.
+
+    Attributes
+    ----------
+    flight, simulation
+        Its record, and what flew it.
+    row
+        Its metrics.
+    recorded
+        Its row in the campaign; None where it has none yet.
+    differences
+        Name, recorded and new value of metrics that differ; None without a verdict then.
+    """
+
+    flight: Flight
+    simulation: Simulation
+    row: dict[str, Any]
+    recorded: dict[str, Any] | None
+    differences: list[tuple[str, Any, Any]] | None
+
+
+def replay(folder: str | Path, flight: str) -> Replayed:
+    """Fly one flight of a campaign again, in this process.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+    flight
+        Its id, such as ``12-0``: index and number of the arm.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no campaign whose spec can be read, or the campaign no such flight.
+    """
+    found = load_results(folder)
+    spec_file = Path(folder) / "spec.toml"
+    if not spec_file.is_file():
+        raise InputError("folder", str(folder), "one with spec.toml: policy objects have none")
+    spec = CampaignSpec.load(spec_file)
+    index, arm = _parsed(flight, int(found.manifest["flights"]), len(spec.arms))
+    plan = plan_of(spec)
+    study = plan.work.study
+    record, simulation, row = fly_whole(study, Group(index, (arm,), plan.draws(index)), arm, {})
+    rows = found.table.filter(pc.equal(found.table["id"], flight)).to_pylist()
+    recorded = rows[0] if rows else None
+    differences = None
+    if recorded is not None and recorded["safe"] is not None:
+        differences = [
+            (name, recorded[name], value)
+            for name, value in row.items()
+            if not _same(recorded.get(name), value)
+        ]
+    return Replayed(record, simulation, row, recorded, differences)
+
+
+def _parsed(flight: str, flights: int, arms: int) -> tuple[int, int]:
+    index, _, arm = flight.partition("-")
+    if not (index.isdecimal() and arm.isdecimal() and int(index) < flights and int(arm) < arms):
+        raise InputError(
+            "--flight", flight, f"INDEX-ARM, from 0-0 to {flights - 1}-{arms - 1}, as the column id"
+        )
+    return int(index), int(arm)
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, float) and isinstance(b, float) and math.isnan(a):
+        return math.isnan(b)
+    return bool(a == b)

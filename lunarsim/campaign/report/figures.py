@@ -1,0 +1,203 @@
+"""The plots of a report, as Plotly takes them: traces with the arm that they are of, and a layout.
+
+Colours of text, grid and paper are the page's, which knows whether it is light or dark.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from lunarsim.campaign.analysis import ArmFigures, arm_rows, column
+from lunarsim.campaign.results import Results
+from lunarsim.evaluation.comparisons import Difference, Ellipse
+from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
+from lunarsim.evaluation.statistics import Proportion
+
+# Okabe and Ito's palette, told apart by colour-blind readers, with greys that show on both themes.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8c8c8c")
+# Points of a scatter that a browser still moves with ease, of each arm.
+_MOST_POINTS = 4000
+Plot = dict[str, Any]
+
+
+def colour(index: int) -> str:
+    """Return the colour of an arm."""
+    return COLOURS[index % len(COLOURS)]
+
+
+def _plot(identity: str, title: str, said: str, traces: list[Plot], layout: Plot) -> Plot:
+    return {"id": identity, "title": title, "said": said, "data": traces, "layout": layout}
+
+
+def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, float]]) -> Plot:
+    """Return the share of safe landings of each arm with its interval."""
+    traces = []
+    for i, arm in enumerate(figures):
+        share = arm.shares["safe"].value
+        low, high = intervals[arm.name]
+        traces.append({
+            "type": "scatter", "mode": "markers", "x": [share], "y": [arm.name],
+            "error_x": {"type": "data", "symmetric": False, "array": [high - share],
+                        "arrayminus": [share - low], "thickness": 2, "width": 6},
+            "marker": {"color": colour(i), "size": 11}, "name": arm.name, "arm": arm.name,
+            "showlegend": False,
+        })  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": "landed safe"}, "range": [-0.02, 1.02]},
+        "yaxis": {"autorange": "reversed", "automargin": True},
+        "height": 140 + 34 * len(figures),
+    }
+    return _plot("shares", "Safe landings", "", traces, layout)
+
+
+def landings_plot(
+    found: Results, figures: list[ArmFigures], ground: tuple[list[float], list[float], Any] | None
+) -> Plot | None:
+    """Return where arms touched down, with the ellipse of 95 %, over the ground if it is known."""
+    if "touchdown_x_m" not in found.manifest["columns"]:
+        return None
+    traces: list[Plot] = []
+    if ground is not None:
+        x, y, shade = ground
+        traces.append({
+            "type": "heatmap", "x": x, "y": y, "z": shade, "colorscale": "Greys", "opacity": 0.55,
+            "showscale": False, "hoverinfo": "skip",
+        })  # fmt: skip
+    safe = column(found, "safe")
+    xs, ys = (column(found, name) for name in ("touchdown_x_m", "touchdown_y_m"))
+    names = np.array(found.table["id"].to_pylist())
+    rows_of = arm_rows(found)
+    for i, arm in enumerate(figures):
+        for good, symbol in ((True, "circle"), (False, "x")):
+            rows = np.flatnonzero(rows_of[arm.name] & np.isfinite(xs) & ((safe > 0.5) == good))
+            rows = rows[:: max(1, -(-len(rows) // _MOST_POINTS))]
+            traces.append({
+                "type": "scatter", "mode": "markers", "x": _numbers(xs[rows]),
+                "y": _numbers(ys[rows]), "text": names[rows].tolist(),
+                "name": f"{arm.name}, {'safe' if good else 'not safe'}", "arm": arm.name,
+                "marker": {"color": colour(i), "symbol": symbol, "size": 7 if good else 9,
+                           "line": {"width": 1, "color": "white"}},
+            })  # fmt: skip
+        if arm.ellipse is not None:
+            east, north = _outline(arm.ellipse)
+            traces.append({
+                "type": "scatter", "mode": "lines", "x": east, "y": north, "arm": arm.name,
+                "name": f"{arm.name}, 95 % ellipse", "line": {"color": colour(i)},
+                "showlegend": False, "hoverinfo": "skip",
+            })  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": "east (m)"}},
+        "yaxis": {"title": {"text": "north (m)"}, "scaleanchor": "x"},
+        "height": 620,
+    }
+    said = "Points by flight; crosses are landings that were not safe. "
+    said += "Shading: relief without rocks, as all flights share it." if ground else ""
+    return _plot("landings", "Where they touched down", said, traces, layout)
+
+
+def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
+    t = np.linspace(0.0, 2.0 * np.pi, 73)
+    long, short = ellipse.half_axes[0] * np.cos(t), ellipse.half_axes[1] * np.sin(t)
+    sine, cosine = np.sin(ellipse.azimuth), np.cos(ellipse.azimuth)
+    return (
+        _numbers(ellipse.centre[0] + long * sine + short * cosine),
+        _numbers(ellipse.centre[1] + long * cosine - short * sine),
+    )
+
+
+def reliability_plot(found: Results, figures: list[ArmFigures]) -> Plot | None:
+    """Return how often sites were exactly safe, by what the map said of them."""
+    if "p_safe" not in found.manifest["columns"]:
+        return None
+    said = column(found, "p_safe")
+    true = column(found, "touchdown_exactly_safe")
+    known = np.isfinite(said) & np.isfinite(true) & np.isfinite(column(found, "touchdown_x_m"))
+    traces: list[Plot] = [
+        {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "as often as said",
+         "line": {"dash": "dot", "color": "#8c8c8c"}}
+    ]  # fmt: skip
+    rows_of = arm_rows(found)
+    words = []
+    for i, arm in enumerate(figures):
+        rows = rows_of[arm.name] & known
+        table = reliability(said[rows], true[rows])
+        p, share = frequencies(table)
+        filled = table[:, 0] > 0
+        intervals = [Proportion(int(h), int(n)).interval for n, _, h in table[filled]]
+        low, high = np.array(intervals).reshape(-1, 2).T
+        traces.append({
+            "type": "scatter", "mode": "markers+lines", "x": _numbers(p[filled]),
+            "y": _numbers(share[filled]), "name": arm.name, "arm": arm.name,
+            "text": [f"{int(n)} landings" for n in table[filled, 0]],
+            "error_y": {"type": "data", "symmetric": False,
+                        "array": _numbers(high - share[filled]),
+                        "arrayminus": _numbers(share[filled] - low), "thickness": 1},
+            "marker": {"color": colour(i), "size": 8},
+            "line": {"color": colour(i), "width": 1},
+        })  # fmt: skip
+        words.append(f"{arm.name} {calibration_error(table):.3f}")
+    layout = {
+        "xaxis": {"title": {"text": "p_safe of the last site, by the map"}, "range": [-0.03, 1.03]},
+        "yaxis": {"title": {"text": "touched down on exactly safe ground"}, "range": [-0.03, 1.03]},
+        "height": 480,
+    }  # fmt: skip
+    text = (
+        "Sites that a policy chose, not sites at random: a policy that takes the highest p_safe "
+        "takes its errors too. Where the lander misses its site, ground beside it counts. Mean "
+        "distance of the two, weighted by number: " + ", ".join(words) + "."
+    )
+    return _plot("reliability", "What p_safe was worth", text, traces, layout)
+
+
+def differences_plot(made: list[Difference]) -> Plot:
+    """Return the paired differences of the share of safe landings."""
+    names = [f"{d.second} − {d.first}" for d in made]
+    traces = [
+        {"type": "scatter", "mode": "markers", "x": [d.value], "y": [name],
+         "arms": [d.first, d.second], "showlegend": False,
+         "error_x": {"type": "data", "symmetric": False, "array": [d.high - d.value],
+                     "arrayminus": [d.value - d.low], "thickness": 2, "width": 5},
+         "marker": {"size": 10, "color": "#0072B2" if d.corrected < 0.05 else "#8c8c8c"}}
+        for d, name in zip(made, names, strict=True)
+    ]  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": "difference of the share that landed safe"}, "zeroline": True,
+                  "zerolinewidth": 2},
+        "yaxis": {"autorange": "reversed", "automargin": True},
+        "height": 140 + 30 * len(made),
+    }  # fmt: skip
+    said = "Blue: told apart after Holm's correction; grey: not."
+    return _plot("differences", "Paired differences", said, traces, layout)
+
+
+def spread_plot(found: Results, metric: str, label: str) -> Plot:
+    """Return quartiles and 5 and 95 % of a number of each arm."""
+    traces = []
+    flown = pc.equal(found.table["outcome"], "flown").to_numpy(zero_copy_only=False)
+    for i, (arm, rows) in enumerate(arm_rows(found).items()):
+        values = column(found, metric, rows & flown)
+        values = values[np.isfinite(values)]
+        if not len(values):
+            continue
+        low, q1, middle, q3, high = (
+            [float(v)] for v in np.quantile(values, (0.05, 0.25, 0.5, 0.75, 0.95))
+        )
+        traces.append({
+            "type": "box", "orientation": "h", "y": [arm], "q1": q1, "median": middle, "q3": q3,
+            "lowerfence": low, "upperfence": high, "marker": {"color": colour(i)}, "arm": arm,
+            "name": arm, "showlegend": False,
+        })  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": label}},
+        "yaxis": {"autorange": "reversed", "automargin": True},
+        "height": 140 + 34 * len(traces),
+    }
+    return _plot(metric, label, "Box: quartiles; whiskers: 5 and 95 %.", traces, layout)
+
+
+def _numbers(values: NDArray[np.float64]) -> list[float]:
+    return [round(float(v), 4) for v in values]

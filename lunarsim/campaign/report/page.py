@@ -1,0 +1,202 @@
+"""What stands in a report, and the file that it is written to."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+import lunarsim
+from lunarsim.campaign.analysis import ArmFigures, column, differences, figures_of
+from lunarsim.campaign.files import write_whole
+from lunarsim.campaign.report.figures import (
+    differences_plot,
+    landings_plot,
+    reliability_plot,
+    shares_plot,
+    spread_plot,
+)
+from lunarsim.campaign.results import Results, failures, load_results
+from lunarsim.errors import InputError, check_output
+from lunarsim.evaluation.sequences import share_sequence
+
+# Flights that are listed as the worst, of each arm.
+_WORST = 5
+# Rows of the table of what went wrong.
+_MOST_CAUSES = 60
+_LABELS = {
+    "propellant_kg": "propellant (kg)",
+    "divert_m": "divert (m)",
+    "duration_s": "time of flight (s)",
+}
+
+
+def write_report(folder: str | Path, out: Path) -> Results:
+    """Write the report of a campaign, finished or not; return what it is of.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+    out
+        HTML file; it needs no network.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no flown flight, the file will not do, or plotly or jinja2 lack.
+    """
+    check_output("--out", out, ".html")
+    try:
+        import jinja2  # noqa: PLC0415  (an extra)
+        from plotly.offline import get_plotlyjs  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(
+            "report", error.name, 'a package that is installed: pip install "lunarsim[report]"'
+        ) from None
+    found = load_results(folder)
+    if not len(found.table):
+        raise InputError("folder", str(folder), "a campaign with at least one flight flown")
+    text = Path(__file__).with_name("page.html.j2").read_text(encoding="utf-8")
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
+        text
+    )
+    # Nothing that a text of a flight says may end the script that it stands in.
+    page = template.render(
+        **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
+    )
+    write_whole(out, lambda path: _write(path, page))
+    return found
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _in_script(text: str) -> Any:
+    from markupsafe import Markup  # noqa: PLC0415  (comes with jinja2)
+
+    return Markup(text.replace("</script", "<\\/script"))
+
+
+def _content(found: Results) -> dict[str, Any]:
+    """Return everything that the page shows."""
+    figures = figures_of(found)
+    stopped = found.manifest["state"] == "stopped"
+    intervals = {a.name: _interval(a, stopped) for a in figures}
+    made = differences(found) if len(figures) > 1 else []
+    plots = [
+        shares_plot(figures, intervals),
+        landings_plot(found, figures, _ground(found)),
+        reliability_plot(found, figures),
+        differences_plot(made) if made else None,
+        *(spread_plot(found, n, _LABELS[n]) for n in _LABELS if n in found.manifest["columns"]),
+    ]
+    spec = found.folder / "spec.toml"
+    return {
+        "m": found.manifest,
+        "done": len(found.table),
+        "wanted": found.wanted,
+        "stopped": stopped,
+        "factors": _factors(found),
+        "arms": [_row(a, *intervals[a.name]) for a in figures],
+        "plots": {p["id"]: p for p in plots if p is not None},
+        "data": _in_script(json.dumps([p for p in plots if p is not None], allow_nan=False)),
+        "differences": made,
+        "causes": failures(found)[:_MOST_CAUSES],
+        "worst": _worst(found),
+        "timing": _timing(found),
+        "spec": spec.read_text(encoding="utf-8") if spec.is_file() else "",
+    }
+
+
+def _interval(arm: ArmFigures, stopped: bool) -> tuple[float, float]:
+    """Return the interval of the safe share: one that stands peeking where it was peeked at."""
+    share = arm.shares["safe"]
+    return share_sequence(share.count, share.total) if stopped else share.interval
+
+
+def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
+    """Return the cells of an arm's row of the summary."""
+
+    def ranged(value: float, low: float, high: float, form: str) -> str:
+        if not math.isfinite(value):
+            return "–"
+        bounds = [format(v, form) if math.isfinite(v) else "?" for v in (low, high)]
+        return f"{value:{form}} [{bounds[0]}, {bounds[1]}]"
+
+    cells = {"landed safe": ranged(arm.shares["safe"].value, low, high, ".3f")}
+    if "aborted" in arm.shares:
+        cells["aborted"] = str(arm.shares["aborted"].count)
+        cells["navigation lost"] = str(arm.shares["navigation_lost"].count)
+    for name, label in _LABELS.items():
+        if name in arm.means:
+            form = ".1f"
+            cells[f"{label}, mean"] = ranged(*arm.means[name], form)
+            cells[f"{label}, 95 %"] = ranged(*arm.quantiles[name][1], form)
+    if arm.ellipse is not None:
+        long, short = arm.ellipse.half_axes
+        cells["landing ellipse, 95 % (m)"] = f"{long:.1f} × {short:.1f}"
+    return {"name": arm.name, "rows": arm.rows, "flown": arm.flown, "cells": cells}
+
+
+def _factors(found: Results) -> dict[str, list[str]]:
+    """Return the values of every key that arms differ in."""
+    values: dict[str, list[str]] = {}
+    for arm in found.manifest["arms"]:
+        for key, value in arm["values"].items():
+            levels = values.setdefault(key, [])
+            if str(value) not in levels:
+                levels.append(str(value))
+    return {key: levels for key, levels in values.items() if len(levels) > 1}
+
+
+def _worst(found: Results) -> list[dict[str, Any]]:
+    """Return the flights of each arm that came off worst: no verdict first, then hard landings."""
+    table = found.table
+    speed = np.zeros(len(table))
+    for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
+        if name in table.column_names:
+            speed += np.nan_to_num(column(found, name), nan=1e3)
+    bad = ~(column(found, "safe") > 0.5)
+    order = np.lexsort((-speed, column(found, "safe")))
+    out: list[dict[str, Any]] = []
+    for arm in found.arms:
+        mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
+        for row in table.take(pa.array(order[mine[order]][:_WORST])).to_pylist():
+            why = row["error"] or row.get("failed") or row["outcome"]
+            out.append({"id": row["id"], "arm": arm, "why": why})
+    return out
+
+
+def _timing(found: Results) -> dict[str, Any]:
+    seconds = np.array(found.timing["seconds"].to_pylist(), dtype=np.float64)
+    known = seconds[np.isfinite(seconds)]
+    if not len(known):
+        return {}
+    median, late, most = np.quantile(known, (0.5, 0.95, 1.0))
+    ended = np.array(found.timing["finished_unix_s"].to_pylist(), dtype=np.float64)
+    return {
+        "median": f"{median:.2f}",
+        "late": f"{late:.2f}",
+        "most": f"{most:.1f}",
+        "hours": f"{known.sum() / 3600.0:.2f}",
+        "span": f"{(np.nanmax(ended) - np.nanmin(ended)) / 3600.0:.2f}",
+        "workers": len({w for w in found.timing["worker"].to_pylist() if w}),
+    }
+
+
+def _ground(found: Results) -> tuple[list[float], list[float], Any] | None:
+    """Return a coarse picture of the relief that all flights share, None where there is none."""
+    if not (found.folder / "scenario.toml").is_file() or any(
+        key.startswith("terrain") for key in found.manifest["inputs"]
+    ):
+        return None
+    from lunarsim.campaign.report.ground import shaded  # noqa: PLC0415  (loads the simulation)
+
+    return shaded(found.folder / "scenario.toml", int(found.manifest["seed"]))

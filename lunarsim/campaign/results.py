@@ -1,0 +1,246 @@
+"""Results of a campaign as they lie, of one that is still flying too: tables, progress, files."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pcsv
+import pyarrow.parquet as pq
+
+from lunarsim.campaign.files import write_whole
+from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.store import TIMING, read_manifest, schema_of
+from lunarsim.errors import InputError, check_output
+
+# Rows whose times the rate is taken from.
+_RECENT = 200
+
+
+@dataclass(frozen=True)
+class Results:
+    """All rows of a campaign's folder.
+
+    Attributes
+    ----------
+    folder, manifest
+        Where they are from.
+    table
+        Results, by flight, then arm.
+    timing
+        Wall-clock times, in the same order.
+    """
+
+    folder: Path
+    manifest: dict[str, Any]
+    table: pa.Table
+    timing: pa.Table
+
+    @property
+    def arms(self) -> list[str]:
+        """Names of the arms, in the order of the spec."""
+        return [arm["name"] for arm in self.manifest["arms"]]
+
+    @property
+    def wanted(self) -> int:
+        """Rows of the whole campaign."""
+        return int(self.manifest["flights"]) * len(self.arms)
+
+
+def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Results:
+    """Read the results of a campaign, finished or not.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+    columns
+        Only these; left out: all.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no campaign, or a part cannot be read.
+    """
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    schema = schema_of(manifest["inputs"], manifest["columns"])
+    # The journal first: a row that moves on meanwhile is then read twice rather than never.
+    journal = _journal(folder)
+    wanted = None if columns is None else list(dict.fromkeys(["id", "flight", "arm", *columns]))
+    table = _parts(folder / "results", schema, wanted)
+    timing = _parts(folder / "timing", TIMING, None)
+    if journal:
+        known = set(table["id"].to_pylist())
+        new = [pair for name, pair in journal.items() if name not in known]
+        rows = pa.Table.from_pylist([row for row, _ in new], schema)
+        table = pa.concat_tables([table, rows.select(table.column_names)])
+        timing = pa.concat_tables([timing, pa.Table.from_pylist([t for _, t in new], TIMING)])
+    place = {arm["name"]: i for i, arm in enumerate(manifest["arms"])}
+    arm = np.array([place[name] for name in table["arm"].to_pylist()], dtype=np.int64)
+    order = np.lexsort((arm, table["flight"].to_numpy()))
+    if not np.array_equal(order, np.arange(len(order))):
+        table = table.take(order)
+    return Results(folder, manifest, table, _ordered(timing, table))
+
+
+def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
+    """Return times in the order of results; empty ones where there are none."""
+    if timing["id"].equals(table["id"]):
+        return timing
+    places = pc.index_in(table["id"], value_set=timing["id"].combine_chunks())
+    return timing.take(places).set_column(0, "id", table["id"])
+
+
+def _parts(folder: Path, schema: pa.Schema, columns: list[str] | None) -> pa.Table:
+    """Return all parts of a dataset."""
+    tables = []
+    for path in sorted(folder.glob("part-*.parquet")):
+        try:
+            tables.append(pq.read_table(path, columns=columns, schema=schema))
+        except FileNotFoundError:
+            continue
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise InputError(
+                "folder", str(path),
+                "a part that can be read; `lunarsim campaign run` with the same spec flies its "
+                f"flights again ({str(error).splitlines()[0]})",
+            ) from None  # fmt: skip
+    if tables:
+        return pa.concat_tables(tables)
+    empty = schema.empty_table()
+    return empty if columns is None else empty.select(columns)
+
+
+def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Return rows and times of the journal by id; a line that is half there is none."""
+    found = {}
+    path = folder / "journal.jsonl"
+    lines = path.read_bytes().split(b"\n") if path.exists() else []
+    for line in lines:
+        try:
+            row, timing = json.loads(line)
+        except ValueError:
+            continue
+        found[row["id"]] = row, timing
+    return found
+
+
+@dataclass(frozen=True)
+class Status:
+    """How far a campaign is.
+
+    Attributes
+    ----------
+    state
+        complete, stopped, interrupted, out of time, flying; killed: nobody is writing to the
+        folder, and the last who did took no leave.
+    done, wanted
+        Rows.
+    outcomes
+        Rows by outcome.
+    rate
+        Rows a second of late; NaN where there are too few.
+    """
+
+    name: str
+    state: str
+    done: int
+    wanted: int
+    outcomes: dict[str, int]
+    rate: float
+
+    @property
+    def seconds_left(self) -> float:
+        """Wall-clock time that is left at this rate, s."""
+        return (self.wanted - self.done) / self.rate if self.rate > 0.0 else float("nan")
+
+
+def status_of(folder: str | Path) -> Status:
+    """Return how far a campaign is; it may be flying.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no campaign.
+    """
+    found = load_results(folder, ["outcome"])
+    state = str(found.manifest["state"])
+    if state == "running":
+        state = "flying" if _is_locked(found.folder) else "killed"
+    ended = np.sort(np.array(found.timing["finished_unix_s"].to_pylist(), dtype=np.float64))
+    recent = ended[np.isfinite(ended)][-_RECENT:]
+    rate = float("nan")
+    if len(recent) > 1:
+        span = (time.time() if state == "flying" else recent[-1]) - recent[0]
+        rate = float((len(recent) - 1) / span) if span > 0.0 else rate
+    return Status(
+        str(found.manifest["name"]), state, len(found.table), found.wanted,
+        dict(Counter(found.table["outcome"].to_pylist())), rate,
+    )  # fmt: skip
+
+
+def _is_locked(folder: Path) -> bool:
+    """Tell whether a process is writing to a folder."""
+    try:
+        with (folder / ".lock").open("r", encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
+def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
+    """Write all rows into one file, CSV or Parquet by its ending; return their number.
+
+    Parameters
+    ----------
+    folder, out
+        Of the campaign; file to write.
+    timing
+        Whether wall-clock times are written too.
+
+    Raises
+    ------
+    InputError
+        If the folder or the file will not do.
+    """
+    suffix = out.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise InputError("--out", str(out), "a file name that ends in .csv or .parquet")
+    check_output("--out", out, suffix)
+    found = load_results(folder)
+    table = found.table
+    if timing:
+        for name in TIMING.names[1:]:
+            table = table.append_column(name, found.timing[name])
+    write = pcsv.write_csv if suffix == ".csv" else pq.write_table
+    write_whole(out, lambda path: write(table, path))
+    return len(table)
+
+
+def failures(found: Results) -> list[tuple[str, str, int]]:
+    """Return arm, what went wrong, and how often: causes of unsafe landings, errors of flights."""
+    counts: Counter[tuple[str, str]] = Counter()
+    table = found.table
+    whys = table["failed"] if "failed" in table.column_names else table["error"]
+    columns = (table["arm"], table["outcome"], whys, table["error"])
+    for arm, outcome, causes, error in zip(*(c.to_pylist() for c in columns), strict=True):
+        if outcome != FLOWN:
+            counts[arm, f"{outcome}: {error}"] += 1
+        elif causes:
+            counts[arm, causes] += 1
+    place = {name: i for i, name in enumerate(found.arms)}
+    ordered = sorted(counts.items(), key=lambda item: (place[item[0][0]], -item[1]))
+    return [(arm, what, count) for (arm, what), count in ordered]

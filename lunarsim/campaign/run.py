@@ -1,0 +1,206 @@
+"""Fly a plan: who flies, what is kept, and how it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from lunarsim.campaign.engines.contract import Engine
+from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.plan import Group, Plan
+from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.store import Store
+
+COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupted", "out of time"
+
+
+@dataclass(frozen=True)
+class Ran:
+    """How a run of a campaign ended.
+
+    Attributes
+    ----------
+    state
+        complete; stopped: the interval was narrow enough; interrupted; out of time.
+    flown, before
+        Rows of this run, and rows that were there already.
+    failed
+        Rows of this run without a verdict.
+    flights
+        Indices that the campaign has, or was stopped at.
+    notes
+        What was found wrong in the folder, in words.
+    """
+
+    state: str
+    flown: int
+    before: int
+    failed: int
+    flights: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is left to fly."""
+        return self.state in (COMPLETE, STOPPED)
+
+
+class Halt:
+    """Whether somebody asked for the end: an interrupt or a polite kill."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self) -> bool:
+        """Tell whether to end at once."""
+        return self.asked
+
+    @contextlib.contextmanager
+    def on_signals(self, engine: Engine) -> Iterator[None]:
+        """Take SIGINT and SIGTERM as the wish to end; a second one ends without care."""
+        if threading.current_thread() is not threading.main_thread() or not engine.asks_to_halt:
+            yield
+            return
+
+        def take(number: int, frame: FrameType | None) -> None:
+            if self.asked:
+                raise KeyboardInterrupt
+            self.asked = True
+
+        old = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in old.items():
+                signal.signal(number, handler)
+
+
+def run(
+    plan: Plan,
+    engine: Engine,
+    out: Path,
+    *,
+    rule: WidthRule | None = None,
+    time_budget: float | None = None,
+    retry: bool = False,
+    progress: Callable[[int], None] | None = None,
+    files: Callable[[Path], None] | None = None,
+) -> Ran:
+    """Fly what a folder lacks of a plan.
+
+    Parameters
+    ----------
+    plan, engine, out
+        What, by whom, and the folder: new, or of the same campaign.
+    rule, time_budget
+        When to stop early; wall-clock time after which no flight starts, s (those in the air end).
+    retry
+        Whether flights without a verdict are flown again.
+    progress, files
+        Called with the number of rows that have come; writes what else belongs into the folder.
+
+    Raises
+    ------
+    InputError
+        If the folder is another's; nothing has been written then.
+    OSError
+        If the folder cannot be written to any more; what was finished before is kept.
+    """
+    store = Store.open(out, plan, retry=retry)
+    halt = Halt()
+    before = store.count
+    try:
+        if files is not None:
+            files(out)
+        store.save_manifest(engine=engine.name)
+        if rule is not None:
+            _shown(rule, store, plan)
+        if progress is not None and before:
+            progress(before)
+        flown, failed, in_time = _fly(plan, engine, store, halt, rule, time_budget, progress)
+        state = _state(store, plan, rule, in_time)
+        if state == STOPPED and rule is not None and rule.stop is not None:
+            store.cut(rule.stop)
+        store.close(state)
+    except OSError as error:
+        store.abandon()
+        said = (
+            f"{error.strerror}; what is finished is kept: make room, and the same command goes on"
+        )
+        raise OSError(error.errno, said, error.filename or str(out)) from error
+    except BaseException:
+        store.abandon()
+        raise
+    flights = int(store.manifest["flights"])
+    return Ran(state, flown, before, failed, flights, tuple(store.notes))
+
+
+def _fly(
+    plan: Plan,
+    engine: Engine,
+    store: Store,
+    halt: Halt,
+    rule: WidthRule | None,
+    time_budget: float | None,
+    progress: Callable[[int], None] | None,
+) -> tuple[int, int, bool]:
+    """Fly; return rows, rows without a verdict, and whether time sufficed."""
+    flown = failed = 0
+    began = time.monotonic()
+    in_time = True
+
+    def groups() -> Iterator[Group]:
+        nonlocal in_time
+        for group in _missing(plan, store):
+            if time_budget is not None and time.monotonic() - began > time_budget:
+                in_time = False
+                return
+            yield group
+
+    enough = rule is not None and rule.stop is not None
+    with halt.on_signals(engine), contextlib.suppress(KeyboardInterrupt):
+        flights = engine.fly(plan.work, groups() if not enough else iter(()), halt)
+        with contextlib.closing(flights):  # type: ignore[type-var]
+            for done in flights:
+                row = store.add(done)
+                flown += 1
+                failed += done.outcome != FLOWN
+                if rule is not None:
+                    rule.see(done.flight, done.arm, row)
+                if progress is not None:
+                    progress(1)
+                if rule is not None and rule.stop is not None:
+                    break
+    return flown, failed, in_time
+
+
+def _missing(plan: Plan, store: Store) -> Iterator[Group]:
+    """Yield what has no row yet, in the order of flights."""
+    for flight in range(plan.flights):
+        draws: dict[str, Any] | None = None
+        for group in plan.groups:
+            arms = tuple(arm for arm in group if not store.has(flight, arm))
+            if arms:
+                draws = plan.draws(flight) if draws is None else draws
+                yield Group(flight, arms, draws)
+
+
+def _shown(rule: WidthRule, store: Store, plan: Plan) -> None:
+    names = {name: i for i, (name, _) in enumerate(plan.arms)}
+    for row in store.rows():
+        rule.see(row["flight"], names[row["arm"]], row)
+
+
+def _state(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
+    if rule is not None and rule.stop is not None:
+        return STOPPED
+    if store.count == plan.flights * len(plan.arms):
+        return COMPLETE
+    return INTERRUPTED if in_time else OUT_OF_TIME

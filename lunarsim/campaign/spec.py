@@ -1,0 +1,360 @@
+"""The spec of a campaign: one TOML file that says all that is flown.
+
+name = "sun-and-policies"
+scenario = "golombek.toml"          # relative to this file; or the scenario itself as a table
+flights = 200
+seed = 1
+
+[factors]                           # every combination; or [[arms]] with name and set
+policy = ["no-divert", "safest"]
+"sun.elevation_deg" = [5.0, 20.0]
+
+[dispersions]
+"start.position_m.0" = { kind = "normal", mean = -600.0, sigma = 30.0 }
+
+[[correlations]]
+keys = ["start.position_m.0", "start.velocity_m_s.0"]
+matrix = [[1.0, 0.5], [0.5, 1.0]]
+
+[stop]                              # plain Monte Carlo alone
+metric = "safe"
+width = 0.1
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from lunarsim.campaign.dispersions import KINDS, Correlation, Dispersions, distribution
+from lunarsim.campaign.factors import Arm, arms_of, flattened, listed, product
+from lunarsim.campaign.keys import path_of, with_values
+from lunarsim.errors import InputError, suggestion
+from lunarsim.evaluation.outcome import COLUMNS
+from lunarsim.parts import quantity, settings_of
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.errors import input_error
+
+# Draws whose extremes are tried on the scenario before anything is flown.
+_TRIED = 1000
+RECORDS = ("none", "failures", "all")
+
+
+@dataclass(frozen=True)
+class Head:
+    """The plain keys of a spec.
+
+    Attributes
+    ----------
+    name
+        Of the campaign.
+    flights
+        Of each arm.
+    seed
+        Root seed.
+    method
+        Of drawing the dispersions: monte-carlo, latin-hypercube or sobol.
+    time_limit
+        Wall-clock time after which a flight is given up, s; None: never.
+    time_budget
+        Wall-clock time after which no more flights start, s; None: never.
+    records
+        Which flights' whole records are kept: none, failures or all.
+    figures
+        Whether the first flight of each arm is drawn.
+    """
+
+    name: str = quantity("campaign", help="of the campaign")
+    flights: int = quantity(20, ge=1, help="of each arm")
+    seed: int = quantity(1, ge=0, lt=2**63, help="root seed")
+    method: str = quantity("monte-carlo", help="how the dispersions are drawn")
+    time_limit: float | None = quantity(None, "s", gt=0, help="a flight that takes longer is ended")
+    time_budget: float | None = quantity(None, "s", gt=0, help="no flight starts later")
+    records: str = quantity("none", help="none, failures or all: whole records kept")
+    figures: bool = quantity(False, help="draw the first flight of each arm")
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("name", self.name, "at least one character")
+        if self.records not in RECORDS:
+            raise InputError("records", self.records, suggestion(self.records, RECORDS))
+        if self.method == "sobol" and self.flights & (self.flights - 1):
+            below = 1 << (self.flights.bit_length() - 1)
+            raise InputError(
+                "flights", self.flights,
+                f"a power of two, as Sobol points need: {below} or {2 * below}",
+            )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Stop once an interval is narrow enough.
+
+    Attributes
+    ----------
+    metric
+        A column that is true or false.
+    width
+        Of the 95 % confidence sequence of its share, in every arm.
+    """
+
+    metric: str = quantity("safe", help="a column that is true or false")
+    width: float = quantity(0.1, gt=0, lt=1, help="of its 95 % confidence sequence in every arm")
+
+    def __post_init__(self) -> None:
+        known = [name for name, kind in COLUMNS.items() if kind == "bool"]
+        if self.metric not in known:
+            raise InputError("metric", self.metric, suggestion(self.metric, known))
+
+
+@dataclass(frozen=True)
+class CampaignSpec:
+    """Everything that a campaign flies; build one with `load` or `from_dict`, which check it.
+
+    Attributes
+    ----------
+    head
+        Plain keys.
+    scenario
+        That all arms start from.
+    arms
+        Combinations that are compared.
+    dispersions
+        What is drawn for each flight.
+    stop
+        When to stop early, or None.
+    factors
+        Lists of values by key that the arms were made of; empty where they were listed.
+    """
+
+    head: Head
+    scenario: Scenario
+    arms: tuple[Arm, ...]
+    dispersions: Dispersions
+    stop: Stop | None = None
+    factors: Mapping[str, list[Any]] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: str | Path) -> CampaignSpec:
+        """Read a TOML file; relative paths in it start from its folder.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, is no TOML, or a field is wrong.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError("spec", str(path), "an existing TOML file")
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError("spec", str(path), f"a TOML file ({error})") from None
+        return cls.from_dict({"name": path.stem} | data, path.parent.resolve())
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> CampaignSpec:
+        """Build a spec from plain tables.
+
+        Raises
+        ------
+        InputError
+            Naming the first field that is wrong.
+        """
+        rest = dict(data)
+        tables = {name: rest.pop(name, None) for name in _TABLES}
+        head = _made("", Head, rest)
+        scenario = _scenario(tables["scenario"], folder)
+        factors, arms = _arms(scenario, tables["factors"], tables["arms"])
+        laws = flattened_laws(tables["dispersions"] or {})
+        correlations = tuple(
+            _made(f"correlations.{i}", Correlation, table)
+            for i, table in enumerate(_list(tables["correlations"]))
+        )
+        dispersions = Dispersions(laws, correlations, head.method, head.seed, head.flights)
+        stop = None if tables["stop"] is None else _made("stop", Stop, tables["stop"])
+        if stop is not None and head.method != "monte-carlo":
+            raise InputError(
+                "stop", head.method, "monte-carlo as method: a design has a fixed number of flights"
+            )
+        spec = cls(head, scenario, arms, dispersions, stop, factors)
+        spec.check_draws()
+        return spec
+
+    def scenario_of(self, flight: int, arm: int) -> Scenario:
+        """Return the scenario of a flight: the arm's with what is drawn for the flight."""
+        return with_values(self.arms[arm].scenario, self.dispersions.draws(flight), "dispersions")
+
+    def check_draws(self) -> None:
+        """Try the extremes of the first thousand draws of each key on every arm.
+
+        Raises
+        ------
+        InputError
+            If an arm sets a key that is drawn, or the scenario refuses a draw.
+        """
+        laws = self.dispersions.distributions
+        for law in laws:
+            for key in {key: None for arm in self.arms for key in arm.values}:
+                shorter, longer = sorted((path_of(law), path_of(key)), key=len)
+                if longer[: len(shorter)] == shorter:
+                    raise InputError(f"dispersions.{law}", law, f"no key that arms set, as {key}")
+        drawn = [self.dispersions.draws(i) for i in range(min(self.head.flights, _TRIED))]
+        for key in laws:
+            values = [one[key] for one in drawn]
+            for value in _extremes(values):
+                for arm in self.arms:
+                    with_values(arm.scenario, drawn[values.index(value)], "dispersions")
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What makes results: all but how long to go on, and what is kept besides the rows."""
+        data = self.to_dict()
+        for key in ("time_limit_s", "time_budget_s", "figures", "records"):
+            data.pop(key, None)
+        if self.head.method == "monte-carlo" and self.stop is None:
+            data.pop("flights")
+        return data
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain tables; the scenario is whole, so that nothing else is needed."""
+        head = {k: v for k, v in _keys(self.head).items() if v is not None}
+        out: dict[str, Any] = {**head, "scenario": self.scenario.to_dict()}
+        if self.factors:
+            out["factors"] = dict(self.factors)
+        else:
+            out["arms"] = [{"name": arm.name, "set": _set(arm)} for arm in self.arms]
+        laws = self.dispersions.distributions
+        if laws:
+            out["dispersions"] = {key: _law(law) for key, law in laws.items()}
+        if self.dispersions.correlations:
+            out["correlations"] = [
+                {"keys": list(c.keys), "matrix": [list(row) for row in c.matrix]}
+                for c in self.dispersions.correlations
+            ]
+        if self.stop is not None:
+            out["stop"] = {"metric": self.stop.metric, "width": self.stop.width}
+        return out
+
+    def to_toml(self) -> str:
+        """Return the spec as TOML."""
+        return tomli_w.dumps(self.to_dict())
+
+    def keeping(self, **values: Any) -> CampaignSpec:
+        """Return the spec with other plain keys; flights and seed stay what they are."""
+        return replace(self, head=replace(self.head, **values))
+
+
+_TABLES = ("scenario", "factors", "arms", "dispersions", "correlations", "stop")
+
+
+def flattened_laws(table: Any) -> dict[str, Any]:
+    """Return distributions by key from a table whose keys may be dotted or nested.
+
+    Raises
+    ------
+    InputError
+        Naming what is no distribution.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError("dispersions", table, "a table")
+    found = {}
+    for key, value in _laws(table):
+        if key in found:
+            raise InputError(f"dispersions.{key}", value, "each key once")
+        found[key] = distribution(key, value)
+    return found
+
+
+def _laws(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """Return key and table of each distribution: a table whose `kind` is a text, or no table."""
+    found = []
+    for key, value in table.items():
+        name = f"{before}{key}"
+        inner = isinstance(value, Mapping) and not isinstance(value.get("kind"), str)
+        deeper = inner and value and all(isinstance(v, Mapping) for v in value.values())
+        found += _laws(value, f"{name}.") if deeper else [(name, value)]
+    return found
+
+
+def _arms(
+    scenario: Scenario, factors: Any, arms: Any
+) -> tuple[dict[str, list[Any]], tuple[Arm, ...]]:
+    if factors is not None and arms is not None:
+        raise InputError("arms", len(arms), "either [factors] or [[arms]], not both")
+    if arms is not None:
+        return {}, arms_of(scenario, listed(arms), "arms")
+    levels = flattened(factors or {}, "factors", list)
+    return levels, arms_of(scenario, product(levels), "factors")
+
+
+def _scenario(given: Any, folder: Path | None) -> Scenario:
+    if isinstance(given, Mapping):
+        return Scenario.from_dict(given, folder)
+    if not isinstance(given, str):
+        raise InputError("scenario", given, "the path of a scenario file, or its tables")
+    return Scenario.load(given if folder is None else folder / given)
+
+
+def _list(given: Any) -> list[Any]:
+    if given is None:
+        return []
+    if not isinstance(given, list):
+        raise InputError("correlations", given, "[[correlations]], each with keys and matrix")
+    return given
+
+
+def _made(path: str, of: type, table: Any) -> Any:
+    """Return a part of the spec from its table, checked."""
+    if not isinstance(table, Mapping):
+        raise InputError(path, table, "a table")
+    model = settings_of(of)
+    before = f"{path}." if path else ""
+    try:
+        return model.model_validate(dict(table)).make()
+    except ValidationError as error:
+        found = input_error(path, model, error, None, "")
+        if found.field.startswith(".") and "unknown key" in found.expected:
+            key = found.field.removeprefix(".")
+            hint = suggestion(key, [*model.model_fields, *_TABLES])
+            raise InputError(key, found.value, f"unknown key; {hint}") from None
+        raise InputError(found.field.removeprefix("."), found.value, found.expected) from None
+    except InputError as error:
+        raise InputError(before + error.field, error.value, error.expected) from None
+
+
+def _keys(head: Head) -> dict[str, Any]:
+    suffix = {"time_limit": "_s", "time_budget": "_s"}
+    return {f.name + suffix.get(f.name, ""): getattr(head, f.name) for f in fields(head)}
+
+
+def _set(arm: Arm) -> dict[str, Any]:
+    """Return an arm's values; a policy object is told by what it says of itself."""
+    values: dict[str, Any] = _plain(arm.values)
+    return values if arm.policy is None else values | {"policy object": repr(arm.policy)}
+
+
+def _law(law: Any) -> dict[str, Any]:
+    kind = next(name for name, of in KINDS.items() if of is type(law))
+    values = {f.name: getattr(law, f.name) for f in fields(law)}
+    return {"kind": kind} | {k: _plain(v) for k, v in values.items() if v is not None}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _extremes(values: list[Any]) -> list[Any]:
+    """Return the least and the greatest of numbers, every one of other values."""
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        return [min(values), max(values)]
+    return [v for i, v in enumerate(values) if v not in values[:i]]

@@ -1,0 +1,50 @@
+"""When a campaign has seen enough: a rule that looks at flights in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from lunarsim.evaluation.sequences import share_sequence
+
+
+class WidthRule:
+    """Stops at the first flight after which every arm's confidence sequence is narrow enough.
+
+    It looks at whole indices from 0 on, without a gap, so that where it stops does not depend on
+    who flew what when. A flight without a verdict counts as no success.
+
+    Parameters
+    ----------
+    metric
+        Column that is true or false.
+    width
+        Of the 95 % confidence sequence of its share.
+    arms
+        Number of arms.
+
+    Attributes
+    ----------
+    stop
+        Number of flights to keep, once it is known.
+    """
+
+    def __init__(self, metric: str, width: float, arms: int) -> None:
+        self.metric, self.width = metric, width
+        self.stop: int | None = None
+        self._counts = [0] * arms
+        self._waiting: dict[int, dict[int, bool]] = {}
+        self._next = 0
+
+    def see(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
+        """Take in a row, in whatever order."""
+        if self.stop is not None:
+            return
+        self._waiting.setdefault(flight, {})[arm] = bool(row[self.metric])
+        while self.stop is None and len(self._waiting.get(self._next, {})) == len(self._counts):
+            for i, hit in self._waiting.pop(self._next).items():
+                self._counts[i] += hit
+            self._next += 1
+            intervals = (share_sequence(count, self._next) for count in self._counts)
+            if all(high - low <= self.width for low, high in intervals):
+                self.stop = self._next

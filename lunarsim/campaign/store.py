@@ -1,0 +1,467 @@
+"""The folder of a campaign: a journal of finished flights, Parquet parts, a manifest, one writer.
+
+``manifest.json``
+    What is flown, by which code and where; what has become of it so far.
+``results/part-00000.parquet``
+    A row a flight: id, seed, inputs, outcome, metrics, versions; sorted by flight, then arm. The
+    same campaign has the same bytes, however often it was interrupted.
+``timing/part-00000.parquet``
+    Wall-clock times of the same rows, which no two runs share.
+``journal.jsonl``
+    Finished flights that are in no part yet, a line each, written as they come.
+
+A flight is in the journal before anything else happens to it; parts are renamed into place; the
+journal is cut down after that. So wherever the writer is killed, a finished flight is in a part, in
+the journal, or in both, and `Store.open` takes it from there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import lunarsim
+from lunarsim.campaign.files import code_digest, environment, write_json, write_whole
+from lunarsim.campaign.outcomes import FLOWN, Finished
+from lunarsim.campaign.plan import Plan, row_id
+from lunarsim.errors import InputError
+
+FORMAT = 1
+# A row of results and its times.
+Row = tuple[dict[str, Any], dict[str, Any]]
+# Rows of a part, about.
+PART_ROWS = 5000
+# The journal is brought to the disk at most this often, s; until then the system keeps it.
+_SYNC = 1.0
+_TYPES = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
+_OF = {"bool": bool, "int": int, "float": float, "text": str}
+TIMING = pa.schema(
+    [("id", pa.string()), ("seconds", pa.float64()), ("finished_unix_s", pa.float64()),
+     ("worker", pa.string()), ("tries", pa.int64())]
+)  # fmt: skip
+
+
+def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schema:
+    """Return the columns of results with these inputs and metrics, by name and kind."""
+    return pa.schema(
+        [
+            ("id", pa.string()),
+            ("flight", pa.int64()),
+            ("arm", pa.string()),
+            ("seed", pa.int64()),
+            *((key, _TYPES[kind]) for key, kind in inputs.items()),
+            ("outcome", pa.string()),
+            *((key, _TYPES[kind]) for key, kind in columns.items()),
+            ("error", pa.string()),
+            ("traceback", pa.string()),
+            ("campaign", pa.string()),
+            ("version", pa.string()),
+            ("code", pa.string()),
+        ]
+    )
+
+
+def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
+    """Return the row of results of a finished flight; what it has no value for is None."""
+    metrics = done.metrics or {}
+    inputs = plan.inputs_of(done.flight, done.arm)
+    return {
+        "id": row_id(done.flight, done.arm),
+        "flight": done.flight,
+        "arm": plan.arms[done.arm][0],
+        "seed": plan.seed,
+        **{key: _plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
+        "outcome": done.outcome,
+        **{key: _typed(metrics.get(key), kind) for key, kind in plan.columns.items()},
+        "error": done.error,
+        "traceback": done.traceback,
+        "campaign": plan.name,
+        "version": lunarsim.__version__,
+        "code": code_digest(),
+    }
+
+
+def _typed(value: Any, kind: str) -> Any:
+    """Return a metric as a plain value, whatever kind of number it was."""
+    return None if value is None else _OF[kind](value)
+
+
+def _plain(value: Any, kind: str) -> Any:
+    return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value
+
+
+class Store:
+    """The open folder of a campaign; close it, or use it in a `with` statement.
+
+    Use `open` to make one.
+
+    Attributes
+    ----------
+    folder
+        Where it is.
+    plan
+        What is flown.
+    notes
+        What was found wrong when the folder was opened, in words.
+    """
+
+    def __init__(self, folder: Path, plan: Plan, lock: IO[str], manifest: dict[str, Any]) -> None:
+        self.folder, self.plan, self.notes = folder, plan, list[str]()
+        self.manifest = manifest
+        self._lock = lock
+        self._schema = schema_of(plan.inputs, plan.columns)
+        self._per_part = max(1, PART_ROWS // len(plan.arms))
+        self._full: set[int] = set()
+        # Rows of parts that are not full, by part, then (flight, arm).
+        self._open: dict[int, dict[tuple[int, int], Row]] = {}
+        self._journal: IO[str] | None = None
+        self._synced = 0.0
+
+    # --- opening --------------------------------------------------------------------------
+
+    @classmethod
+    def open(cls, folder: Path, plan: Plan, *, retry: bool = False) -> Store:
+        """Take a new folder, or go on with one of the same campaign.
+
+        Parameters
+        ----------
+        folder, plan
+            Where; what is flown.
+        retry
+            Whether flights that failed to give a verdict count as not flown.
+
+        Raises
+        ------
+        InputError
+            If the folder holds anything else, another campaign, or results of other code; or
+            another process is writing there. Nothing has been changed then.
+        """
+        manifest = check_folder(folder, plan)
+        folder.mkdir(parents=True, exist_ok=True)
+        store = cls(folder, plan, _locked(folder), manifest or _new_manifest(plan))
+        try:
+            store.manifest["flights"] = plan.flights
+            store._take(retry)
+            # The manifest first: it is by this that a folder is known to be ours.
+            store.save_manifest(state="running")
+            (folder / "results").mkdir(exist_ok=True)
+            (folder / "timing").mkdir(exist_ok=True)
+            store._journal = (folder / "journal.jsonl").open("a", encoding="utf-8")
+        except BaseException:
+            store._release()
+            raise
+        return store
+
+    def _take(self, retry: bool) -> None:
+        """Take in what is there: parts first, then what the journal has besides."""
+        for old in self.folder.rglob(".*.part"):
+            old.unlink()
+        for path in sorted((self.folder / "results").glob("part-*.parquet")):
+            self._take_part(path, retry)
+        path = self.folder / "journal.jsonl"
+        if path.exists():
+            self._take_journal(path, retry)
+            self._write_journal()
+        for part in [p for p in self._open if self._is_full(p)]:
+            self._write_part(part)
+
+    def _take_part(self, path: Path, retry: bool) -> None:
+        number = int(path.stem.removeprefix("part-"))
+        try:
+            part = self._read_part(path)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            path.replace(path.with_suffix(".broken"))
+            said = str(error).split("\n")[0]
+            self.notes.append(
+                f"{path.name} cannot be read ({said}); it is kept as {path.stem}.broken and its "
+                "flights are flown again"
+            )
+            return
+        kept = {
+            key: row
+            for key, row in part.items()
+            if key[0] < self.plan.flights and not (retry and row[0]["outcome"] != FLOWN)
+        }
+        self._open[number] = kept
+        if self._is_full(number) and len(kept) == len(part):
+            del self._open[number]
+            self._full.add(number)
+
+    def _read_part(self, path: Path) -> dict[tuple[int, int], Row]:
+        """Return a part's rows of results and of times by flight and arm."""
+        table = pq.read_table(path, page_checksum_verification=True)
+        if table.schema != self._schema:
+            raise pa.ArrowInvalid("other columns")
+        try:
+            times = pq.read_table(self.folder / "timing" / path.name, schema=TIMING).to_pylist()
+        except (pa.ArrowException, OSError, ValueError):
+            times = []
+            self.notes.append(f"timing/{path.name} cannot be read: its times are lost")
+        timing = {time["id"]: time for time in times}
+        names = {name: i for i, (name, _) in enumerate(self.plan.arms)}
+        part = {}
+        for row in table.to_pylist():
+            unknown = dict.fromkeys(TIMING.names) | {"id": row["id"]}
+            part[row["flight"], names[row["arm"]]] = row, timing.get(row["id"], unknown)
+        return part
+
+    def _take_journal(self, path: Path, retry: bool) -> None:
+        lines = path.read_bytes().split(b"\n")
+        for i, line in enumerate(lines):
+            if not line:
+                continue
+            try:
+                row, timing = json.loads(line)
+                flight, arm = (int(part) for part in row["id"].split("-"))
+            except (ValueError, KeyError, TypeError):
+                last = i == len(lines) - 1
+                if not last:
+                    self.notes.append(f"line {i + 1} of the journal cannot be read: flown again")
+                continue
+            if (retry and row["outcome"] != FLOWN) or flight >= self.plan.flights:
+                continue
+            if flight // self._per_part not in self._full:
+                self._open.setdefault(flight // self._per_part, {})[flight, arm] = row, timing
+
+    # --- what is there --------------------------------------------------------------------
+
+    def has(self, flight: int, arm: int) -> bool:
+        """Tell whether a flight has its row."""
+        part = flight // self._per_part
+        return part in self._full or (flight, arm) in self._open.get(part, {})
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        full = sum(len(self._flights(part)) for part in self._full) * len(self.plan.arms)
+        return full + sum(map(len, self._open.values()))
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield all rows by flight, then arm."""
+        for part in sorted(self._full | set(self._open)):
+            if part in self._full:
+                yield from pq.read_table(self._path("results", part)).to_pylist()
+            else:
+                yield from (self._open[part][key][0] for key in sorted(self._open[part]))
+
+    def _flights(self, part: int) -> range:
+        first = part * self._per_part
+        return range(first, min(first + self._per_part, self.plan.flights))
+
+    def _is_full(self, part: int) -> bool:
+        rows = self._open.get(part, {})
+        return len(rows) == len(self._flights(part)) * len(self.plan.arms) > 0
+
+    def _path(self, kind: str, part: int) -> Path:
+        return self.folder / kind / f"part-{part:05d}.parquet"
+
+    # --- writing --------------------------------------------------------------------------
+
+    def add(self, done: Finished) -> dict[str, Any]:
+        """Keep a finished flight; it is safe when this returns. Return its row."""
+        row, timing = row_of(self.plan, done), done.timing()
+        self._append(json.dumps([row, timing]) + "\n")
+        part = done.flight // self._per_part
+        self._open.setdefault(part, {})[done.flight, done.arm] = row, timing
+        if self._is_full(part):
+            self._write_part(part)
+        return row
+
+    def _append(self, line: str) -> None:
+        assert self._journal is not None
+        try:
+            self._journal.write(line)
+            self._journal.flush()
+            if time.monotonic() - self._synced > _SYNC:
+                os.fsync(self._journal.fileno())
+                self._synced = time.monotonic()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, self._journal.name) from error
+
+    def _write_part(self, part: int) -> None:
+        """Write a part, and take its rows out of the journal if it is full."""
+        rows = [self._open[part][key] for key in sorted(self._open[part])]
+        if not rows:
+            self._path("results", part).unlink(missing_ok=True)
+            return
+        for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
+            table = pa.Table.from_pylist([row[column] for row in rows], schema)
+            write_whole(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
+        if self._is_full(part):
+            del self._open[part]
+            self._full.add(part)
+            self._write_journal()
+
+    def _write_journal(self) -> None:
+        """Write the journal anew with the rows of parts that are not full."""
+        path = self.folder / "journal.jsonl"
+        rows = [row for part in sorted(self._open) for row in self._open[part].values()]
+        text = "".join(json.dumps(list(row)) + "\n" for row in rows)
+        write_whole(path, lambda p: _write_text(p, text))
+        if self._journal is not None:
+            self._journal.close()
+            self._journal = path.open("a", encoding="utf-8")
+
+    def cut(self, flights: int) -> None:
+        """Forget flights from number `flights` on: the campaign stopped there."""
+        self.manifest["flights"] = flights
+        for part in sorted(self._full | set(self._open)):
+            if self._flights(part).stop <= flights:
+                continue
+            if part in self._full:
+                self._full.remove(part)
+                self._open[part] = self._read_part(self._path("results", part))
+            self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
+
+    def save_manifest(self, **values: Any) -> None:
+        """Write the manifest with other values."""
+        self.manifest |= values
+        write_json(self.folder / "manifest.json", self.manifest)
+
+    def close(self, state: str) -> None:
+        """Write all rows into parts, empty the journal, note the state, let the folder go."""
+        try:
+            for part in sorted(self._open):
+                self._write_part(part)
+            # Rows in parts that are not full are in both; they are taken from the parts.
+            self._open.clear()
+            self._write_journal()
+            self.save_manifest(state=state, rows=self._rows_written())
+        finally:
+            self._release()
+
+    def abandon(self) -> None:
+        """Let the folder go as it is; what is finished is in the journal or in parts."""
+        self._release()
+
+    def _rows_written(self) -> int:
+        files = (self.folder / "results").glob("part-*.parquet")
+        return sum(pq.read_metadata(path).num_rows for path in files)
+
+    def _release(self) -> None:
+        if self._journal is not None:
+            # What could not be written is in the buffer still, and cannot be written now either.
+            with contextlib.suppress(OSError):
+                self._journal.close()
+            self._journal = None
+        self._lock.close()
+
+
+def _write_table(table: pa.Table, path: Path) -> None:
+    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def check_folder(folder: Path, plan: Plan) -> dict[str, Any] | None:
+    """Return the manifest of a folder of the same campaign; None for a new or empty folder.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError("--out", str(folder), "a folder, not a file")
+    if not (folder / "manifest.json").exists():
+        # A writer that was killed before its manifest leaves its lock and a part of a file.
+        if folder.exists() and any(not p.name.startswith(".") for p in folder.iterdir()):
+            raise InputError(
+                "--out", str(folder), "an empty or new folder: this one holds other files"
+            )
+        return None
+    manifest = read_manifest(folder)
+    for key, ours in (("format", FORMAT), ("version", lunarsim.__version__),
+                      ("code", code_digest())):  # fmt: skip
+        if manifest.get(key) != ours:
+            raise InputError(
+                "--out", str(folder),
+                f"a new folder: this one was flown with {key} {manifest.get(key)}, this is {ours}",
+            )  # fmt: skip
+    difference = first_difference(manifest["identity"], json.loads(json.dumps(plan.identity)))
+    if difference is not None:
+        key, old, new = difference
+        raise InputError(
+            "--out", str(folder),
+            f"a new folder, or the spec it was begun with: {key} was {old!r} there, is {new!r} now",
+        )  # fmt: skip
+    return manifest
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Return the manifest of a campaign's folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it cannot be read.
+    """
+    path = folder / "manifest.json"
+    if not path.is_file():
+        raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(data, dict) or "identity" not in data:
+            raise ValueError("no campaign's")
+    except ValueError as error:
+        raise InputError("folder", str(folder), f"a manifest.json in order ({error})") from None
+    return data
+
+
+def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
+    """Return key and both values of the first difference of two tables, None if they are equal."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for key in dict.fromkeys([*a, *b]):
+            found = first_difference(a.get(key), b.get(key), f"{path}.{key}" if path else str(key))
+            if found is not None:
+                return found
+        return None
+    return None if a == b else (path, a, b)
+
+
+def _new_manifest(plan: Plan) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "version": lunarsim.__version__,
+        "code": code_digest(),
+        "name": plan.name,
+        "seed": plan.seed,
+        "flights": plan.flights,
+        "arms": [{"name": name, "values": dict(values)} for name, values in plan.arms],
+        "columns": dict(plan.columns),
+        "inputs": dict(plan.inputs),
+        "state": "running",
+        "rows": 0,
+        "environment": environment(),
+        "identity": json.loads(json.dumps(plan.identity)),
+    }
+
+
+def _locked(folder: Path) -> IO[str]:
+    """Return the open lock of a folder, which lasts as long as this process at most.
+
+    Raises
+    ------
+    InputError
+        If another process has it.
+    """
+    lock = (folder / ".lock").open("a", encoding="utf-8")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        lock.close()
+        raise InputError(
+            "--out", str(folder), "a folder that no other process is writing to now"
+        ) from None
+    return lock

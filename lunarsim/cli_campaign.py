@@ -1,0 +1,291 @@
+"""The commands of campaigns: `lunarsim campaign ...`, `lunarsim sweep`, `lunarsim replay`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from lunarsim.errors import InputError, check_output
+
+if TYPE_CHECKING:
+    from lunarsim.campaign.spec import CampaignSpec
+
+_INTERRUPTED = 130
+_PATH = click.Path(path_type=Path)
+_FOLDER = click.argument("folder", type=_PATH)
+_JOBS = click.option(
+    "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1,
+    show_default="number of cores", help="Processes; the results do not depend on it.",
+)  # fmt: skip
+_OUT = click.option(
+    "--out", type=_PATH, required=True,
+    help="Folder for results: new, or of the same campaign, which is then gone on with.",
+)  # fmt: skip
+_RETRY = click.option(
+    "--retry-failed", is_flag=True,
+    help="Fly again what raised an error, ran out of its time limit or was killed.",
+)  # fmt: skip
+
+
+@click.group()
+def campaign() -> None:
+    """Fly many flights that one file declares, and see what came of it.
+
+    \b
+      lunarsim campaign plan SPEC             # every flight's inputs, nothing flown
+      lunarsim campaign run SPEC --out DIR    # again after an interrupt: goes on
+      lunarsim campaign status DIR
+      lunarsim campaign export DIR --out results.csv
+    """  # noqa: D301
+
+
+@campaign.command()
+@click.argument("spec", type=_PATH)
+@click.option(
+    "--out", type=_PATH, default=None, show_default="standard output",
+    help="CSV or Parquet file to write.",
+)  # fmt: skip
+def plan(spec: Path, out: Path | None) -> None:
+    """Write every flight's inputs of SPEC (a TOML file) without flying."""
+    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.spec import CampaignSpec
+
+    if out is not None:
+        suffix = out.suffix.lower()
+        check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
+    planned = plan_of(CampaignSpec.load(spec))
+    if out is not None:
+        from lunarsim.campaign.files import write_whole
+        from lunarsim.campaign.planned import write_plan
+
+        write_whole(out, lambda path: write_plan(planned, path, out.suffix.lower()))
+        click.echo(f"{out}: {planned.flights} flights of {len(planned.arms)} arms")
+        return
+    names = ["id", "flight", "arm", "seed", *planned.inputs]
+    writer = csv.DictWriter(sys.stdout, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(planned.rows())
+
+
+@campaign.command("run")
+@click.argument("spec", type=_PATH)
+@_OUT
+@click.option(
+    "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
+    help="Processes of this machine, or Ray.",
+)  # fmt: skip
+@_JOBS
+@click.option(
+    "--address", default=None, help="Of a running Ray cluster; left out: one is started here."
+)
+@_RETRY
+def run_command(
+    spec: Path, out: Path, engine: str, jobs: int, address: str | None, retry_failed: bool
+) -> None:
+    """Fly what SPEC (a TOML file) declares; the same command goes on with an unfinished folder."""
+    from lunarsim.campaign.spec import CampaignSpec
+
+    if address is not None and engine != "ray":
+        raise InputError("--address", address, "nothing, or --engine ray")
+    _flown(CampaignSpec.load(spec), out, engine, jobs, address, retry_failed)
+
+
+@click.command()
+@click.argument("scenario", type=_PATH)
+@click.option(
+    "--over", "over", multiple=True, required=True,
+    help="KEY=A,B,C or KEY=LOW:HIGH:COUNT; may be repeated: every combination is flown.",
+)  # fmt: skip
+@click.option(
+    "--flights", type=click.IntRange(min=1), default=20, show_default=True,
+    help="Of each combination.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@_OUT
+@_JOBS
+@_RETRY
+def sweep(
+    scenario: Path, over: tuple[str, ...], flights: int, seed: int, out: Path, jobs: int,
+    retry_failed: bool,
+) -> None:  # fmt: skip
+    """Fly SCENARIO (a TOML file) under every combination of values of some of its keys.
+
+    Every combination meets the same draws. The short form of `lunarsim campaign run`.
+    """
+    from lunarsim.campaign.factors import parse_over
+    from lunarsim.campaign.spec import CampaignSpec
+
+    data = {
+        "name": f"{scenario.stem}-sweep",
+        "scenario": str(scenario.absolute()),
+        "flights": flights,
+        "seed": seed,
+        "factors": parse_over(over),
+    }
+    _flown(CampaignSpec.from_dict(data), out, "local", jobs, None, retry_failed)
+
+
+def _flown(
+    spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool
+) -> None:
+    """Fly a spec behind a progress bar, and tell how it ended."""
+    from lunarsim.campaign.engines import engine_of
+    from lunarsim.campaign.engines.local import WorkersDieError
+    from lunarsim.campaign.fly_spec import fly_spec
+
+    flies = engine_of(engine, jobs, address, spec.head.time_limit)
+    total = spec.head.flights * len(spec.arms)
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        console=Console(stderr=True),
+    ) as bar:  # fmt: skip
+        task = bar.add_task(spec.head.name, total=total)
+        try:
+            ran = fly_spec(spec, flies, out, retry=retry, progress=lambda n: bar.advance(task, n))
+        except WorkersDieError as error:
+            raise click.ClickException(str(error)) from None
+    for note in ran.notes:
+        click.echo(f"note: {note}", err=True)
+    click.echo(
+        f"{ran.state}: {ran.flown} flights flown, {ran.before} were there already; "
+        f"{ran.failed} of these runs ended without a verdict"
+        if ran.failed
+        else f"{ran.state}: {ran.flown} flights flown, {ran.before} were there already"
+    )
+    click.echo(f"results in {out}: lunarsim campaign report {out}")
+    if not ran.complete:
+        click.echo("not complete: the same command goes on", err=True)
+        sys.exit(_INTERRUPTED if ran.state == "interrupted" else 0)
+
+
+@campaign.command()
+@_FOLDER
+def status(folder: Path) -> None:
+    """Tell how far the campaign in FOLDER is; it may be flying."""
+    from lunarsim.campaign.results import status_of
+
+    found = status_of(folder)
+    click.echo(f"{found.name}: {found.state}, {found.done} of {found.wanted} flights")
+    if found.rate == found.rate:
+        left = "" if found.done >= found.wanted else f", {_span(found.seconds_left)} left"
+        click.echo(f"{60.0 * found.rate:.1f} flights a minute{left}")
+    for outcome, count in sorted(found.outcomes.items()):
+        click.echo(f"{outcome}: {count}")
+
+
+def _span(seconds: float) -> str:
+    minutes, hours = seconds / 60.0, seconds / 3600.0
+    if hours >= 1.0:
+        return f"{hours:.1f} h"
+    return f"{minutes:.0f} min" if minutes >= 1.0 else f"{seconds:.0f} s"
+
+
+@campaign.command()
+@_FOLDER
+@click.option("--out", type=_PATH, required=True, help="CSV or Parquet file to write.")
+@click.option("--timing", is_flag=True, help="Wall-clock times too.")
+def export(folder: Path, out: Path, timing: bool) -> None:
+    """Write all rows of the campaign in FOLDER into one file."""
+    from lunarsim.campaign.results import export as write
+
+    click.echo(f"{out}: {write(folder, out, timing=timing)} rows")
+
+
+@campaign.command()
+@_FOLDER
+@click.option(
+    "--out", type=_PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
+)
+def report(folder: Path, out: Path | None) -> None:
+    """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
+    from lunarsim.campaign.report import write_report
+    from lunarsim.campaign.results import load_results
+
+    load_results(folder, ["outcome"])
+    target = folder / "report.html" if out is None else out
+    write_report(folder, target)
+    click.echo(f"report in {target}")
+
+
+@campaign.command()
+@click.argument("first", type=_PATH, metavar="A")
+@click.argument("second", type=_PATH, metavar="B")
+@click.option(
+    "--margin", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
+    help="Differences of the share up to this do not matter.",
+)  # fmt: skip
+@click.option("--metric", default="safe", show_default=True, help="A column of true and false.")
+@click.option(
+    "--require-equivalent", is_flag=True,
+    help="Fail too where the flights are too few to show that the share is within the margin.",
+)  # fmt: skip
+def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
+    """Compare campaign B with A, flight by flight: exit code 1 if an arm has become worse.
+
+    Worse: McNemar's exact test of the flights that ended otherwise, at 5 % after Holm's correction
+    for all arms. Equivalent: the 90 % interval of the difference lies within the margin, which is
+    two one-sided tests at 5 %.
+    """
+    from lunarsim.campaign.analysis import diff as compare
+    from lunarsim.campaign.results import load_results
+
+    verdicts = compare(load_results(first), load_results(second), margin, metric)
+    table = Table()
+    for heading in ("arm", "pairs", f"{metric}: B - A [90 %]", "p", "p after Holm", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("arm", "verdict") else "right")
+    for v in verdicts:
+        d = v.difference
+        word = "worse" if v.worse else ("equivalent" if v.equivalent else "not shown equivalent")
+        table.add_row(
+            d.first, str(d.pairs), f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]", f"{d.p:.3g}",
+            f"{d.corrected:.3g}", word,
+        )  # fmt: skip
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    if any(v.worse or (require_equivalent and not v.equivalent) for v in verdicts):
+        sys.exit(1)
+
+
+@click.command()
+@_FOLDER
+@click.option("--flight", required=True, help="Its id, such as 12-0: index and number of the arm.")
+@click.option("--out", type=_PATH, default=None, help="New folder for its record and figures.")
+def replay(folder: Path, flight: str, out: Path | None) -> None:
+    """Fly one flight of the campaign in FOLDER again, and compare it with its row."""
+    from lunarsim.campaign.comparison import check_folder
+    from lunarsim.campaign.replay import replay as fly
+
+    if out is not None:
+        check_folder(out)
+    found = fly(folder, flight)
+    table = Table(show_header=False, box=None)
+    for name, value in found.row.items():
+        table.add_row(name, _word(value))
+    Console().print(table)
+    if found.recorded is None:
+        click.echo("the campaign has no row of this flight yet")
+    elif found.differences is None:
+        click.echo(f"recorded without a verdict: {found.recorded['error']}")
+    elif not found.differences:
+        click.echo("the same as recorded")
+    for name, old, new in found.differences or []:
+        click.echo(f"{name}: recorded {_word(old)}, now {_word(new)}")
+    if out is not None:
+        from lunarsim.viz import draw_flight
+
+        found.flight.save(out)
+        draw_flight(found.flight, found.simulation.world, found.simulation.truth, out)
+        click.echo(f"record and figures in {out}")
+    if found.differences:
+        sys.exit(1)
+
+
+def _word(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

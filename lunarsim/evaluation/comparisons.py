@@ -1,0 +1,213 @@
+"""Differences between arms that flew the same flights, and what may be said of them.
+
+Arms meet the same worlds and noise, so flights are compared one by one. A test of many differences
+is corrected for their number by Holm's step-down procedure (Holm 1979, Scand. J. Statist. 6, 65).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri
+from scipy.stats import beta, binom, binomtest, bootstrap, norm, ttest_1samp
+
+Array = NDArray[np.float64]
+
+# Draws of the bootstrap; its cost grows with draws times values.
+_DRAWS = 2000
+# More values than this are no better off with a bootstrap than with the normal interval.
+_MOST_BOOTSTRAPPED = 20_000
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Second less first, on the flights that both have.
+
+    Attributes
+    ----------
+    first, second
+        Names of the arms.
+    pairs
+        Number of flights.
+    value, low, high
+        Mean difference and its 95 % interval.
+    p
+        Of no difference, two-sided.
+    corrected
+        The same after Holm's correction for all differences that were tested together.
+    """
+
+    first: str
+    second: str
+    pairs: int
+    value: float
+    low: float
+    high: float
+    p: float
+    corrected: float = float("nan")
+
+
+def share_difference(
+    first: ArrayLike, second: ArrayLike, names: tuple[str, str], level: float = 0.95
+) -> Difference:
+    """Return the difference of two shares of the same flights.
+
+    The interval is Newcombe's for paired shares (Newcombe 1998, Statist. Med. 17, 2635, method
+    10), the test McNemar's exact one.
+
+    Parameters
+    ----------
+    first, second
+        Successes of each flight (n,), true or false.
+    names
+        Of the arms.
+    level
+        Of the interval.
+    """
+    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    n = len(a)
+    if n == 0:
+        return Difference(*names, 0, float("nan"), -1.0, 1.0, 1.0)
+    gained, lost = int((b & ~a).sum()), int((a & ~b).sum())
+    low, high = _newcombe(int((a & b).sum()), gained, lost, int((~a & ~b).sum()), level)
+    p = binomtest(gained, gained + lost).pvalue if gained + lost else 1.0
+    return Difference(*names, n, (gained - lost) / n, low, high, float(p))
+
+
+def _newcombe(both: int, gained: int, lost: int, neither: int, level: float) -> tuple[float, float]:
+    """Return Newcombe's interval of the second share less the first."""
+    n = both + gained + lost + neither
+    p1, p2 = (both + lost) / n, (both + gained) / n
+    l1, u1 = (float(v) for v in binomtest(both + lost, n).proportion_ci(level, "wilson"))
+    l2, u2 = (float(v) for v in binomtest(both + gained, n).proportion_ci(level, "wilson"))
+    product = (both + lost) * (gained + neither) * (both + gained) * (lost + neither)
+    phi = 0.0
+    if product > 0:
+        top = both * neither - gained * lost
+        phi = (max(top - n / 2.0, 0.0) if top > 0 else float(top)) / float(np.sqrt(float(product)))
+    down = (p2 - l2) ** 2 - 2.0 * phi * (p2 - l2) * (u1 - p1) + (u1 - p1) ** 2
+    up = (u2 - p2) ** 2 - 2.0 * phi * (u2 - p2) * (p1 - l1) + (p1 - l1) ** 2
+    value = p2 - p1
+    return value - max(down, 0.0) ** 0.5, value + max(up, 0.0) ** 0.5
+
+
+def mean_difference(
+    first: ArrayLike, second: ArrayLike, names: tuple[str, str], rng: np.random.Generator
+) -> Difference:
+    """Return the mean difference of a number over the same flights; NaN on either side is left out.
+
+    The interval is a bias-corrected bootstrap over flights, the test Student's of the differences.
+    """
+    d = np.asarray(second, dtype=np.float64) - np.asarray(first, dtype=np.float64)
+    d = d[np.isfinite(d)]
+    if len(d) < 2 or np.ptp(d) == 0.0:
+        value = float(d.mean()) if len(d) else float("nan")
+        edge = value if len(d) > 1 else float("nan")
+        return Difference(*names, len(d), value, edge, edge, 1.0 if value == 0.0 else float("nan"))
+    low, high = mean_bootstrap(d, rng)
+    return Difference(*names, len(d), float(d.mean()), low, high, float(ttest_1samp(d, 0.0).pvalue))
+
+
+def mean_bootstrap(
+    values: ArrayLike, rng: np.random.Generator, level: float = 0.95
+) -> tuple[float, float]:
+    """Return the bootstrap interval (BCa) of a mean; NaN is left out, and for fewer than 2 values.
+
+    Over 20,000 values it is the normal interval, which then differs by nothing that shows.
+    """
+    x = np.asarray(values, dtype=np.float64)
+    x = x[np.isfinite(x)]
+    if len(x) < 2:
+        return float("nan"), float("nan")
+    if np.ptp(x) == 0.0:
+        return float(x[0]), float(x[0])
+    if len(x) > _MOST_BOOTSTRAPPED:
+        half = float(norm.ppf(0.5 + 0.5 * level) * x.std(ddof=1) / np.sqrt(len(x)))
+        return float(x.mean()) - half, float(x.mean()) + half
+    found = bootstrap((x,), np.mean, n_resamples=_DRAWS, confidence_level=level, batch=200, rng=rng)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+
+
+def holm(p: Sequence[float]) -> Array:
+    """Return p values corrected for their number; NaN stays and counts as none."""
+    values = np.asarray(p, dtype=np.float64)
+    out = np.full(len(values), np.nan)
+    known = np.flatnonzero(np.isfinite(values))
+    order = known[np.argsort(values[known], kind="stable")]
+    worst = 0.0
+    for rank, index in enumerate(order):
+        worst = max(worst, min(1.0, (len(order) - rank) * values[index]))
+        out[index] = worst
+    return out
+
+
+def quantile_interval(
+    values: ArrayLike, q: float, level: float = 0.95
+) -> tuple[float, float, float]:
+    """Return a quantile and the interval of order statistics that covers it whatever the law is.
+
+    NaN where there are too few values for such an interval (or none).
+    """
+    x = np.sort(np.asarray(values, dtype=np.float64))
+    x = x[np.isfinite(x)]
+    n = len(x)
+    if n == 0:
+        return float("nan"), float("nan"), float("nan")
+    tail = 0.5 * (1.0 - level)
+    lower, upper = int(binom.ppf(tail, n, q)), int(binom.ppf(1.0 - tail, n, q)) + 1
+    low = float(x[lower - 1]) if lower >= 1 else float("nan")
+    high = float(x[upper - 1]) if upper <= n else float("nan")
+    return float(np.quantile(x, q)), low, high
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """Where the share `level` of landings lies, taken as normal.
+
+    Attributes
+    ----------
+    centre
+        East and north (2,), m.
+    half_axes
+        Long and short (2,), m.
+    azimuth
+        Of the long axis, counted from north to the east, rad.
+    level
+        Share.
+    inside
+        Share of the landings that lie in it: far from `level` they are not normal.
+    """
+
+    centre: Array
+    half_axes: Array
+    azimuth: float
+    level: float
+    inside: float
+
+
+def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
+    """Return the ellipse of landing points (n, 2), m; NaN is left out; None of fewer than 3."""
+    points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 3:
+        return None
+    centre, covariance = points.mean(axis=0), np.cov(points.T)
+    values, vectors = np.linalg.eigh(covariance)
+    bound = float(chdtri(2, 1.0 - level))
+    # Where a spread is nothing, rounding must not make it less.
+    values = np.maximum(values, 0.0)
+    off = (points - centre) @ vectors
+    scaled = (off**2 / np.where(values > 0.0, values, np.inf)).sum(axis=1)
+    east, north = vectors[:, 1]
+    return Ellipse(
+        centre, np.sqrt(bound * values[::-1]), float(np.arctan2(east, north) % np.pi), level,
+        float((scaled <= bound).mean()),
+    )  # fmt: skip
+
+
+def greatest_share(count: int, total: int, level: float = 0.95) -> float:
+    """Return the Clopper-Pearson upper bound of a share: of none in n it is about 3 / n."""
+    return 1.0 if count >= total else float(beta.ppf(level, count + 1, total - count))

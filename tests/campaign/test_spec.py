@@ -1,0 +1,266 @@
+"""Specs: what is planned, how it is drawn, and what is refused."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from scipy.stats import kstest, norm, truncnorm, uniform
+
+from lunarsim.campaign.dispersions import Dispersions, distribution
+from lunarsim.campaign.factors import parse_over
+from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.cli import main
+from lunarsim.errors import InputError
+from tests.conftest import SCENARIOS
+
+TEXT = f"""
+scenario = "{SCENARIOS / "golombek.toml"}"
+flights = 8
+[factors]
+policy = ["no-divert", "safest"]
+sun.elevation_deg = [5.0, 20.0]
+[dispersions]
+"start.position_m.0" = {{ kind = "normal", mean = -600.0, sigma = 30.0 }}
+start.velocity_m_s.0 = {{ kind = "truncated-normal", mean = 28.0, sigma = 1.0, low = 27.0 }}
+rocks.cover = {{ kind = "uniform", low = 0.02, high = 0.1 }}
+sun.azimuth_deg = {{ kind = "choice", values = [90.0, 270.0], weights = [3.0, 1.0] }}
+[[correlations]]
+keys = ["start.position_m.0", "start.velocity_m_s.0"]
+matrix = [[1.0, 0.5], [0.5, 1.0]]
+"""
+
+
+def spec(**changes: object) -> CampaignSpec:
+    data = tomllib.loads(TEXT) | changes
+    return CampaignSpec.from_dict({k: v for k, v in data.items() if v is not None})
+
+
+def test_every_combination_meets_the_same_draws():
+    rows = list(plan_of(spec()).rows())
+    assert len(rows) == 32
+    assert [row["id"] for row in rows[:5]] == ["0-0", "0-1", "0-2", "0-3", "1-0"]
+    assert [(r["policy.kind"], r["sun.elevation_deg"]) for r in rows[:4]] == [
+        ("no-divert", 5.0), ("no-divert", 20.0), ("safest", 5.0), ("safest", 20.0),
+    ]  # fmt: skip
+    for key in ("start.position_m.0", "rocks.cover", "sun.azimuth_deg"):
+        assert len({row[key] for row in rows[:4]}) == 1
+        assert key == "sun.azimuth_deg" or len({row[key] for row in rows}) == 8
+
+
+def test_a_flight_of_plain_monte_carlo_depends_on_its_index_alone():
+    few, many = plan_of(spec()), plan_of(spec(flights=500))
+    assert few.draws(7) == many.draws(7)
+    one_less = {k: v for k, v in tomllib.loads(TEXT)["dispersions"].items() if k != "rocks"}
+    without = plan_of(spec(dispersions=one_less))
+    assert without.draws(7)["start.position_m.0"] == few.draws(7)["start.position_m.0"]
+    assert plan_of(spec(seed=2)).draws(7) != few.draws(7)
+
+
+def test_arms_that_share_their_ground_are_flown_together():
+    assert plan_of(spec()).groups == ((0, 1, 2, 3),)
+    cover = spec(factors={"rocks.cover": [0.02, 0.1], "policy": ["safest", "no-divert"]},
+                 dispersions=None, correlations=None)  # fmt: skip
+    assert plan_of(cover).groups == ((0, 1), (2, 3))
+
+
+def test_scenarios_hold_what_is_set_and_drawn():
+    one = spec()
+    scenario = one.scenario_of(3, 2)
+    drawn = one.dispersions.draws(3)
+    assert scenario.policy.kind == "safest" and scenario.sun.elevation_deg == 5.0
+    assert scenario.start.position_m[0] == drawn["start.position_m.0"]
+    assert scenario.start.position_m[1:] == one.scenario.start.position_m[1:]
+    assert scenario.rocks.cover == drawn["rocks.cover"]
+
+
+def test_a_spec_says_all_that_it_means():
+    one = spec()
+    again = CampaignSpec.from_dict(tomllib.loads(one.to_toml()))
+    assert again.identity == one.identity
+    assert list(plan_of(again).rows()) == list(plan_of(one).rows())
+    assert spec(flights=9).identity == one.identity  # goes on with the same flights
+    assert (
+        spec(method="latin-hypercube").identity
+        != spec(method="latin-hypercube", flights=9).identity
+    )  # a design does not
+
+
+def test_listed_arms():
+    arms = [
+        {"name": "blind", "set": {"policy": "no-divert"}},
+        {"name": "fine", "set": {"mappers.dem.posting_m": 0.1, "policy": "safest"}},
+    ]
+    one = spec(factors=None, arms=arms)
+    assert [arm.name for arm in one.arms] == ["blind", "fine"]
+    assert one.arms[1].scenario.mappers["dem"].posting_m == 0.1
+
+
+LAWS = {
+    "normal": ({"kind": "normal", "mean": 2.0, "sigma": 3.0}, norm(2.0, 3.0)),
+    "truncated": (
+        {"kind": "truncated-normal", "mean": 2.0, "sigma": 3.0, "low": 0.0, "high": 4.0},
+        truncnorm(-2 / 3, 2 / 3, 2.0, 3.0),
+    ),
+    "uniform": ({"kind": "uniform", "low": -1.0, "high": 3.0}, uniform(-1.0, 4.0)),
+}
+
+
+@pytest.mark.parametrize("method", ["monte-carlo", "latin-hypercube", "sobol"])
+@pytest.mark.parametrize("law", LAWS)
+def test_draws_follow_their_law(law, method):
+    table, truth = LAWS[law]
+    drawn = Dispersions({"a": distribution("a", table), "b": distribution("b", table)},
+                        method=method, seed=3, flights=512)  # fmt: skip
+    values = np.array([list(drawn.draws(i).values()) for i in range(512)])
+    for column in values.T:
+        statistic = kstest(column, truth.cdf).statistic
+        # A design fills the range evenly; independent draws cannot.
+        assert statistic < (0.07 if method == "monte-carlo" else 0.003)
+    assert abs(np.corrcoef(values.T)[0, 1]) < 0.15
+
+
+def test_choices_follow_their_weights():
+    law = distribution("a", {"kind": "choice", "values": ["x", "y", "z"], "weights": [1, 0, 3]})
+    drawn = [law.at(u) for u in (np.arange(1000) + 0.5) / 1000]
+    assert {v: drawn.count(v) for v in set(drawn)} == {"x": 250, "z": 750}
+
+
+def test_correlated_draws_keep_their_laws():
+    one = spec()
+    drawn = [one.dispersions.draws(i) for i in range(2000)]
+    x = np.array([d["start.position_m.0"] for d in drawn])
+    v = np.array([d["start.velocity_m_s.0"] for d in drawn])
+    scores = norm.ppf(truncnorm(-1.0, np.inf, 28.0, 1.0).cdf(v))
+    assert np.corrcoef(x, scores)[0, 1] == pytest.approx(0.5, abs=0.05)
+    assert kstest(x, norm(-600.0, 30.0).cdf).pvalue > 1e-3
+    assert kstest(v, truncnorm(-1.0, np.inf, 28.0, 1.0).cdf).pvalue > 1e-3
+
+
+BAD = [
+    ({"flights": 0}, "flights", "greater than or equal to 1"),
+    ({"flight": 3}, "flight", "did you mean 'flights'"),
+    ({"seed": -1}, "seed", "greater"),
+    ({"name": ""}, "name", "at least one character"),
+    ({"method": "mc"}, "method", "monte-carlo"),
+    ({"method": "sobol", "flights": 12}, "flights", "8 or 16"),
+    ({"time_limit_s": 0}, "time_limit_s", "greater than 0"),
+    ({"records": "some"}, "records", "failures"),
+    ({"scenario": "none.toml"}, "scenario", "existing TOML"),
+    ({"scenario": None}, "scenario", "path of a scenario"),
+    ({"factors": {"rocks.covr": [1]}}, "factors.rocks.covr", "did you mean 'cover'"),
+    ({"factors": {"policy": ["safets"]}}, "factors.policy.kind", "did you mean 'safest'"),
+    ({"factors": {"policy": []}}, "factors.policy", "at least one value"),
+    ({"factors": {"policy": "safest"}}, "factors.policy", "list of values"),
+    ({"factors": {"policy": ["safest", "safest"]}}, "factors.policy", "each value once"),
+    ({"factors": {"start.position_m.7": [1.0]}}, "factors.start.position_m.7", "0 to 2"),
+    ({"factors": {"rocks.cover": [0.1]}}, "dispersions.rocks.cover", "that arms set"),
+    ({"factors": {"": [1]}}, "factors.", "key of the scenario"),
+    ({"arms": [{"name": "a"}]}, "arms", "not both"),
+    ({"factors": None, "arms": [{"name": "a"}, {"name": "a"}]}, "arms", "name of its own"),
+    ({"factors": None, "arms": []}, "arms", "each with a name"),
+    ({"stop": {"metric": "sfe"}}, "stop.metric", "did you mean 'safe'"),
+    ({"stop": {}, "method": "latin-hypercube"}, "stop", "fixed number"),
+    ({"correlations": {}}, "correlations", "each with keys"),
+]
+LAWLESS = [
+    ({"kind": "normal", "mean": 0.05, "sigma": -0.01}, ".sigma", "greater than 0"),
+    ({"kind": "normal", "mean": 0.05, "sigma": float("nan")}, ".sigma", "finite"),
+    ({"kind": "normal", "mean": 0.05}, ".sigma", "no default"),
+    ({"kind": "norm"}, ".kind", "did you mean 'normal'"),
+    ({"kind": "uniform", "low": 0.1, "high": 0.1}, ".low", "less than high"),
+    ({"kind": "truncated-normal", "mean": 0.1, "sigma": 1.0}, ".low", "a bound"),
+    ({"kind": "truncated-normal", "mean": 0.0, "sigma": 1e-3, "low": 1.0}, ".low", "between them"),
+    ({"kind": "choice", "values": []}, ".values", "at least one"),
+    ({"kind": "choice", "values": [0.1], "weights": [0.0]}, ".weights", "above 0"),
+    ({"kind": "choice", "values": [0.1], "weights": [1.0, 2.0]}, ".weights", "one a value"),
+    ({"kind": "uniform", "low": -0.5, "high": 0.05}, "", "greater than or equal to 0"),
+    (3.0, "", "table with a kind"),
+]
+MATRICES = [
+    ([[1.0, 2.0], [2.0, 1.0]], "positive definite"),
+    ([[1.0, 0.5], [0.4, 1.0]], "symmetric"),
+    ([[2.0, 0.5], [0.5, 2.0]], "ones on its diagonal"),
+    ([[1.0, 0.5]], "2 rows"),
+    ([[1.0, float("nan")], [float("nan"), 1.0]], "finite"),
+]
+
+
+@pytest.mark.parametrize(("change", "field", "says"), BAD, ids=str)
+def test_a_bad_spec_is_refused_by_name(change, field, says):
+    with pytest.raises(InputError) as caught:
+        spec(**change)
+    assert caught.value.field == field and says in caught.value.expected
+
+
+@pytest.mark.parametrize(("law", "field", "says"), LAWLESS, ids=str)
+def test_dispersions_without_support_are_refused(law, field, says):
+    with pytest.raises(InputError) as caught:
+        spec(dispersions={"rocks.cover": law}, correlations=None)
+    assert caught.value.field == f"dispersions.rocks.cover{field}"
+    assert says in caught.value.expected
+
+
+@pytest.mark.parametrize(("matrix", "says"), MATRICES, ids=str)
+def test_correlations_that_are_none_are_refused(matrix, says):
+    keys = ["start.position_m.0", "start.velocity_m_s.0"]
+    with pytest.raises(InputError, match=r"correlations\.0\.matrix") as caught:
+        spec(correlations=[{"keys": keys, "matrix": matrix}])
+    assert says in caught.value.expected
+
+
+def test_what_the_command_line_sweeps_over():
+    assert parse_over(["sun.elevation_deg=5,10,20.5", "rocks.cover=0.02:0.15:3",
+                       "policy=safest,my.module:Own", "x=true"]) == {
+        "sun.elevation_deg": [5, 10, 20.5], "rocks.cover": [0.02, 0.085, 0.15],
+        "policy": ["safest", "my.module:Own"], "x": [True],
+    }  # fmt: skip
+    for text in ("a", "a=", "=1", "a=1,,2", "a=1:2:1", "a=2:1:3", "a=0:inf:3", "a=1:x:3"):
+        with pytest.raises(InputError, match="--over"):
+            parse_over([text])
+    with pytest.raises(InputError, match="each key once"):
+        parse_over(["a=1", "a=2"])
+
+
+def run(*words: object):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_plan_writes_inputs_and_flies_nothing(tmp_path):
+    (tmp_path / "s.toml").write_text(TEXT)
+    printed = run("campaign", "plan", tmp_path / "s.toml")
+    assert printed.exit_code == 0, printed.output
+    lines = printed.output.splitlines()
+    assert len(lines) == 33 and lines[0].startswith("id,flight,arm,seed,policy.kind")
+    for name, read in (("p.csv", pd.read_csv), ("p.parquet", pd.read_parquet)):
+        assert run("campaign", "plan", tmp_path / "s.toml", "--out", tmp_path / name).exit_code == 0
+        table = read(tmp_path / name)
+        rows = list(plan_of(CampaignSpec.load(tmp_path / "s.toml")).rows())
+        assert table.to_dict("records") == rows
+
+
+def test_bad_requests_end_with_code_2_and_write_nothing(tmp_path):
+    path, out = tmp_path / "s.toml", tmp_path / "out"
+    path.write_text(TEXT.replace("golombek.toml", "none.toml"))
+    tiny = SCENARIOS / "golombek.toml"
+    for words in (
+        ["campaign", "run", path, "--out", out],
+        ["campaign", "run", tmp_path / "none.toml", "--out", out],
+        ["campaign", "run", SCENARIOS / "golombek.toml", "--out", out],
+        ["campaign", "plan", path, "--out", tmp_path / "p.txt"],
+        ["campaign", "status", tmp_path],
+        ["campaign", "export", tmp_path, "--out", tmp_path / "x.csv"],
+        ["replay", tmp_path, "--flight", "0-0"],
+        ["sweep", tiny, "--over", "rocks.covr=1,2", "--out", out],
+        ["sweep", tiny, "--over", "start.position_m.2=-5,-6", "--out", out],
+        ["sweep", tiny, "--over", "rocks.cover=0.1", "--flights", 0, "--out", out],
+    ):
+        done = run(*words)
+        assert done.exit_code == 2, (words, done.output)
+        assert "rror" in done.output and "Traceback" not in done.output
+    assert [p.name for p in Path(tmp_path).iterdir()] == ["s.toml"]
