@@ -9,11 +9,13 @@ from lunarsim._jit import kernel
 # Columns of the table of patches: mean coordinate towards the Sun and to the left of it from below
 # the camera, m; length and width of the rectangle with the same variances, m; pixels; pixels at the
 # rim and how many of these lie on an edge of the image; whether the patch touches the border or the
-# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m.
-ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS = range(
-    12
-)
-COLUMNS = 12
+# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m; covariance of the
+# two coordinates, m^2; pixels that are darker than half way to lit ground.
+(
+    ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS,
+    SKEW, DEEP,
+) = range(14)  # fmt: skip
+COLUMNS = 14
 
 
 @kernel(inline=True)
@@ -81,13 +83,14 @@ def _sums_to_means(out):
             out[k, mean] /= pixels
             variance = out[k, size] / pixels - out[k, mean] ** 2
             out[k, size] = np.sqrt(12.0 * max(variance, 0.0))
+        out[k, SKEW] = out[k, SKEW] / pixels - out[k, ALONG] * out[k, ACROSS]
         rims = max(out[k, EDGE], 1.0)
         out[k, SPAN_ALONG] /= rims
         out[k, SPAN_ACROSS] /= rims
 
 
 @kernel()
-def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, sun_n):
+def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, sun_e, sun_n):
     """Measure the patches of a label image on a level plane.
 
     Parameters
@@ -98,6 +101,8 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
         Greatest label.
     edges
         Where the image has an edge (height, width), uint8.
+    deep
+        Where it is darker than half way to lit ground (height, width), uint8.
     x, y
         Tangents of the line of sight of each pixel, right and down (height, width).
     position, axes
@@ -110,7 +115,7 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
     Returns
     -------
     out
-        (count + 1, 12), by the columns above; sizes of pixels still times the focal length.
+        (count + 1, 14), by the columns above; sizes of pixels still times the focal length.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape
@@ -133,6 +138,8 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
                     k, labels[i - 1, j], labels[i + 1, j], labels[i, j - 1], labels[i, j + 1]
                 )
             _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0)
+            if deep[i, j] != 0:
+                out[k, DEEP] += 1.0
             if ray[2] * drop <= 0.0:
                 continue
             depth = drop / ray[2]
@@ -141,6 +148,7 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
             out[k, ACROSS] += across
             out[k, LENGTH] += along * along
             out[k, WIDTH] += across * across
+            out[k, SKEW] += along * across
             if rim:
                 along, across = _pixel_on_ground(depth, ray, right, down, sun)
                 out[k, SPAN_ALONG] += along

@@ -100,6 +100,8 @@ class Detections:
         By the length of the patch alone (n,), m.
     length
         Of the dark patch along the Sun, as `ShadowPatch` has it (n,), m.
+    width, skew
+        Across the Sun (n,), m, and covariance along and across (n,), m^2, likewise.
     q
         Root of the number of dark pixels (n,).
     label
@@ -110,7 +112,7 @@ class Detections:
         Labels of what is no rock's and was not seen: terrain in its own shadow, patches cut by the
         edge, and pixels that are no numbers.
     relative
-        Brightness over that of the lit ground nearby (height, width).
+        Brightness over that of the slopes close by, were they lit (height, width).
     largest
         Radius of the largest rock that each label may be the shadow of (labels + 1,), m: 0 for
         none, infinite where the patch does not tell.
@@ -126,6 +128,8 @@ class Detections:
     radius_sigma: Array
     height: Array
     length: Array
+    width: Array
+    skew: Array
     q: Array
     label: NDArray[np.int32]
     labels: NDArray[np.int32]
@@ -269,7 +273,7 @@ def _nothing(
 ) -> Detections:
     none = np.empty(0)
     return Detections(
-        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none,
+        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none, none, none,
         np.empty(0, np.int32), labels, extended, shade.relative, _unknown(len(extended)),
         np.empty((0, 1)),
     )  # fmt: skip
@@ -301,7 +305,7 @@ def _patches(
     level = np.hypot(sun[0], sun[1])
     east, north = (sun[0] / level, sun[1] / level) if level > 0.0 else (1.0, 0.0)
     table = kernels.measure_patches(
-        labels, count - 1, edges, x, y, view.position, view.axes, float(ground), east, north
+        labels, count - 1, edges, shade.deep, x, y, view.position, view.axes, float(ground), east, north
     )[1:]
     focal = np.sqrt(view.fx * view.fy)
     table[:, kernels.SPAN_ALONG] /= focal
@@ -321,8 +325,10 @@ def _measure(
 ) -> Detections:
     """Turn the table of patches into rocks."""
     k = kernels
-    noise = (table[:, k.PIXELS] < settings.least_pixels) | (
-        table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE]
+    noise = (
+        (table[:, k.PIXELS] < settings.least_pixels)
+        | (table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE])
+        | (table[:, k.DEEP] == 0.0)
     )
     cut = table[:, k.BORDER] > 0.0
     whole = ~noise & ~cut
@@ -349,7 +355,7 @@ def _measure(
     extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
     return Detections(
         pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
-        rocks.sigma[keep], height[keep], length[keep], np.sqrt(t[keep, k.PIXELS]), number[keep],
+        rocks.sigma[keep], height[keep], length[keep], width[keep], t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
         labels, extended, shade.relative, largest, read.weight[keep],
     )  # fmt: skip
 
