@@ -47,6 +47,8 @@ class DetectorSettings:
         Dark pixels of the smallest patch.
     edge_share
         Share of a patch's rim that must lie on an edge of the image (Canny).
+    deep_share
+        Share of a patch that must be darker than half way from shadow to lit ground.
     canny
         Lower and upper threshold on the gradient of the gamma-corrected 8-bit image.
     largest_radius
@@ -61,6 +63,7 @@ class DetectorSettings:
     window: float = 0.12
     least_pixels: int = 4
     edge_share: float = 0.5
+    deep_share: float = 0.5
     canny: tuple[float, float] = (40.0, 100.0)
     largest_radius: float = 5.0
     least_fill: float = 0.3
@@ -73,7 +76,7 @@ class DetectorSettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"detector.{name}", value, "a positive number")
-        for name in ("window", "edge_share", "least_fill"):
+        for name in ("window", "edge_share", "deep_share", "least_fill"):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
@@ -328,7 +331,7 @@ def _measure(
     noise = (
         (table[:, k.PIXELS] < settings.least_pixels)
         | (table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE])
-        | (table[:, k.DEEP] == 0.0)
+        | (table[:, k.DEEP] < settings.deep_share * table[:, k.PIXELS])
     )
     cut = table[:, k.BORDER] > 0.0
     whole = ~noise & ~cut

@@ -190,9 +190,8 @@ def _dark(
     core, darkest = core / lit, core + _DARKEST_SLOPE * (lit - core)
 
     def below(level: float) -> NDArray[np.uint8]:
-        return np.asarray(
-            cv2.inRange(relative, -1.0, min(core + level * (1.0 - core), _DARKEST_LIT + 0.05))
-        )
+        threshold = min(core + level * (1.0 - core), _DARKEST_LIT + (level - _HALF))
+        return np.asarray(cv2.inRange(relative, -1.0, threshold))
 
     half = below(_HALF)
     # Terrain in its own shadow is no slope.
