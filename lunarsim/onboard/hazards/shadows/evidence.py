@@ -128,6 +128,7 @@ class ClearEvidence:
         seen: Detections,
         heights: Heights,
         explained: NDArray[np.bool_] | None = None,
+        place_sigma: Heights | None = None,
     ) -> None:
         """Take in a picture.
 
@@ -145,6 +146,10 @@ class ClearEvidence:
             Gives the elevation (n,) of the ground at points (n, 2), m.
         explained
             Which of its rocks are tracked (rocks,); left out: none.
+        place_sigma
+            Gives how well points (n, 2) are known from the camera, 1 sigma an axis (n,), m. Where
+            that is no better than the radius of the least rock, what is seen belongs elsewhere, and
+            nothing is taken in. Left out: places are known.
         """
         if len(seen) == 0:
             return
@@ -160,7 +165,11 @@ class ClearEvidence:
         depression = np.arctan2(away[..., 2], level)
         pixel = np.hypot(level, away[..., 2]) / np.sqrt(view.fx * view.fy)
         sharpness = self.model.visible_pixels(1.0, azimuth, depression, pixel)
-        sharpness = np.where(away[..., 2] > 0.0, sharpness, 0.0)
+        shown = away[..., 2] > 0.0
+        if place_sigma is not None:
+            sigma = place_sigma(xy.reshape(-1, 2)).reshape(height.shape)
+            shown &= sigma <= self._radius[0]
+        sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest
         if explained is not None:
             # What holds several shadows is not explained by one rock.
