@@ -155,7 +155,8 @@ def turn_from_sun(
     if not np.isfinite(sigma):
         return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
     along = np.real(faces * np.exp(-1j * angle))
-    spread = np.sqrt((along**2).sum() + _USUAL_NUMBER)
+    # Of directions that are any, half of the square lies along a line.
+    spread = np.sqrt(0.5 * (len(faces) + _USUAL_NUMBER))
     wrapped = float(np.angle(np.exp(1j * angle)))
     return SunAngle(wrapped, sigma, float(along.sum() / spread), len(faces))
 
