@@ -116,6 +116,8 @@ class Detections:
         edge, and pixels that are no numbers.
     relative
         Brightness over that of the slopes close by, were they lit (height, width).
+    over_ground
+        Brightness over that of the lit ground nearby, slopes as they are (height, width).
     largest
         Radius of the largest rock that each label may be the shadow of (labels + 1,), m: 0 for
         none, infinite where the patch does not tell.
@@ -138,6 +140,7 @@ class Detections:
     labels: NDArray[np.int32]
     extended: NDArray[np.int32]
     relative: NDArray[np.float32]
+    over_ground: NDArray[np.float32]
     largest: NDArray[np.float32]
     shapes: Array
 
@@ -277,8 +280,7 @@ def _nothing(
     none = np.empty(0)
     return Detections(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended, shade.relative, _unknown(len(extended)),
-        np.empty((0, 1)),
+        np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground, _unknown(len(extended)), np.empty((0, 1)),
     )  # fmt: skip
 
 
@@ -308,7 +310,17 @@ def _patches(
     level = np.hypot(sun[0], sun[1])
     east, north = (sun[0] / level, sun[1] / level) if level > 0.0 else (1.0, 0.0)
     table = kernels.measure_patches(
-        labels, count - 1, edges, shade.deep, x, y, view.position, view.axes, float(ground), east, north
+        labels,
+        count - 1,
+        edges,
+        shade.deep,
+        x,
+        y,
+        view.position,
+        view.axes,
+        float(ground),
+        east,
+        north,
     )[1:]
     focal = np.sqrt(view.fx * view.fy)
     table[:, kernels.SPAN_ALONG] /= focal
@@ -359,7 +371,7 @@ def _measure(
     return Detections(
         pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
         rocks.sigma[keep], height[keep], length[keep], width[keep], t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
-        labels, extended, shade.relative, largest, read.weight[keep],
+        labels, extended, shade.relative, shade.over_ground, largest, read.weight[keep],
     )  # fmt: skip
 
 

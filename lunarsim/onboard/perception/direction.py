@@ -40,7 +40,7 @@ _AXIS_Q, _LEAST_AXIS, _AXIS_KNOWN = 4.0, 0.15, float(np.deg2rad(3.0))
 # brighter than what is lit within so many pixels, of which none counts as brighter than this.
 _FACE_Q, _FACE_ABOUT, _FACE_MOST = 3.0, 7, 1.2
 # What axes are off by however many there are, rad, as found between rendered shadows and the model.
-_AXIS_OFF = float(np.deg2rad(1.0))
+_AXIS_OFF = float(np.deg2rad(3.0))
 
 
 def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
@@ -148,8 +148,9 @@ def turn_from_sun(
     angle, sigma = _mean_angle(faces)
     if np.isfinite(axis_sigma) and len(faces):
         # Axes come back after half a turn: their angles are doubled.
-        axis, axis_sigma = 0.5 * axis, float(np.hypot(0.5 * axis_sigma, _AXIS_OFF))
-        if axis_sigma < max(sigma, _AXIS_KNOWN):
+        axis, raw = 0.5 * axis, 0.5 * axis_sigma
+        axis_sigma = float(np.hypot(raw, _AXIS_OFF))
+        if raw < _AXIS_KNOWN or axis_sigma < sigma:
             angle = axis if np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0 else axis + np.pi
             sigma = axis_sigma
     if not np.isfinite(sigma):

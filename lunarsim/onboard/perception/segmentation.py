@@ -44,6 +44,8 @@ class Segmentation:
         Gamma-corrected brightness over that of the lit ground nearby, 8 bits (height, width).
     relative
         Brightness over that of the slopes close by, were they lit (height, width).
+    over_ground
+        Brightness over that of the lit ground nearby, slopes as they are (height, width).
     left_out
         Pixels that are no numbers (height, width); None if all are.
     """
@@ -52,6 +54,7 @@ class Segmentation:
     deep: NDArray[np.uint8]
     brightness: NDArray[np.uint8]
     relative: NDArray[np.float32]
+    over_ground: NDArray[np.float32]
     left_out: NDArray[np.bool_] | None = None
 
 
@@ -98,17 +101,18 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     levels = _levels(ratio)
     if levels is None:
         none = np.zeros(raw.shape, np.uint8)
-        return Segmentation(none, none, _tones(ratio, gamma), ratio, left_out)
+        return Segmentation(none, none, _tones(ratio, gamma), ratio, ratio, left_out)
     relative = cv2.divide(ratio, _slopes(ratio, *levels))
     dark, deep = _dark(relative, ratio, *levels)
     if left_out is not None:
         dark[left_out] = 0
-    return Segmentation(dark, deep, _tones(relative, gamma), relative, left_out)
+    return Segmentation(dark, deep, _tones(relative, gamma), relative, ratio, left_out)
 
 
 def _nothing(shape: tuple[int, ...], left_out: NDArray[np.bool_] | None) -> Segmentation:
     none = np.zeros(shape, np.uint8)
-    return Segmentation(none, none, none, none.astype(np.float32), left_out)
+    black = none.astype(np.float32)
+    return Segmentation(none, none, none, black, black, left_out)
 
 
 def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
