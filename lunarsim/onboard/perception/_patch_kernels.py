@@ -9,8 +9,8 @@ from lunarsim._jit import kernel
 # Columns of the table of patches: mean coordinate towards the Sun and to the left of it from below
 # the camera, m; length and width of the rectangle with the same variances, m; pixels; pixels at the
 # rim and how many of these lie on an edge of the image; whether the patch touches the border or the
-# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m; covariance of the
-# two coordinates, m^2; pixels that are darker than half way to lit ground.
+# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m; covariance of
+# the two coordinates, m^2; pixels that are darker than half way to lit ground.
 (
     ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS,
     SKEW, DEEP,

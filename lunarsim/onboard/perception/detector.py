@@ -279,8 +279,10 @@ def _nothing(
 ) -> Detections:
     none = np.empty(0)
     return Detections(
-        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground, _unknown(len(extended)), np.empty((0, 1)),
+        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
+        none, none, none, none, none, none, none,
+        np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground,
+        _unknown(len(extended)), np.empty((0, 1)),
     )  # fmt: skip
 
 
@@ -370,7 +372,8 @@ def _measure(
     extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
     return Detections(
         pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
-        rocks.sigma[keep], height[keep], length[keep], width[keep], t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
+        rocks.sigma[keep], height[keep], length[keep], width[keep],
+        t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
         labels, extended, shade.relative, shade.over_ground, largest, read.weight[keep],
     )  # fmt: skip
 

@@ -33,8 +33,8 @@ _LEAST_WAY = 0.7
 # Directions of single shadows scatter by what is found as if so many more had been seen to scatter
 # by so much, rad: few may agree by chance.
 _USUAL_SCATTER, _USUAL_NUMBER = float(np.deg2rad(25.0)), 4
-# Patches of fewer pixels across have no axis, nor those that should be rounder than this; axes known
-# to this angle tell better than faces, rad.
+# Patches of fewer pixels across have no axis, nor those that should be rounder than this; axes
+# known to this angle tell better than faces, rad.
 _AXIS_Q, _LEAST_AXIS, _AXIS_KNOWN = 4.0, 0.15, float(np.deg2rad(3.0))
 # Patches of fewer pixels across have no face that is told from bright ground behind them. A face is
 # brighter than what is lit within so many pixels, of which none counts as brighter than this.
@@ -122,8 +122,9 @@ def turn_from_sun(
     Two things tell. Patches are long along the Sun: the axes of all, as seen on the ground, against
     those of the model's patches give the angle closely, but not which end is which, and nothing
     where the Sun is so high that patches are round. And pixels beside a patch that are brighter
-    than the ground close about are the rock's lit face: from there to the middle of the patch, compared
-    with where the model has the patch and with a face half way up the rock, is the whole angle.
+    than the ground close about are the rock's lit face: from there to the middle of the patch,
+    compared with where the model has the patch and with a face half way up the rock, is the whole
+    angle.
     Ground that faces the Sun is bright too, but lies on any side of a rock; so the mean over rocks
     counts, not what a single one says.
 
