@@ -25,15 +25,27 @@ def _borders_on(k, a, b, c, d):
 
 
 @kernel(inline=True)
-def _count_pixel(out, k, tx, ty, rim, edge):
+def _count_pixel(out, k, tx, ty, rim, edge, deep):
     """Count a pixel of patch k and add up its tangents."""
     out[k, PIXELS] += 1.0
+    if deep:
+        out[k, DEEP] += 1.0
     out[k, TX] += tx
     out[k, TY] += ty
     if rim:
         out[k, EDGE] += 1.0
         if edge:
             out[k, SEEN] += 1.0
+
+
+@kernel(inline=True)
+def _add_place(out, k, along, across):
+    """Add the place of a pixel of patch k to the sums of first and second order."""
+    out[k, ALONG] += along
+    out[k, ACROSS] += across
+    out[k, LENGTH] += along * along
+    out[k, WIDTH] += across * across
+    out[k, SKEW] += along * across
 
 
 @kernel()
@@ -137,18 +149,12 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, su
                 rim = _borders_on(
                     k, labels[i - 1, j], labels[i + 1, j], labels[i, j - 1], labels[i, j + 1]
                 )
-            _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0)
-            if deep[i, j] != 0:
-                out[k, DEEP] += 1.0
+            _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0, deep[i, j] != 0)
             if ray[2] * drop <= 0.0:
                 continue
             depth = drop / ray[2]
             along, across = _to_sun(depth * ray[0], depth * ray[1], sun)
-            out[k, ALONG] += along
-            out[k, ACROSS] += across
-            out[k, LENGTH] += along * along
-            out[k, WIDTH] += across * across
-            out[k, SKEW] += along * across
+            _add_place(out, k, along, across)
             if rim:
                 along, across = _pixel_on_ground(depth, ray, right, down, sun)
                 out[k, SPAN_ALONG] += along

@@ -170,13 +170,7 @@ class ClearEvidence:
             sigma = place_sigma(xy.reshape(-1, 2)).reshape(height.shape)
             shown &= sigma <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
-        largest = seen.largest
-        if explained is not None:
-            # What holds several shadows is not explained by one rock.
-            label = seen.label[explained]
-            label = label[np.isfinite(largest[label])]
-            largest = largest.copy()
-            largest[label] *= -1.0
+        largest = seen.largest if explained is None else _marked(seen, explained)
         coarse = np.dstack((sharpness, height, *self._core(azimuth, depression, sun)))
         kernels.look(
             self.lit, self.dark, self.explained, g.x0, g.y0, g.posting, self._tested, coarse, every,
@@ -257,6 +251,16 @@ class ClearEvidence:
         """Return whether a rock of the least size would have shown (rows, cols)."""
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < 0.5) & ~self._possible(0))
+
+
+def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return `Detections.largest`, negative for the patches of rocks that are tracked."""
+    # What holds several shadows is not explained by one rock.
+    label = seen.label[explained]
+    label = label[np.isfinite(seen.largest[label])]
+    largest = seen.largest.copy()
+    largest[label] *= -1.0
+    return largest
 
 
 def _overlap(by: int, count: int) -> slice:

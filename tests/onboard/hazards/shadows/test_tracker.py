@@ -114,7 +114,7 @@ def nothing_like(seen):
     fields = {
         f.name: getattr(seen, f.name)[none]
         for f in dataclasses.fields(seen)
-        if f.name not in {"labels", "extended", "largest", "relative"}
+        if f.name not in {"labels", "extended", "largest", "relative", "over_ground"}
     }  # fmt: skip
     return dataclasses.replace(seen, **fields, labels=np.zeros_like(seen.labels))
 
