@@ -39,6 +39,9 @@ _AXIS_Q, _LEAST_AXIS, _AXIS_KNOWN = 4.0, 0.15, float(np.deg2rad(3.0))
 # Patches of fewer pixels across have no face that is told from bright ground behind them. A face is
 # brighter than what is lit within so many pixels, of which none counts as brighter than this.
 _FACE_Q, _FACE_ABOUT, _FACE_MOST = 3.0, 7, 1.2
+# Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
+# bright ground lies on any side.
+_AGREE = 0.8
 # What axes are off by however many there are, rad, as found between rendered shadows and the model.
 _AXIS_OFF = float(np.deg2rad(3.0))
 
@@ -144,7 +147,9 @@ def turn_from_sun(
         Of a pixel over the brightness of lit ground.
     """
     axes = _axes(seen, view, points, sun, model)
-    faces = _faces(seen, view, points, sun, model, noise)
+    faces, large = _faces(seen, view, points, sun, model, noise)
+    if not (len(faces) and abs(faces.mean()) > _AGREE):
+        faces = faces[large]
     axis, axis_sigma = _mean_angle(axes)
     angle, sigma = _mean_angle(faces)
     if np.isfinite(axis_sigma) and len(faces):
@@ -213,12 +218,15 @@ def _faces(
     sun: Array,
     model: ShadowModel | ShapeMixture,
     noise: float,
-) -> NDArray[np.complex128]:
-    """Return directions from lit faces to shadows (n,), of length 1, from where they should be."""
+) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    """Return directions from lit faces to shadows (n,), of length 1, from where they should be.
+
+    And of which the shadow is large enough to be told from bright ground (n,).
+    """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
     cut = max(_EXCESS, 4.0 * noise)
     sums = kernels.two_sides(_above_slopes(seen), seen.rock, ring, len(seen), cut)[1:]
-    bright = (sums[:, kernels.WEIGHT] > _LEAST_BRIGHT) & (seen.q >= _FACE_Q)
+    bright = sums[:, kernels.WEIGHT] > _LEAST_BRIGHT
     at = np.flatnonzero(bright & np.isfinite(points).all(1))
     sums = sums[at]
     bright = sums[:, [kernels.BRIGHT_U, kernels.BRIGHT_V]] / sums[:, [kernels.WEIGHT]]
@@ -230,7 +238,8 @@ def _faces(
     away = _expected_gap(view, points[at], sun, model)
     turned = (gap @ [1.0, 1.0j]) * np.conj(away @ [1.0, 1.0j])
     far = np.hypot(*away.T) > _LEAST_WAY
-    return np.asarray(turned[far] / np.maximum(abs(turned[far]), 1e-12))
+    turned /= np.maximum(abs(turned), 1e-12)
+    return np.asarray(turned[far]), np.asarray(seen.q[at][far] >= _FACE_Q)
 
 
 def _above_slopes(seen: Detections) -> NDArray[np.float32]:

@@ -42,6 +42,8 @@ _DARK = 4
 _SHARPER, _SURER = 1.03, 1.15
 # Rocks of a size cannot be crowded into less than this many of their own areas.
 _CROWD = 2.0
+# A place is seen if the least rock there would be missed no more often than this.
+_MISSED = 0.25
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -250,7 +252,7 @@ class ClearEvidence:
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
-        return np.asarray((missed < 0.5) & ~self._possible(0))
+        return np.asarray((missed < _MISSED) & ~self._possible(0))
 
 
 def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
