@@ -42,7 +42,7 @@ from lunarsim.rocks.laws import sample_diameters
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.world import World
-from lunarsim.world.light import Light
+from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 
 EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
@@ -53,15 +53,25 @@ ALL = "all"
 LEAST_HAZARD = 0.5
 # Pictures taken of one field.
 LOOKS = 8
+# What the light has beside the Sun's place: nothing, or all that docs/rendering.md has.
+LIGHTS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "full": {
+        "photometry": "hapke", "diameter": SUN_DIAMETER, "scattered": True,
+        "earthshine": FULL_EARTH, "mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15,
+    },
+}  # fmt: skip
 
 
-def make_world(shape: str, elevation: float, rng: np.random.Generator) -> World:
+def make_world(
+    shape: str, elevation: float, rng: np.random.Generator, light: str = "plain"
+) -> World:
     """Return a level field of rocks by Golombek's law, 5 % cover."""
     grid = Grid.centred((0.0, 0.0), FIELD, 2.0)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
     diameters = sample_diameters(FIELD**2, 0.05, 0.3, 3.0, rng)
     rocks = place_rocks(relief, diameters, rng, model=model_of(shape))
-    return World(Terrain(relief, rocks), 1.622, Light(0.0, elevation))
+    return World(Terrain(relief, rocks), 1.622, Light(0.0, elevation, **LIGHTS[light]))
 
 
 def model_of(shape: str) -> RockModel:
@@ -201,10 +211,14 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
     help="Of the rocks; all: field by field another.",
 )
 @click.option("--sun-elevation", default=20.0, show_default=True, help="deg")
+@click.option("--light", type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
+              help="A Sun that is a point, or all of docs/rendering.md.")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for figure and data; left out, only the table is printed.")  # fmt: skip
-def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | None) -> None:
+def main(
+    images: int, shape: str, sun_elevation: float, light: str, seed: int, out: Path | None
+) -> None:
     """Measure the rates and fit the lines."""
     console = Console(width=130)
     elevation = np.radians(sun_elevation)
@@ -213,7 +227,7 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
         if k % LOOKS == 0:
             own = SHAPES[k // LOOKS % len(SHAPES)] if shape == ALL else shape
-            world, model = make_world(own, elevation, rng), ShapeMixture(elevation)
+            world, model = make_world(own, elevation, rng, light), ShapeMixture(elevation)
         looks.append(look(world, model, rng))
     q, lost, run, seen_q, false, hazard_q, gone = (
         np.concatenate([one[name] for one in looks])
@@ -235,7 +249,8 @@ def main(images: int, shape: str, sun_elevation: float, seed: int, out: Path | N
         "merged": merged.tolist(), "detections": detections.tolist(), "false": made_up.tolist(),
         "hazards": hazards.tolist(), "cleared": clear.tolist(), "lines": lines,
     }  # fmt: skip
-    show(data, f"{shape}, Sun at {sun_elevation:g} deg, {images} images", console)
+    title = f"{shape}, Sun at {sun_elevation:g} deg, {light} light, {images} images"
+    show(data, title, console)
     if out is not None:
         from figures import draw_rates
 

@@ -9,11 +9,13 @@ from lunarsim._jit import kernel
 # Columns of the table of patches: mean coordinate towards the Sun and to the left of it from below
 # the camera, m; length and width of the rectangle with the same variances, m; pixels; pixels at the
 # rim and how many of these lie on an edge of the image; whether the patch touches the border or the
-# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m.
-ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS = range(
-    12
-)
-COLUMNS = 12
+# horizon; mean tangents; size of a pixel along the Sun and across at the patch, m; covariance of
+# the two coordinates, m^2; pixels that are darker than half way to lit ground.
+(
+    ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS,
+    SKEW, DEEP,
+) = range(14)  # fmt: skip
+COLUMNS = 14
 
 
 @kernel(inline=True)
@@ -23,15 +25,27 @@ def _borders_on(k, a, b, c, d):
 
 
 @kernel(inline=True)
-def _count_pixel(out, k, tx, ty, rim, edge):
+def _count_pixel(out, k, tx, ty, rim, edge, deep):
     """Count a pixel of patch k and add up its tangents."""
     out[k, PIXELS] += 1.0
+    if deep:
+        out[k, DEEP] += 1.0
     out[k, TX] += tx
     out[k, TY] += ty
     if rim:
         out[k, EDGE] += 1.0
         if edge:
             out[k, SEEN] += 1.0
+
+
+@kernel(inline=True)
+def _add_place(out, k, along, across):
+    """Add the place of a pixel of patch k to the sums of first and second order."""
+    out[k, ALONG] += along
+    out[k, ACROSS] += across
+    out[k, LENGTH] += along * along
+    out[k, WIDTH] += across * across
+    out[k, SKEW] += along * across
 
 
 @kernel()
@@ -81,13 +95,14 @@ def _sums_to_means(out):
             out[k, mean] /= pixels
             variance = out[k, size] / pixels - out[k, mean] ** 2
             out[k, size] = np.sqrt(12.0 * max(variance, 0.0))
+        out[k, SKEW] = out[k, SKEW] / pixels - out[k, ALONG] * out[k, ACROSS]
         rims = max(out[k, EDGE], 1.0)
         out[k, SPAN_ALONG] /= rims
         out[k, SPAN_ACROSS] /= rims
 
 
 @kernel()
-def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, sun_n):
+def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, sun_e, sun_n):
     """Measure the patches of a label image on a level plane.
 
     Parameters
@@ -98,6 +113,8 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
         Greatest label.
     edges
         Where the image has an edge (height, width), uint8.
+    deep
+        Where it is darker than half way to lit ground (height, width), uint8.
     x, y
         Tangents of the line of sight of each pixel, right and down (height, width).
     position, axes
@@ -110,7 +127,7 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
     Returns
     -------
     out
-        (count + 1, 12), by the columns above; sizes of pixels still times the focal length.
+        (count + 1, 14), by the columns above; sizes of pixels still times the focal length.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape
@@ -132,15 +149,12 @@ def measure_patches(labels, count, edges, x, y, position, axes, ground, sun_e, s
                 rim = _borders_on(
                     k, labels[i - 1, j], labels[i + 1, j], labels[i, j - 1], labels[i, j + 1]
                 )
-            _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0)
+            _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0, deep[i, j] != 0)
             if ray[2] * drop <= 0.0:
                 continue
             depth = drop / ray[2]
             along, across = _to_sun(depth * ray[0], depth * ray[1], sun)
-            out[k, ALONG] += along
-            out[k, ACROSS] += across
-            out[k, LENGTH] += along * along
-            out[k, WIDTH] += across * across
+            _add_place(out, k, along, across)
             if rim:
                 along, across = _pixel_on_ground(depth, ray, right, down, sun)
                 out[k, SPAN_ALONG] += along

@@ -33,9 +33,9 @@ class DetectionRates:
         The same for rocks where a picture gives the ground as free of them.
     """
 
-    missed: tuple[float, float, float] = (1.607, -0.448, 0.0671)
-    false: tuple[float, float, float] = (0.300, -0.300, 0.0112)
-    cleared: tuple[float, float, float] = (1.461, -0.496, 0.0301)
+    missed: tuple[float, float, float] = (1.456, -0.419, 0.0556)
+    false: tuple[float, float, float] = (0.203, -0.088, 0.0109)
+    cleared: tuple[float, float, float] = (1.030, -0.386, 0.0299)
 
     def __post_init__(self) -> None:
         for name in ("missed", "false", "cleared"):

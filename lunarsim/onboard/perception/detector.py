@@ -47,6 +47,8 @@ class DetectorSettings:
         Dark pixels of the smallest patch.
     edge_share
         Share of a patch's rim that must lie on an edge of the image (Canny).
+    deep_share
+        Share of a patch that must be darker than half way from shadow to lit ground.
     canny
         Lower and upper threshold on the gradient of the gamma-corrected 8-bit image.
     largest_radius
@@ -61,6 +63,7 @@ class DetectorSettings:
     window: float = 0.12
     least_pixels: int = 4
     edge_share: float = 0.5
+    deep_share: float = 0.5
     canny: tuple[float, float] = (40.0, 100.0)
     largest_radius: float = 5.0
     least_fill: float = 0.3
@@ -73,7 +76,7 @@ class DetectorSettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"detector.{name}", value, "a positive number")
-        for name in ("window", "edge_share", "least_fill"):
+        for name in ("window", "edge_share", "deep_share", "least_fill"):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
@@ -100,6 +103,8 @@ class Detections:
         By the length of the patch alone (n,), m.
     length
         Of the dark patch along the Sun, as `ShadowPatch` has it (n,), m.
+    width, skew
+        Across the Sun (n,), m, and covariance along and across (n,), m^2, likewise.
     q
         Root of the number of dark pixels (n,).
     label
@@ -110,7 +115,9 @@ class Detections:
         Labels of what is no rock's and was not seen: terrain in its own shadow, patches cut by the
         edge, and pixels that are no numbers.
     relative
-        Brightness over that of the lit ground nearby (height, width).
+        Brightness over that of the slopes close by, were they lit (height, width).
+    over_ground
+        Brightness over that of the lit ground nearby, slopes as they are (height, width).
     largest
         Radius of the largest rock that each label may be the shadow of (labels + 1,), m: 0 for
         none, infinite where the patch does not tell.
@@ -126,11 +133,14 @@ class Detections:
     radius_sigma: Array
     height: Array
     length: Array
+    width: Array
+    skew: Array
     q: Array
     label: NDArray[np.int32]
     labels: NDArray[np.int32]
     extended: NDArray[np.int32]
     relative: NDArray[np.float32]
+    over_ground: NDArray[np.float32]
     largest: NDArray[np.float32]
     shapes: Array
 
@@ -269,9 +279,10 @@ def _nothing(
 ) -> Detections:
     none = np.empty(0)
     return Detections(
-        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)), none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended, shade.relative, _unknown(len(extended)),
-        np.empty((0, 1)),
+        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
+        none, none, none, none, none, none, none,
+        np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground,
+        _unknown(len(extended)), np.empty((0, 1)),
     )  # fmt: skip
 
 
@@ -301,7 +312,17 @@ def _patches(
     level = np.hypot(sun[0], sun[1])
     east, north = (sun[0] / level, sun[1] / level) if level > 0.0 else (1.0, 0.0)
     table = kernels.measure_patches(
-        labels, count - 1, edges, x, y, view.position, view.axes, float(ground), east, north
+        labels,
+        count - 1,
+        edges,
+        shade.deep,
+        x,
+        y,
+        view.position,
+        view.axes,
+        float(ground),
+        east,
+        north,
     )[1:]
     focal = np.sqrt(view.fx * view.fy)
     table[:, kernels.SPAN_ALONG] /= focal
@@ -321,8 +342,10 @@ def _measure(
 ) -> Detections:
     """Turn the table of patches into rocks."""
     k = kernels
-    noise = (table[:, k.PIXELS] < settings.least_pixels) | (
-        table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE]
+    noise = (
+        (table[:, k.PIXELS] < settings.least_pixels)
+        | (table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE])
+        | (table[:, k.DEEP] < settings.deep_share * table[:, k.PIXELS])
     )
     cut = table[:, k.BORDER] > 0.0
     whole = ~noise & ~cut
@@ -349,8 +372,9 @@ def _measure(
     extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
     return Detections(
         pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
-        rocks.sigma[keep], height[keep], length[keep], np.sqrt(t[keep, k.PIXELS]), number[keep],
-        labels, extended, shade.relative, largest, read.weight[keep],
+        rocks.sigma[keep], height[keep], length[keep], width[keep],
+        t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
+        labels, extended, shade.relative, shade.over_ground, largest, read.weight[keep],
     )  # fmt: skip
 
 

@@ -28,9 +28,22 @@ _RING = 3
 _EXCESS, _LEAST_BRIGHT, _LEAST_GAP = 0.05, 0.3, 0.7
 # Where the middle of a lit face is taken to be, in radii: towards the Sun, and up.
 _FACE_AHEAD, _FACE_UP = 0.6, 0.5
-# How directions of single shadows scatter is found from them as if so many more had been seen to
-# scatter by so much, rad: few may agree by chance.
-_USUAL_SCATTER, _USUAL_NUMBER = float(np.deg2rad(15.0)), 4
+# Ways from face to shadow that seem shorter than this, in radii, tell nothing.
+_LEAST_WAY = 0.7
+# Directions of single shadows scatter by what is found as if so many more had been seen to scatter
+# by so much, rad: few may agree by chance.
+_USUAL_SCATTER, _USUAL_NUMBER = float(np.deg2rad(25.0)), 4
+# Patches of fewer pixels across have no axis, nor those that should be rounder than this; axes
+# known to this angle tell better than faces, rad.
+_AXIS_Q, _LEAST_AXIS, _AXIS_KNOWN = 4.0, 0.15, float(np.deg2rad(3.0))
+# Patches of fewer pixels across have no face that is told from bright ground behind them. A face is
+# brighter than what is lit within so many pixels, of which none counts as brighter than this.
+_FACE_Q, _FACE_ABOUT, _FACE_MOST = 3.0, 7, 1.2
+# Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
+# bright ground lies on any side.
+_AGREE = 0.8
+# What axes are off by however many there are, rad, as found between rendered shadows and the model.
+_AXIS_OFF = float(np.deg2rad(3.0))
 
 
 def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
@@ -82,19 +95,20 @@ class SunAngle:
     Attributes
     ----------
     angle
-        In the image, rad; NaN if nothing tells.
+        On the ground, rad, from -pi to pi; NaN if nothing tells.
     sigma
-        Standard deviation of what chance makes of it; infinite if nothing tells.
-    scatter
-        Of single rocks' angles, 1 sigma, rad. Where faces towards the Sun are no brighter than the
-        ground, as under a high Sun, or shadows run into each other, it is that of any direction.
+        Standard deviation of what chance makes of it, were its side certain; infinite if nothing
+        tells.
+    side
+        By how many standard deviations of chance lit faces lie on this side of the shadows and
+        not on the other: what tells an angle from one that is half a turn more.
     number
-        Of rocks that tell.
+        Of rocks by which the side is told.
     """
 
     angle: float
     sigma: float
-    scatter: float
+    side: float
     number: int
 
 
@@ -108,9 +122,14 @@ def turn_from_sun(
 ) -> SunAngle:
     """Measure by what angle shadows fall beside where the assumed Sun would throw them.
 
-    The bright pixels beside a rock's dark patch are its lit face. From there to the middle of the
-    patch, both as seen on the ground, is compared with where the model has the patch and with a
-    face half way up the rock: off the vertical the line between them is not along the Sun.
+    Two things tell. Patches are long along the Sun: the axes of all, as seen on the ground, against
+    those of the model's patches give the angle closely, but not which end is which, and nothing
+    where the Sun is so high that patches are round. And pixels beside a patch that are brighter
+    than the ground close about are the rock's lit face: from there to the middle of the patch,
+    compared with where the model has the patch and with a face half way up the rock, is the whole
+    angle.
+    Ground that faces the Sun is bright too, but lies on any side of a rock; so the mean over rocks
+    counts, not what a single one says.
 
     Parameters
     ----------
@@ -127,33 +146,118 @@ def turn_from_sun(
     noise
         Of a pixel over the brightness of lit ground.
     """
+    axes = _axes(seen, view, points, sun, model)
+    faces, large = _faces(seen, view, points, sun, model, noise)
+    if not (len(faces) and abs(faces.mean()) > _AGREE):
+        faces = faces[large]
+    axis, axis_sigma = _mean_angle(axes)
+    angle, sigma = _mean_angle(faces)
+    if np.isfinite(axis_sigma) and len(faces):
+        # Axes come back after half a turn: their angles are doubled.
+        axis, raw = 0.5 * axis, 0.5 * axis_sigma
+        axis_sigma = float(np.hypot(raw, _AXIS_OFF))
+        if raw < _AXIS_KNOWN or axis_sigma < sigma:
+            angle = axis if np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0 else axis + np.pi
+            sigma = axis_sigma
+    if not np.isfinite(sigma):
+        return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
+    along = np.real(faces * np.exp(-1j * angle))
+    # Of directions that are any, half of the square lies along a line.
+    spread = np.sqrt(0.5 * (len(faces) + _USUAL_NUMBER))
+    wrapped = float(np.angle(np.exp(1j * angle)))
+    return SunAngle(wrapped, sigma, float(along.sum() / spread), len(faces))
+
+
+def _mean_angle(vectors: NDArray[np.complex128]) -> tuple[float, float]:
+    """Return the angle of the mean of vectors (n,) and its standard deviation, rad.
+
+    Not known, NaN and infinite, where the mean is no longer than chance makes it.
+    """
+    n = len(vectors)
+    if n < 3:
+        return float("nan"), float("inf")
+    mean = vectors.mean()
+    length = abs(mean)
+    across = np.imag(vectors * np.conj(mean) / max(length, 1e-12))
+    usual = _USUAL_NUMBER * float((abs(vectors) ** 2).mean()) * np.sin(_USUAL_SCATTER) ** 2
+    spread = np.sqrt(((across**2).sum() + usual) / (n + _USUAL_NUMBER))
+    if not length > 2.0 * spread / np.sqrt(n):
+        return float("nan"), float("inf")
+    return float(np.angle(mean)), float(spread / np.sqrt(n) / length)
+
+
+def _axes(
+    seen: Detections, view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
+) -> NDArray[np.complex128]:
+    """Return twice the angles from the axes of the model's patches to those seen (n,).
+
+    The vectors are the longer, the longer patches should be and are.
+    """
+    at = np.flatnonzero((seen.q >= _AXIS_Q) & np.isfinite(points).all(1))
+    azimuth, depression = _seen_from(view, points[at], sun)
+    unit = model.patch(azimuth, depression)
+    should = _doubled(unit.length, unit.width, unit.skew)
+    found = _doubled(seen.length[at], seen.width[at], seen.skew[at])
+    tell = abs(should) > _LEAST_AXIS
+    return np.asarray((found * np.conj(should))[tell])
+
+
+def _doubled(length: Array, width: Array, skew: Array) -> NDArray[np.complex128]:
+    """Return the axes of patches (n,) as vectors at twice their angle from the Sun's azimuth.
+
+    Their length is 0 for round patches, 1 for lines.
+    """
+    along, across = length**2 / 12.0, width**2 / 12.0
+    return np.asarray((along - across + 2j * skew) / np.maximum(along + across, 1e-12))
+
+
+def _faces(
+    seen: Detections,
+    view: View,
+    points: Array,
+    sun: Array,
+    model: ShadowModel | ShapeMixture,
+    noise: float,
+) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    """Return directions from lit faces to shadows (n,), of length 1, from where they should be.
+
+    And of which the shadow is large enough to be told from bright ground (n,).
+    """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
     cut = max(_EXCESS, 4.0 * noise)
-    sums = kernels.two_sides(seen.relative, seen.rock, ring, len(seen), cut)[1:]
-    at = np.flatnonzero((sums[:, kernels.WEIGHT] > _LEAST_BRIGHT) & np.isfinite(points).all(1))
+    sums = kernels.two_sides(_above_slopes(seen), seen.rock, ring, len(seen), cut)[1:]
+    bright = sums[:, kernels.WEIGHT] > _LEAST_BRIGHT
+    at = np.flatnonzero(bright & np.isfinite(points).all(1))
     sums = sums[at]
     bright = sums[:, [kernels.BRIGHT_U, kernels.BRIGHT_V]] / sums[:, [kernels.WEIGHT]]
     gap = sums[:, [kernels.DARK_U, kernels.DARK_V]] / sums[:, [kernels.PIXELS]] - bright
-    length = np.hypot(*gap.T)
-    apart = length > _LEAST_GAP
+    apart = np.hypot(*gap.T) > _LEAST_GAP
     at, gap = at[apart], gap[apart]
     moves = view.pinhole.jacobian((points[at] - view.position) @ view.axes, view.axes[:2].T)
     gap = np.linalg.solve(moves, gap[:, :, None])[:, :, 0]
     away = _expected_gap(view, points[at], sun, model)
-    # Angles from where each shadow should point; the same turn for all of them.
-    across = away[:, 0] * gap[:, 1] - away[:, 1] * gap[:, 0]
-    turned = np.column_stack((np.einsum("ij,ij->i", away, gap), across))
-    with np.errstate(invalid="ignore"):
-        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    angle, half, number = mean_direction(turned)
-    if number < 3:
-        return SunAngle(float("nan"), float("inf"), float("inf"), number)
-    # The error of a median is 1.25 times that of a mean.
-    found = half / 1.96 * np.sqrt(number) / 1.25
-    total = number * found**2 + _USUAL_NUMBER * _USUAL_SCATTER**2
-    scatter = float(np.sqrt(total / (number + _USUAL_NUMBER)))
-    sigma = 1.25 * scatter / float(np.sqrt(number))
-    return SunAngle(float(np.angle(np.exp(1j * angle))), sigma, scatter, number)
+    turned = (gap @ [1.0, 1.0j]) * np.conj(away @ [1.0, 1.0j])
+    far = np.hypot(*away.T) > _LEAST_WAY
+    turned /= np.maximum(abs(turned), 1e-12)
+    return np.asarray(turned[far]), np.asarray(seen.q[at][far] >= _FACE_Q)
+
+
+def _above_slopes(seen: Detections) -> NDArray[np.float32]:
+    """Return brightness over that of what is lit within a few pixels (height, width).
+
+    A slope is no brighter than its surroundings; the face of a rock is.
+    """
+    lit = (seen.labels == 0).astype(np.float32)
+    side, few = (_FACE_ABOUT, _FACE_ABOUT), np.float32(0.02)
+    total = cv2.blur(cv2.multiply(cv2.min(seen.relative, _FACE_MOST), lit), side)
+    return np.asarray(cv2.divide(seen.relative, (total + few) / (cv2.blur(lit, side) + few)))
+
+
+def _seen_from(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
+    """Return azimuth of the camera from the Sun's and depression of the sight of points (n, 3)."""
+    sight = points - view.position
+    azimuth = np.arctan2(-sight[:, 0], -sight[:, 1]) - np.arctan2(sun[0], sun[1])
+    return azimuth, np.arctan2(-sight[:, 2], np.hypot(sight[:, 0], sight[:, 1]))
 
 
 def _expected_gap(
@@ -163,9 +267,7 @@ def _expected_gap(
     towards = sun[:2] / np.hypot(sun[0], sun[1])
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position
-    level = np.hypot(sight[:, 0], sight[:, 1])
-    azimuth = np.arctan2(-sight[:, 0], -sight[:, 1]) - np.arctan2(sun[0], sun[1])
-    unit = model.patch(azimuth, np.arctan2(-sight[:, 2], level))
+    unit = model.patch(*_seen_from(view, points, sun))
     dark = unit.along[:, None] * towards + unit.side[:, None] * left
     # What is above the ground is seen before ground that lies farther off.
     lean = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)

@@ -67,7 +67,7 @@ def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
     least = max(_LEAST_STEP, _LEAST_NOISES * noise)
     # Labels run down the picture: every so many of them lie evenly over all of it.
     every = -(-len(seen) // _MOST) or 1
-    slopes = kernels.edge_slopes(seen.relative, seen.rock, len(seen), every, least)[1:]
+    slopes = kernels.edge_slopes(seen.over_ground, seen.rock, len(seen), every, least)[1:]
     slopes = slopes[slopes[:, -1] > 0.0]
     if len(slopes) == 0:
         return EdgeWidths(0, np.inf, np.inf)

@@ -76,7 +76,7 @@ class Health:
     figures
         What was measured until then, by name: `lit` (counts), `saturated`, `gaps`, `dark` (shares),
         `noise` (over the brightness of lit ground), `shadows` (number), `width`, `smear` (pixels,
-        1 sigma of edges), `turn`, `turn_sigma`, `scatter` (rad).
+        1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side` (standard deviations).
     """
 
     fault: Fault | None
@@ -121,8 +121,9 @@ class HealthSettings:
     most_turn, least_turn
         By what angle shadows may fall beside where the Sun throws them for it to be there, and
         from what angle on it is not; between them they tell neither, rad.
-    turn_sigma, most_scatter
-        How well that angle must be known to tell, and how widely single rocks may scatter, rad.
+    turn_sigma, least_side
+        How well that angle must be known to tell, rad, and by how many standard deviations that it
+        is not half a turn more.
     """
 
     blur_sigma: float = 0.6
@@ -138,7 +139,7 @@ class HealthSettings:
     most_turn: float = float(np.deg2rad(10.0))
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))
-    most_scatter: float = float(np.deg2rad(35.0))
+    least_side: float = 4.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
@@ -147,7 +148,7 @@ class HealthSettings:
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
         for name in ("least_lit", "most_noise", "least_shadows", "most_width", "most_smear",
-                     "most_turn", "least_turn", "turn_sigma", "most_scatter"):  # fmt: skip
+                     "most_turn", "least_turn", "turn_sigma", "least_side"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
 
@@ -255,7 +256,7 @@ class PictureHealth:
             return Health(Fault.DARK, figures)
         widths = edge_widths(seen, noise)
         figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
-        figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "scatter": turn.scatter}
+        figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "turn_side": turn.side}
         if widths.number < s.least_shadows:
             return Health(Fault.NO_SHADOWS, figures)
         fault = self._blur(widths)
@@ -272,7 +273,7 @@ class PictureHealth:
     def tells(self, turn: SunAngle) -> bool:
         """Say whether shadows tell where the Sun is."""
         s = self.settings
-        return turn.sigma <= s.turn_sigma and turn.scatter <= s.most_scatter
+        return turn.sigma <= s.turn_sigma and turn.side >= s.least_side
 
     def _sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings

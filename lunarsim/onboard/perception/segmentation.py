@@ -13,12 +13,21 @@ from lunarsim.errors import InputError
 
 # The brightness of lit ground is taken from an image this many times smaller.
 _COARSE = 8
+# That of the slopes close by: from one so many times smaller, over so many of its pixels.
+_NEAR, _NEAR_SIDE = 4, 5
+# Slopes are no darker than this share of the way from shadow to lit ground: what is, is shadow.
+_DARKEST_SLOPE = 0.2
 # A shadow is darker than this share of the lit ground about it, whatever the histogram says.
 _DARKEST_LIT = 0.6
+# Levels between shadow and lit ground at which a shadow ends: of one that is wider than three
+# pixels, and of a smaller one, which optics fill with light.
+_HALF, _SMALL = 0.5, 0.62
 # Standard deviations of the noise by which shadow must differ from lit ground.
 _CONTRAST = 5.0
 # As many darkest pixels as say how dark shadow is.
 _CORE = 24
+# Every so many pixels and rows tell how lit ground varies.
+_EVERY = 2
 
 
 @dataclass(frozen=True)
@@ -29,26 +38,32 @@ class Segmentation:
     ----------
     dark
         (height, width), uint8 0 or 1.
+    deep
+        The same, but darker than half way from shadow to lit ground (height, width).
     brightness
         Gamma-corrected brightness over that of the lit ground nearby, 8 bits (height, width).
     relative
-        Brightness over that of the lit ground nearby (height, width).
+        Brightness over that of the slopes close by, were they lit (height, width).
+    over_ground
+        Brightness over that of the lit ground nearby, slopes as they are (height, width).
     left_out
         Pixels that are no numbers (height, width); None if all are.
     """
 
     dark: NDArray[np.uint8]
+    deep: NDArray[np.uint8]
     brightness: NDArray[np.uint8]
     relative: NDArray[np.float32]
+    over_ground: NDArray[np.float32]
     left_out: NDArray[np.bool_] | None = None
 
 
 def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Segmentation:
     """Find the shadowed pixels.
 
-    The image is divided by the brightness of the lit ground nearby and gamma-corrected. How dark
-    shadow is and how much lit ground varies are taken from the image itself; the threshold lies
-    half way between.
+    The image is divided by the brightness of the lit ground nearby, then by that of the slopes
+    close by, and gamma-corrected. How dark shadow is and how much lit ground varies are taken from
+    the image itself; the threshold lies half way between, for small shadows above.
 
     Parameters
     ----------
@@ -83,19 +98,21 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     if raw.dtype.kind in "if":
         cv2.max(grey, 0.0, dst=grey)
     ratio = cv2.divide(grey, lit, dst=grey)
-    tone = _tones(ratio, gamma)
-    threshold = _threshold(ratio)
-    if threshold is None:
-        return Segmentation(np.zeros(raw.shape, np.uint8), tone, ratio, left_out)
-    dark = (ratio < threshold).astype(np.uint8)
+    levels = _levels(ratio)
+    if levels is None:
+        none = np.zeros(raw.shape, np.uint8)
+        return Segmentation(none, none, _tones(ratio, gamma), ratio, ratio, left_out)
+    relative = cv2.divide(ratio, _slopes(ratio, *levels))
+    dark, deep = _dark(relative, ratio, *levels)
     if left_out is not None:
         dark[left_out] = 0
-    return Segmentation(dark, tone, ratio, left_out)
+    return Segmentation(dark, deep, _tones(relative, gamma), relative, ratio, left_out)
 
 
 def _nothing(shape: tuple[int, ...], left_out: NDArray[np.bool_] | None) -> Segmentation:
     none = np.zeros(shape, np.uint8)
-    return Segmentation(none, none, none.astype(np.float32), left_out)
+    black = none.astype(np.float32)
+    return Segmentation(none, none, none, black, black, left_out)
 
 
 def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
@@ -127,17 +144,63 @@ def _tones(ratio: NDArray[np.float32], gamma: float) -> NDArray[np.uint8]:
     return np.asarray(cv2.LUT(scaled, table))
 
 
-def _threshold(ratio: NDArray[np.float32]) -> float | None:
-    """Return the ratio below which a pixel is shadow, or None if the image shows none."""
+def _levels(ratio: NDArray[np.float32]) -> tuple[float, float] | None:
+    """Return how bright shadow and lit ground are, or None if the image shows no shadow."""
     # A histogram does for both: the mode of lit ground, and the darkest pixels.
     bins: Any = cv2.calcHist([ratio], [0], None, [512], [0.0, 2.0]).ravel()
     level = (np.arange(512) + 0.5) / 256.0
     total = np.cumsum(bins)
-    lit = float(level[np.searchsorted(total, 0.6 * total[-1])])
-    above = float(level[min(np.searchsorted(total, 0.9 * total[-1]), 511)])
-    # From the median of the lit upward there are no shadows: the spread of lit ground.
-    spread = (above - lit) / 1.03
     core = float(level[np.searchsorted(total, min(_CORE, 0.2 * total[-1]))])
-    if lit - core < max(_CONTRAST * spread, 1.0 - _DARKEST_LIT):
+    # What is darker than a quarter of the brightest but a few is no lit ground: sky, terrain in
+    # its own shadow.
+    bright = float(level[min(np.searchsorted(total, 0.98 * total[-1]), 511)])
+    start = total[np.searchsorted(level, 0.25 * bright) - 1]
+    share = total - start
+    lit = float(level[np.searchsorted(share, 0.5 * share[-1])])
+    if lit - core < max(_CONTRAST * _spread(ratio, core, lit), (1.0 - _DARKEST_LIT) * lit):
         return None
-    return min(0.5 * (lit + core), _DARKEST_LIT)
+    return core, lit
+
+
+def _spread(ratio: NDArray[np.float32], core: float, lit: float) -> float:
+    """Return how much lit ground varies from pixel to pixel, 1 sigma."""
+    few = ratio[::_EVERY, ::_EVERY]
+    step = np.abs(few[:, 1:] - few[:, :-1])[few[:, 1:] > 0.5 * (core + lit)]
+    return float(np.median(step[:: max(len(step) // 20_000, 1)])) / 0.954 if len(step) else 0.0
+
+
+def _slopes(ratio: NDArray[np.float32], core: float, lit: float) -> NDArray[np.float32]:
+    """Return the brightness of slopes close by, over that of lit ground (height, width)."""
+    height, width = ratio.shape
+    size = (max(width // _NEAR, 1), max(height // _NEAR, 1))
+    shown = cv2.threshold(
+        ratio, core + _DARKEST_SLOPE * (lit - core), 1.0, cv2.THRESH_BINARY
+    )[1]  # fmt: skip
+    # Lit faces of rocks are no slopes.
+    bright = cv2.multiply(cv2.min(ratio, 1.5 * lit), shown)
+    side = (_NEAR_SIDE, _NEAR_SIDE)
+    total = cv2.blur(cv2.resize(bright, size, interpolation=cv2.INTER_AREA), side)
+    share = cv2.blur(cv2.resize(shown, size, interpolation=cv2.INTER_AREA), side)
+    # Where little is lit, what is about it says less.
+    few = np.float32(0.05)
+    near = (total + few * np.float32(lit)) / (share + few)
+    return np.asarray(cv2.resize(near, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def _dark(
+    relative: NDArray[np.float32], ratio: NDArray[np.float32], core: float, lit: float
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return which pixels are shadow and which are so by half (height, width)."""
+    core, darkest = core / lit, core + _DARKEST_SLOPE * (lit - core)
+
+    def below(level: float) -> NDArray[np.uint8]:
+        threshold = min(core + level * (1.0 - core), _DARKEST_LIT + (level - _HALF))
+        return np.asarray(cv2.inRange(relative, -1.0, threshold))
+
+    half = below(_HALF)
+    # Terrain in its own shadow is no slope.
+    cv2.bitwise_or(half, cv2.inRange(ratio, -1.0, darkest), dst=half)
+    square = np.ones((3, 3), np.uint8)
+    large = cv2.dilate(cv2.erode(half, square), np.ones((7, 7), np.uint8))
+    small = cv2.bitwise_and(below(_SMALL), cv2.bitwise_not(large))
+    return np.asarray(cv2.bitwise_or(half, small) & 1), np.asarray(half)

@@ -53,6 +53,8 @@ class ShadowPatch:
     length, width
         Of the rectangle along the Sun that has the same variances (...). Extents from one end to
         the other would hang on single pixels.
+    skew
+        Covariance of the two coordinates (...).
     area
         Dark area (...).
     along_sigma, side_sigma, length_sigma, width_sigma
@@ -63,6 +65,7 @@ class ShadowPatch:
     side: Array
     length: Array
     width: Array
+    skew: Array
     area: Array
     along_sigma: Array
     side_sigma: Array
@@ -128,8 +131,9 @@ class ShadowModel:
         down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
         turn, down = np.broadcast_arrays(turn, down)
         rows = self._table(np.column_stack((abs(turn).ravel(), down.ravel())))
-        along, side, *rest = (column.reshape(turn.shape) for column in rows.T)
-        return ShadowPatch(along, np.where(turn < 0.0, -side, side), *rest)
+        along, side, length, width, skew, *rest = (c.reshape(turn.shape) for c in rows.T)
+        side, skew = (np.where(turn < 0.0, -v, v) for v in (side, skew))
+        return ShadowPatch(along, side, length, width, skew, *rest)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q: side of the square of as many pixels as the patch covers (...).
@@ -149,11 +153,11 @@ class ShadowModel:
 
 @lru_cache(maxsize=8)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
-    """Return the table (azimuths, depressions, 9) of `ShadowPatch`'s attributes in their order."""
+    """Return the table (azimuths, depressions, 10) of `ShadowPatch`'s attributes in their order."""
     rng = np.random.default_rng(1953)
     one = shapes.shape == "hemisphere"
     field = shapes.draw(np.full(1 if one else _SHAPES, 2.0), rng)
-    table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 9))
+    table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
     reach = 1.6 * (1.0 + 1.0 / np.tan(elevation)) + 0.5
@@ -168,7 +172,7 @@ def _tabulate(elevation: float, shapes: RockModel) -> Array:
 def _dark_patch(
     scene: RockOnLevelGround, sun: Array, camera: Array, reach: float
 ) -> tuple[float, ...]:
-    """Return along, side, length, width and area of the dark patch of a rock of radius 1.
+    """Return along, side, length, width, skew and area of the dark patch of a rock of radius 1.
 
     The Sun is in the north, so `along` is y and `across`, to its left, is -x.
     """
@@ -188,11 +192,11 @@ def _dark_patch(
     shaded[lit] = np.isfinite(scene.cast(point[lit], towards)[0])
     if not shaded.any():
         # Nothing shows: a patch of no extent where the dark side would begin.
-        return 0.0, 0.0, 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     along, across = ground[shaded, 1], -ground[shaded, 0]
     return (
         along.mean(), across.mean(), np.sqrt(12.0) * along.std(), np.sqrt(12.0) * across.std(),
-        float(shaded.sum()) * step**2,
+        np.mean(along * across) - along.mean() * across.mean(), float(shaded.sum()) * step**2,
     )  # fmt: skip
 
 

@@ -43,6 +43,8 @@ _LEAST_SHARE = 0.01
 # Patches of fewer pixels across say nothing of shapes.
 _LEAST_Q = 4.0
 _LEAST_LENGTH = 0.05
+# What of a patch is averaged over shapes.
+_MEANS = ("along", "side", "length", "width", "skew", "area")
 # A hypothesis of less weight is left out of the largest rock that a patch may be the shadow of,
 # which is so many standard deviations larger than it seems.
 _IMPROBABLE = 0.03
@@ -244,7 +246,7 @@ def _agreed(
 def _mixed(units: list[ShadowPatch], share: Array) -> ShadowPatch:
     """Return the mean patch over shapes, their shares (shapes,) or (n, shapes)."""
     stack = {f.name: np.stack([getattr(u, f.name) for u in units], -1) for f in fields(ShadowPatch)}
-    mean = {k: (share * stack[k]).sum(-1) for k in ("along", "side", "length", "width", "area")}
+    mean = {k: (share * stack[k]).sum(-1) for k in _MEANS}
     sigma = {
         f"{k}_sigma": np.sqrt(
             (share * (stack[f"{k}_sigma"] ** 2 + (stack[k] - mean[k][..., None]) ** 2)).sum(-1)

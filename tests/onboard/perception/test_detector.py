@@ -80,9 +80,10 @@ def test_measuring_patches_equals_the_plain_reference():
         h, w = rng.integers(2, 20, 2)
         labels[i : i + h, j : j + w] = label
     count = labels.max()
+    nothing = np.zeros((480, 640), np.uint8)
     level = np.hypot(SUN[0], SUN[1])
     table = kernels.measure_patches(
-        labels, count, np.zeros((480, 640), np.uint8), *camera.tangents, view.position, view.axes,
+        labels, count, nothing, nothing, *camera.tangents, view.position, view.axes,
         0.5, SUN[0] / level, SUN[1] / level,
     )  # fmt: skip
     for label in np.unique(labels[labels > 0]):

@@ -151,11 +151,11 @@ def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
     state, camera, counts, sun, level = scene
     seen = detect_rocks(counts, camera, state, sun, ground=level)
     health = PictureHealth()
-    silent = SunAngle(np.nan, np.inf, np.inf, 0)
-    wide = SunAngle(0.0, 0.02, 1.2, 900)
-    there, between, away = (SunAngle(np.radians(a), 0.02, 0.2, 90) for a in (2.0, 12.0, 25.0))
+    silent = SunAngle(np.nan, np.inf, 0.0, 0)
+    either = SunAngle(0.0, 0.02, 2.5, 900)
+    there, between, away = (SunAngle(np.radians(a), 0.02, 6.0, 90) for a in (2.0, 12.0, 25.0))
     for turn, fault in (
-        (silent, Fault.SUN_UNPROVEN), (wide, Fault.SUN_UNPROVEN), (between, Fault.SUN_UNPROVEN),
+        (silent, Fault.SUN_UNPROVEN), (either, Fault.SUN_UNPROVEN), (between, Fault.SUN_UNPROVEN),
         (there, None), (silent, None), (between, None), (away, Fault.SUN_ELSEWHERE),
         (silent, Fault.SUN_UNPROVEN), (there, None),
     ):  # fmt: skip

@@ -14,7 +14,7 @@ def ground_point(tx, ty, axes, drop, sun):
     return np.array([e * sun[0] + n * sun[1], n * sun[0] - e * sun[1]])
 
 
-def measured(labels, k, edges, x, y, axes, drop, sun):
+def measured(labels, k, edges, deep, x, y, axes, drop, sun):
     """Return the row of patch k, pixel by pixel."""
     height, width = labels.shape
     row = dict.fromkeys(("border", "edge", "seen"), 0)
@@ -45,10 +45,11 @@ def measured(labels, k, edges, x, y, axes, drop, sun):
     mean = np.sum(places, axis=0) / pixels
     square = np.sum(np.square(places), axis=0) / pixels
     size = np.sqrt(12.0 * np.maximum(square - mean**2, 0.0))
+    skew = np.sum(np.prod(places, axis=1)) / pixels - np.prod(mean)
     span = np.sum(spans, axis=0) / max(row["edge"], 1)
     return [
         *mean, *size, pixels, row["edge"], row["seen"], row["border"], *np.mean(tangents, axis=0),
-        *np.broadcast_to(span, 2),
+        *np.broadcast_to(span, 2), skew, np.count_nonzero(deep[labels == k]),
     ]  # fmt: skip
 
 
@@ -63,6 +64,7 @@ def test_table_of_patches(seed, tilt):
         h, w = rng.integers(2, 12, 2)
         labels[i : i + h, j : j + w] = label
     edges = (rng.random((height, width)) < 0.4).astype(np.uint8)
+    deep = (rng.random((height, width)) < 0.7).astype(np.uint8)
     x, y = np.meshgrid((np.arange(width) - 24.0) / 45.0, (np.arange(height) - 19.0) / 40.0)
     down = Rotation.from_matrix([[1, 0, 0], [0, -1, 0], [0, 0, -1]])
     turn = Rotation.from_euler("zx", [rng.uniform(0.0, 6.0), tilt])
@@ -70,14 +72,14 @@ def test_table_of_patches(seed, tilt):
     position, ground = np.array([30.0, -20.0, 55.0]), -4.0
     angle = rng.uniform(0.0, 6.0)
     sun = np.array([np.cos(angle), np.sin(angle)])
-    table = kernels.measure_patches(labels, 26, edges, x, y, position, axes, ground, *sun)
-    assert table.shape == (27, 12)
+    table = kernels.measure_patches(labels, 26, edges, deep, x, y, position, axes, ground, *sun)
+    assert table.shape == (27, 14)
     met = 0
     for k in np.unique(labels[labels > 0]):
         up = (x[labels == k, None] * axes[2, 0] + y[labels == k, None] * axes[2, 1]) + axes[2, 2]
         if (up * (ground - position[2]) > 0.0).any() and np.abs(up).min() > 0.02:
             met += 1
-            wanted = measured(labels, k, edges, x, y, axes, ground - position[2], sun)
+            wanted = measured(labels, k, edges, deep, x, y, axes, ground - position[2], sun)
             assert table[k] == pytest.approx(wanted, rel=1e-5, abs=1e-9)
     assert met >= 2
     assert not table[[0, 25, 26]].any()
@@ -88,7 +90,8 @@ def test_patches_of_the_sky_alone_have_no_place():
     flat = np.zeros((3, 3))
     up = np.eye(3)  # looks straight up
     row = kernels.measure_patches(
-        labels, 1, np.ones((3, 3), np.uint8), flat, flat, np.array([0.0, 0.0, 9.0]), up, 0.0, 1, 0
-    )[1]
+        labels, 1, np.ones((3, 3), np.uint8), np.zeros((3, 3), np.uint8), flat, flat,
+        np.array([0.0, 0.0, 9.0]), up, 0.0, 1, 0,
+    )[1]  # fmt: skip
     assert row[[kernels.PIXELS, kernels.BORDER, kernels.EDGE]].tolist() == [1.0, 1.0, 0.0]
     assert not row[[kernels.ALONG, kernels.ACROSS, kernels.LENGTH, kernels.SPAN_ALONG]].any()

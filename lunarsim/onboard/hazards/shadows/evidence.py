@@ -42,6 +42,8 @@ _DARK = 4
 _SHARPER, _SURER = 1.03, 1.15
 # Rocks of a size cannot be crowded into less than this many of their own areas.
 _CROWD = 2.0
+# A place is seen if the least rock there would be missed no more often than this.
+_MISSED = 0.25
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -128,6 +130,7 @@ class ClearEvidence:
         seen: Detections,
         heights: Heights,
         explained: NDArray[np.bool_] | None = None,
+        place_sigma: Heights | None = None,
     ) -> None:
         """Take in a picture.
 
@@ -145,6 +148,10 @@ class ClearEvidence:
             Gives the elevation (n,) of the ground at points (n, 2), m.
         explained
             Which of its rocks are tracked (rocks,); left out: none.
+        place_sigma
+            Gives how well points (n, 2) are known from the camera, 1 sigma an axis (n,), m. Where
+            that is no better than the radius of the least rock, what is seen belongs elsewhere, and
+            nothing is taken in. Left out: places are known.
         """
         if len(seen) == 0:
             return
@@ -160,14 +167,12 @@ class ClearEvidence:
         depression = np.arctan2(away[..., 2], level)
         pixel = np.hypot(level, away[..., 2]) / np.sqrt(view.fx * view.fy)
         sharpness = self.model.visible_pixels(1.0, azimuth, depression, pixel)
-        sharpness = np.where(away[..., 2] > 0.0, sharpness, 0.0)
-        largest = seen.largest
-        if explained is not None:
-            # What holds several shadows is not explained by one rock.
-            label = seen.label[explained]
-            label = label[np.isfinite(largest[label])]
-            largest = largest.copy()
-            largest[label] *= -1.0
+        shown = away[..., 2] > 0.0
+        if place_sigma is not None:
+            sigma = place_sigma(xy.reshape(-1, 2)).reshape(height.shape)
+            shown &= sigma <= self._radius[0]
+        sharpness = np.where(shown, sharpness, 0.0)
+        largest = seen.largest if explained is None else _marked(seen, explained)
         coarse = np.dstack((sharpness, height, *self._core(azimuth, depression, sun)))
         kernels.look(
             self.lit, self.dark, self.explained, g.x0, g.y0, g.posting, self._tested, coarse, every,
@@ -247,7 +252,17 @@ class ClearEvidence:
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
-        return np.asarray((missed < 0.5) & ~self._possible(0))
+        return np.asarray((missed < _MISSED) & ~self._possible(0))
+
+
+def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return `Detections.largest`, negative for the patches of rocks that are tracked."""
+    # What holds several shadows is not explained by one rock.
+    label = seen.label[explained]
+    label = label[np.isfinite(seen.largest[label])]
+    largest = seen.largest.copy()
+    largest[label] *= -1.0
+    return largest
 
 
 def _overlap(by: int, count: int) -> slice:

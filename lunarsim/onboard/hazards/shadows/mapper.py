@@ -210,28 +210,28 @@ class ShadowMapper(HazardMapper):
         self._time = picture.time
         health = self.health.before_detection(picture.counts, picture.camera, estimate)
         if health.good:
+            sun = rocks.in_frame(self.sun)
             seen = detect_rocks(
-                picture.counts, picture.camera, estimate, rocks.in_frame(self.sun),
+                picture.counts, picture.camera, estimate, sun,
                 ground=self._plane(picture.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
-            health = self._by_shadows(seen, picture, estimate, health)
+            health = self._by_shadows(seen, picture, estimate, sun, health)
         self._report(picture.time, health)
         if health.good:
-            self._take(seen, picture, estimate)
+            self._take(seen, picture, estimate, sun)
 
-    def _take(self, seen: Detections, picture: Picture, pose: Pose) -> None:
+    def _take(self, seen: Detections, picture: Picture, pose: Pose, sun: Array) -> None:
         """Take in what a picture that counts shows."""
         self.seen = seen
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
-        sun = self.tracker.filter.in_frame(self.sun)
         self.tracker.update(seen, picture.camera, sun, picture.time)
         self._forget_lost_rocks()
         self.probability.ground = self._plane(picture.camera)
         self.probability.see(
             picture.camera.view(pose), sun, seen, self.tracker.filter.ground_at,
-            self.tracker.explained,
+            self.tracker.explained, self.tracker.place_sigma,
         )  # fmt: skip
 
     def _forget_lost_rocks(self) -> None:
@@ -240,13 +240,15 @@ class ShadowMapper(HazardMapper):
             self._renewals = self.tracker.renewals
             self.probability.forget()
 
-    def _by_shadows(self, seen: Detections, picture: Picture, pose: Pose, before: Health) -> Health:
+    def _by_shadows(
+        self, seen: Detections, picture: Picture, pose: Pose, sun: Array, before: Health
+    ) -> Health:
         """Judge a picture by its shadows, and the Sun by where they fall."""
         rocks = self.tracker.filter
         noise = before.figures["noise"]
         turn = turn_from_sun(
             seen, picture.camera.view(pose), rocks.ground_points(picture.camera, seen.pixel),
-            rocks.in_frame(self.sun), self.tracker.model, noise,
+            sun, self.tracker.model, noise,
         )  # fmt: skip
         after = self.health.after_detection(seen, turn, noise)
         if self.health.tells(turn) and picture.time >= self._checked + _CHECKS:

@@ -131,11 +131,13 @@ class ProbabilityMap:
         seen: Detections,
         heights: Heights | None = None,
         explained: NDArray[np.bool_] | None = None,
+        place_sigma: Heights | None = None,
     ) -> None:
         """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
         `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
-        tells which of the rocks seen are tracked. Under a Sun that throws no shadows to see rocks
+        tells which of the rocks seen are tracked, `place_sigma` how well places are known (n,), m;
+        left out: exactly. Under a Sun that throws no shadows to see rocks
         by (`throws_shadows`) nothing is seen.
 
         Raises
@@ -146,7 +148,7 @@ class ProbabilityMap:
         if not throws_shadows(unit_vector(sun)):
             return
         level = heights or (lambda xy: np.full(len(xy), self.ground))
-        self.evidence.see(view, sun, seen, level, explained)
+        self.evidence.see(view, sun, seen, level, explained, place_sigma)
 
     def _residual(self, footprint: float) -> Array:
         """Return the probability that a rock not tracked is there (rows, cols).

@@ -33,6 +33,8 @@ _GONE = 0.05
 _SURE, _SURE_HITS = 0.9, 5
 # A rock that turns out smaller than this share of the least radius is let go.
 _SHRUNK = 0.85
+# As many rocks tell how well places about them are known.
+_ABOUT = 8
 # Chi-squared with 2 degrees of freedom at 99.7 %.
 _AGREEMENT = 11.6
 
@@ -265,6 +267,18 @@ class RockTracker:
         f = self.filter
         there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
         return int(np.count_nonzero(there & grid.contains(f.xy)))
+
+    def place_sigma(self, xy: Array) -> Array:
+        """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m.
+
+        That is what the places of the rocks about are: their median. 0 if none is tracked.
+        """
+        f = self.filter
+        if f.count == 0:
+            return np.zeros(len(xy))
+        own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
+        near = cKDTree(f.xy).query(xy, k=np.arange(1, min(_ABOUT, f.count) + 1))[1]
+        return np.asarray(np.median(own[near], axis=1))
 
     def renew(self) -> None:
         """Let all rocks go, to begin anew with those that are seen from where the lander is."""

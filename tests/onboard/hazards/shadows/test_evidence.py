@@ -182,3 +182,17 @@ def test_a_picture_without_any_shadow_says_nothing():
     assert evidence.seen().mean() > 0.8
     evidence.forget()
     assert not evidence.seen().any()
+
+
+def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
+    """West of the middle places are known to less than the radius of the least rock."""
+    view, seen = seen_from(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    least = 0.5 * DIAMETERS[0]
+    evidence.see(
+        view, SUN, seen, level(),
+        place_sigma=lambda xy: np.where(xy[:, 0] < -1.0, 0.9 * least, 1.1 * least),
+    )  # fmt: skip
+    assert evidence.seen()[:, :50].mean() > 0.8
+    assert not evidence.seen()[:, 80:].any()
+    assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())

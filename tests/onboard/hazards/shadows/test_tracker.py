@@ -114,7 +114,7 @@ def nothing_like(seen):
     fields = {
         f.name: getattr(seen, f.name)[none]
         for f in dataclasses.fields(seen)
-        if f.name not in {"labels", "extended", "largest", "relative"}
+        if f.name not in {"labels", "extended", "largest", "relative", "over_ground"}
     }  # fmt: skip
     return dataclasses.replace(seen, **fields, labels=np.zeros_like(seen.labels))
 
@@ -156,3 +156,18 @@ def test_rocks_that_cannot_be_explained_are_begun_anew():
     apart = cKDTree(true).query(f.xy + state.position[:2] - f.inertial.position[:2])[0]
     assert f.count > 20
     assert np.median(apart) < 0.3
+
+
+def test_places_are_known_as_those_of_the_rocks_about_are():
+    tracker = tracker_at((0.0, 0.0, 60.0))
+    where = np.array([[-20.0, 0.0], [20.0, 0.0], [0.0, 200.0]])
+    assert tracker.place_sigma(where).tolist() == [0.0, 0.0, 0.0]
+    west = np.column_stack((np.linspace(-24.0, -16.0, 9), np.zeros(9)))
+    sigma = np.append(np.full(8, 0.1), 3.0)
+    tracker.add_known(west, sigma, 0.5, 0.1)
+    tracker.add_known(-west, 5.0 * sigma, 0.5, 0.1)
+    # One rock of nine that is not known does not count; what lander and rocks share does not.
+    shared = np.sqrt(0.5 * np.trace(tracker.filter.state.p[:2, :2]))
+    found = tracker.place_sigma(where)
+    assert found[0] == pytest.approx(np.hypot(0.1, shared), rel=0.02)
+    assert found[1] == pytest.approx(np.hypot(0.5, shared), rel=0.02)

@@ -1,0 +1,69 @@
+"""The Sun's azimuth by shadows on relief and among many rocks: bright slopes are no lit faces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import direction_from_angles
+from lunarsim.grid import Grid
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.health import Fault, PictureHealth
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import sample_diameters
+from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
+from tests.shadow_scene import picture
+
+# Cover, slope at 1 m (deg), shape, place, Sun's azimuth and elevation (deg).
+SCENES = [
+    (0.05, 4.0, "cube", (30.0, -20.0, 70.0), (1.2, 20.0)),
+    (0.05, 6.0, "mixed", (-30.0, 10.0, 60.0), (4.4, 25.0)),
+    (0.10, 0.0, "cube", (10.0, 35.0, 60.0), (2.9, 20.0)),
+    (0.02, 0.0, "cube", (-25.0, 15.0, 90.0), (0.4, 20.0)),
+]
+
+
+@pytest.fixture(scope="module", params=range(len(SCENES)))
+def scene(request):
+    cover, slope, shape, place, sun = SCENES[request.param]
+    rng = np.random.default_rng(40 + request.param)
+    grid = Grid.centred((0.0, 0.0), 240.0, 1.0)
+    relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(slope))
+    diameters = sample_diameters(240.0**2, cover, 0.3, 3.0, rng)
+    terrain = Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel(shape)))
+    level = float(terrain.elevation(np.zeros((1, 2)))[0])
+    state, camera, counts = picture(terrain, np.add(place, [0.0, 0.0, level]), sun)
+    return state, camera, counts, level, sun
+
+
+def looked_at(scene, off):
+    """Return the angle found under a Sun taken to be `off` (deg) beside, and the verdict."""
+    state, camera, counts, level, (azimuth, elevation) = scene
+    sun = direction_from_angles(azimuth + np.radians(off), np.radians(elevation))
+    model = ShapeMixture(np.radians(elevation))
+    health = PictureHealth()
+    first = health.before_detection(counts, camera, state)
+    assert first.good
+    seen = detect_rocks(counts, camera, state, sun, ground=level, model=model)
+    points = np.column_stack((seen.ground, np.full(len(seen), level)))
+    noise = first.figures["noise"]
+    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    return turn, health.after_detection(seen, turn, noise).fault
+
+
+def test_the_sun_is_told_to_be_in_its_place(scene):
+    turn, fault = looked_at(scene, 0.0)
+    assert abs(np.degrees(turn.angle)) < 8.0
+    assert abs(turn.angle) < 3.0 * turn.sigma
+    assert np.degrees(turn.sigma) < 5.0
+    assert fault is None
+
+
+@pytest.mark.parametrize("off", [30.0, -60.0, 180.0])
+def test_the_sun_is_told_to_be_elsewhere(scene, off):
+    turn, fault = looked_at(scene, off)
+    beside = np.degrees(np.angle(np.exp(1j * (turn.angle - np.radians(off)))))
+    assert abs(beside) < 15.0
+    assert fault is Fault.SUN_ELSEWHERE
