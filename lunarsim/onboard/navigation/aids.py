@@ -321,7 +321,7 @@ class Aids:
             keep = float(np.exp(-np.hypot(*(foot - last)) / away))
         self._foot[sensor, number] = foot
         block = _feet(sensor)
-        at, below = state.block(block).start + number, state.block(GROUND).start
+        at, below = int(state.block(block).start) + number, int(state.block(GROUND).start)
         value = state.value(block)
         value[number] = keep * value[number] + (1.0 - keep) * float(state.value(GROUND)[0])
         shares = np.array([keep, 1.0 - keep])

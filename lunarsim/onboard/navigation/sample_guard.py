@@ -137,8 +137,8 @@ class SampleGuard:
         """Judge increments (n, 3), (n, 3), rad and m/s, NaN for missing ones."""
         given = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
-            wild = (np.abs(given) > self.limits.most).any(axis=1)
-        here = np.isfinite(given).all(axis=1) & ~wild
+            wild = np.asarray((np.abs(given) > self.limits.most).any(axis=1))
+        here: NDArray[np.bool_] = np.asarray(np.isfinite(given).all(axis=1) & ~wild)
         refused, jump = int(wild.sum()), np.zeros(6)
         if not np.isfinite(self.limits.step).any():
             return Judged(~here, refused, jump)
