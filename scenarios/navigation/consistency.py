@@ -9,11 +9,13 @@ python scenarios/navigation/consistency.py --flights 50 --jobs 2
 python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
 python scenarios/navigation/consistency.py --flights 50 --kind inertial --kind ukf
 python scenarios/navigation/consistency.py --flights 50 --scenario scenarios/shadow_nominal.toml
+python scenarios/navigation/consistency.py --flights 20 --without stars --speed 1 --speed 10
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import click
@@ -50,6 +52,8 @@ class Task:
     seed: int
     policy: str
     kind: str | None
+    speed: float | None = None
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,10 @@ def fly(task: Task) -> Flown:
     scenario = Scenario.load(Path(task.scenario))
     if task.start is not None:
         scenario = scenario.changed(start_knowledge={"position_m": task.start})
+    if task.speed is not None:
+        scenario = scenario.changed(start_knowledge={"velocity_m_s": task.speed})
+    if task.without:
+        scenario = scenario.changed(sensors=dict.fromkeys(task.without))
     if task.kind is not None:
         scenario = scenario.changed(navigation={"kind": task.kind})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
@@ -225,21 +233,34 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     help="Navigation; may be given again, to be flown over the same ground. Left out: the "
     "scenario's.",
 )
+@click.option(
+    "--speed",
+    "speeds",
+    type=click.FloatRange(min=1e-3),
+    multiple=True,
+    help="Error of velocity at the start, 1 sigma an axis, m/s; may be given again. Left out: the "
+    "scenario's.",
+)
+@click.option(
+    "--without", multiple=True, help="Sensor that the lander does not carry; may be given again."
+)
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @seed_and_jobs
 def main(
-    scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...], policy: str,
-    seed: int, jobs: int,
+    scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...],
+    speeds: tuple[float, ...], without: tuple[str, ...], policy: str, seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Fly, and compare what navigation says of its errors with the errors."""
     console = Console(width=120)
     by_start: dict[str, list[Flown]] = {}
-    for kind in kinds or (None,):
-        for start in starts or (None,):
-            tasks = [Task(scenario, start, n, seed, policy, kind) for n in range(flights)]
-            name = "the scenario's" if start is None else f"{start:g}"
-            name += "" if kind is None else f", {kind}"
-            by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
+    for kind, start, speed in product(kinds or (None,), starts or (None,), speeds or (None,)):
+        tasks = [
+            Task(scenario, start, n, seed, policy, kind, speed, without) for n in range(flights)
+        ]
+        name = "the scenario's" if start is None else f"{start:g}"
+        name += "" if speed is None else f", {speed:g} m/s"
+        name += "" if kind is None else f", {kind}"
+        by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
     for name, flown in by_start.items():
         console.print(f"Error at the start: {name}")
         console.print(nees_table(flown))

@@ -16,7 +16,7 @@ from lunarsim.frames import quat_rotate
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
     ACCELEROMETER,
@@ -25,7 +25,12 @@ from lunarsim.onboard.navigation.inertial import (
     POSITION,
     VELOCITY,
 )
-from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.measured import (
+    LEAST_DOWN,
+    take_attitude,
+    take_range,
+    take_speeds,
+)
 from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
 Array = NDArray[np.float64]
@@ -122,6 +127,9 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
     """
     out = {} if ground.sigma is None else {GROUND: np.array([[ground.sigma**2]])}
     for name, instrument in instruments.items():
+        beams = {FixedBeam: 1, FixedBeams: len(getattr(instrument, "directions", ()))}
+        if ground.sigma is not None and type(instrument) in beams:
+            out[_feet(name)] = ground.sigma**2 * np.eye(beams[type(instrument)])
         if isinstance(instrument, StarInstrument):
             out[_mount(name)] = instrument.misalignment**2 * np.eye(3)
     return out
@@ -130,6 +138,11 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
 def _mount(sensor: str) -> str:
     """Return the name of the block of how a sensor is mounted; no sensor is called so."""
     return f"mount of {sensor}"
+
+
+def _feet(sensor: str) -> str:
+    """Return the name of the block of how high the ground lies where a sensor's beams meet it."""
+    return f"ground under {sensor}"
 
 
 def one_each(sensor: str, reading: AltimeterReading) -> None:
@@ -179,6 +192,7 @@ class Aids:
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
         self._place = state.inertial.position[:2].copy()
+        self._foot: dict[tuple[str, int], Array] = {}
         self._time = -np.inf
 
     @property
@@ -258,23 +272,61 @@ class Aids:
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
         most = np.repeat([_MOST_SPEED, _MOST_TURN], 3)
         self.judge(sensor, "speed", found, columns, most, time)
-        for distance, sigma, beam in zip(reading.range, reading.range_sigma, beams, strict=True):
-            self._range(sensor, float(distance), float(sigma), beam, time)
+        for k, beam in enumerate(beams):
+            distance, deviation = float(reading.range[k]), float(reading.range_sigma[k])
+            self._range(sensor, distance, deviation, beam, time, k)
 
-    def _range(self, sensor: str, distance: float, sigma: float, beam: Any, time: float) -> None:
-        block = GROUND if self.state.has(GROUND) else None
+    def _range(
+        self, sensor: str, distance: float, sigma: float, beam: Any, time: float, number: int = 0
+    ) -> None:
         columns = np.array([POSITION.start + 2])
-        rise = 0.0
-        if block is not None:
+        block, rise = None, 0.0
+        if self.state.has(GROUND):
             columns = np.append(columns, self.state.block(GROUND).start)
-            # A slanted beam meets the ground beside the lander, higher or lower than below it.
-            across = float(np.linalg.norm(quat_rotate(self.state.inertial.attitude, beam)[:2]))
-            rise = self.ground.growth * across * abs(distance)
+            block = _feet(sensor)
+            if np.isfinite(distance) and self.state.has(block):
+                columns = np.append(columns, self._follow_foot(sensor, beam, number))
+            elif not self.state.has(block):
+                block, number = GROUND, 0
+                rise = self.ground.growth * float(np.hypot(*self._across(beam)))
         found = take_range(
-            self.state, distance, sigma, beam, self.ground.elevation, block=block, rise=rise,
-            gate=gate_of(1),
+            self.state, distance, sigma, beam, self.ground.elevation, block=block, part=number,
+            rise=rise, gate=gate_of(1),
         )  # fmt: skip
         self.judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
+
+    def _across(self, beam: Any) -> Array:
+        """Return how far beside the lander a beam should meet the ground (2,), m."""
+        inertial, level = self.state.inertial, self.ground.elevation
+        level += float(self.state.value(GROUND)[0]) if self.state.has(GROUND) else 0.0
+        level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
+        along = quat_rotate(inertial.attitude, beam)
+        height = max(float(inertial.position[2]) - level, 0.0)
+        return np.asarray(height * along[:2] / max(-float(along[2]), LEAST_DOWN))
+
+    def _follow_foot(self, sensor: str, beam: Any, number: int) -> int:
+        """Carry the ground's height where a beam meets it to where it does now; return its place.
+
+        A slanted beam meets ground beside the lander, higher or lower than below it, and the next
+        time nearly the same ground: were that noise, some hundred readings would average it away,
+        and slopes of the ground pass for the lander's tilt. The height of the new place is what
+        that of the last one and that below the lander make of it, the farther the former lies off,
+        as a share of the way to the lander, the less.
+        """
+        state, across = self.state, self._across(beam)
+        foot, away = state.inertial.position[:2] + across, float(np.hypot(*across))
+        last = self._foot.get((sensor, number))
+        keep = 0.0
+        if last is not None and away > 0.0:
+            keep = float(np.exp(-np.hypot(*(foot - last)) / away))
+        self._foot[sensor, number] = foot
+        block = _feet(sensor)
+        at, below = int(state.block(block).start) + number, int(state.block(GROUND).start)
+        value = state.value(block)
+        value[number] = keep * value[number] + (1.0 - keep) * float(state.value(GROUND)[0])
+        shares = np.array([keep, 1.0 - keep])
+        state.follow(at, np.array([at, below]), shares, self.ground.growth * away * (1.0 - keep))
+        return at
 
     def judge(
         self,

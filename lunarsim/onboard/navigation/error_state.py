@@ -18,8 +18,15 @@ from scipy.stats import chi2
 from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
-from lunarsim.onboard.navigation.inertial import INERTIAL, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.inertial import (
+    ATTITUDE,
+    INERTIAL,
+    VELOCITY,
+    StartSigmas,
+    StrapdownState,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -36,6 +43,8 @@ KEY = "key"
 BLAS = ThreadpoolController()
 # Two errors that are the same but for this share of their variance are so by rounding.
 _SINGULAR = 1e-9
+# Corrections of the velocity so small change nothing in what errs with it, m/s.
+_TELLING = 0.01
 # What takes less than this share off the variance of a direction tells nothing of it.
 _LEAST_TOLD = 1e-3
 
@@ -327,7 +336,21 @@ class ErrorState:
         return Outcome(distance, degrees, True, white)
 
     def correct(self, error: Array) -> None:
-        """Add estimated errors (size,) to the lander and to all that listen."""
+        """Add estimated errors (size,) to the lander and to all that listen.
+
+        What is measured of velocity is measured along body axes: known is its error and, with it,
+        the tilt times the velocity. When the velocity is corrected that product stays what it is
+        known to be, so that the error of the velocity moves with the tilt by as much. That is the
+        covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not depend
+        on the estimate; had it stayed, velocities that are learnt bit by bit would pass for
+        knowledge of the tilt.
+        """
+        change = error[VELOCITY]
+        if np.abs(change).max() > _TELLING:
+            lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
+            p = self.covariance
+            p[VELOCITY] -= lever @ p[ATTITUDE]
+            p[:, VELOCITY] -= p[:, ATTITUDE] @ lever.T
         self.inertial.correct(error[:INERTIAL])
         for name, place in self._blocks.items():
             self._values[name] += error[place]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadError
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.sample_guard import CONFIRM, SampleGuard, SampleLimits
 
 Array = NDArray[np.float64]
 
@@ -21,8 +23,6 @@ Array = NDArray[np.float64]
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
-# No lander pushes or turns like this: such a sample is a fault of the unit, m/s^2 and rad/s.
-_MOST_FORCE, _MOST_RATE = 500.0, 50.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,9 @@ class StrapdownState:
         Time between inertial samples, s.
     gyroscopes, accelerometers
         Error models of the unit.
+    limits
+        What the lander can do, by which samples are judged; left out: nothing is known of it.
+
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class StrapdownState:
         step: float = 0.01,
         gyroscopes: TriadErrors = GYROSCOPES,
         accelerometers: TriadErrors = ACCELEROMETERS,
+        limits: SampleLimits | None = None,
     ) -> None:
         start = np.concatenate((position, velocity, attitude)).astype(np.float64)
         if start.shape != (10,) or not np.isfinite(start).all():
@@ -86,6 +90,8 @@ class StrapdownState:
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
+        self._guard = SampleGuard(limits or SampleLimits.unknown(), step)
+        self._told: list[tuple[str, dict[str, Any]]] = []
         self._density = np.array(
             [
                 accelerometers.random_walk,
@@ -131,9 +137,14 @@ class StrapdownState:
         sigmas = StartSigmas(
             max(s.position_sigma, 1e-3), max(s.velocity_sigma, 1e-4), max(s.attitude_sigma, 1e-6)
         )
+        control = briefing.software.control
+        limits = SampleLimits.of(
+            briefing.lander, briefing.step, unit.gyroscopes, unit.accelerometers,
+            slew=0.0 if control.torques else control.slew_limit,
+        )  # fmt: skip
         state = cls(
             s.position, s.velocity, s.attitude, briefing.weight, step=briefing.step,
-            gyroscopes=unit.gyroscopes, accelerometers=unit.accelerometers,
+            gyroscopes=unit.gyroscopes, accelerometers=unit.accelerometers, limits=limits,
         )  # fmt: skip
         return state, sigmas
 
@@ -192,7 +203,8 @@ class StrapdownState:
     def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """Carry the state over samples (n, 3); NaN stands for a missing one.
 
-        So does one that no lander could give.
+        So does one that no lander could give, see `SampleGuard`. Where rate or force jump as no
+        lander can, and stay there, the biases may have jumped by as much.
 
         Returns
         -------
@@ -200,10 +212,10 @@ class StrapdownState:
             Of the error state over all samples (15, 15).
         """
         angle, velocity = np.atleast_2d(angle), np.atleast_2d(velocity)
-        with np.errstate(invalid="ignore"):
-            spun = (np.abs(angle) > _MOST_RATE * self.step).any(axis=1)
-            pushed = (np.abs(velocity) > _MOST_FORCE * self.step).any(axis=1)
-        gone = np.logical_or(spun, pushed).reshape(-1, 1)
+        judged = self._guard.judge(angle, velocity)
+        if judged.refused:
+            self._told.append(("samples-refused", {"count": judged.refused}))
+        gone = judged.gone.reshape(-1, 1)
         if gone.any():
             angle, velocity = np.where(gone, np.nan, angle), np.where(gone, np.nan, velocity)
         self._x, transition, noise = kernels.propagate(
@@ -215,7 +227,25 @@ class StrapdownState:
         # Turning back takes the error back; nothing is claimed for that.
         grown = np.maximum(self._of_turn @ (self._turned**2 - before**2), 0.0)
         noise[ATTITUDE, ATTITUDE] += np.diag(grown)
+        if judged.jump.any():
+            rate, force = float(judged.jump[:3].max()), float(judged.jump[3:].max())
+            self._told.append(("samples-jumped", {"rate": rate, "force": force}))
+            self._let_biases_go(noise, judged.jump, len(angle))
         return transition, noise
+
+    def _let_biases_go(self, noise: Array, jump: Array, samples: int) -> None:
+        """Add to the noise (15, 15) what a jump of rate and force (6,) may be a fault of."""
+        seconds = (samples + CONFIRM) * self.step
+        for bias, carried, of in (
+            (GYROSCOPE, ATTITUDE, jump[:3]), (ACCELEROMETER, VELOCITY, jump[3:])
+        ):  # fmt: skip
+            noise[bias, bias] += np.diag(of**2)
+            noise[carried, carried] += np.diag((seconds * of) ** 2)
+
+    def tell(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return what was not believed of samples since this was asked last: name and details."""
+        told, self._told = self._told, []
+        return told
 
     def correct(self, error: Array) -> None:
         """Add an estimated error (15,); the attitude by Eq. 8, so that its norm stays 1."""

@@ -172,6 +172,8 @@ class Navigator(Navigation):
             If `time` (s) runs backwards.
         """
         measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
+        for name, details in self.inertial.tell():
+            self.events.append(NavigationEvent(time, name, details))
         if measurement is None:
             return
         if isinstance(measurement, LidarScan):

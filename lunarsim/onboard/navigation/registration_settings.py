@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.registration import Fit
 
 
@@ -42,6 +45,11 @@ class RegistrationSettings:
         Of the difference of their heights there, m.
     key_share
         A scan is compared with an earlier one until less than this share of it lies on that one.
+
+    Raises
+    ------
+    InputError
+        If one is out of range.
     """
 
     model_sigma: float = 0.03
@@ -58,6 +66,24 @@ class RegistrationSettings:
     odometry_postings: tuple[float, float] = (0.05, 0.4)
     odometry_sigma: float = 0.03
     key_share: float = 0.8
+
+    def __post_init__(self) -> None:
+        least, greatest = self.odometry_postings
+        if not 0.0 < least <= greatest < np.inf:
+            raise InputError(
+                "navigation.odometry_postings",
+                self.odometry_postings,
+                "two lengths, the least first",
+            )
+        for name in ("least_share", "chance", "map_chance", "certainty", "key_share"):
+            value = getattr(self, name)
+            if not 0.0 < value <= 1.0:
+                raise InputError(f"navigation.{name}", value, "above 0 and at most 1")
+        for name in ("model_sigma", "least_squares", "greatest_misfit", "level_sigma", "search_s",
+                     "lost_s", "gather_s", "odometry_sigma"):  # fmt: skip
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise InputError(f"navigation.{name}", value, "a positive number")
 
     def believes(self, found: Fit) -> bool:
         """Tell whether enough agrees, and well enough."""

@@ -292,6 +292,8 @@ class UnscentedFilter(Navigation):
             If `time` (s) runs backwards, or a reading is not of the shape that its sensor gives.
         """
         given = self._arrivals.carried(sensor, measurement, time, self.propagate)
+        for name, details in self.inertial.tell():
+            self.events.append(NavigationEvent(time, name, details))
         before = self.inertial.position.copy()
         if isinstance(given, AltimeterReading):
             self._judge(sensor, "range", self._range(sensor, given), time)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import Outcome
 
 Array = NDArray[np.float64]
@@ -70,6 +71,27 @@ class WatchSettings:
     drift_level: float = 5.5
     drift_patience: int = 3
     drift_window_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        for name in (
+            "window_s",
+            "least",
+            "correlation",
+            "drift_s",
+            "drift_level",
+            "drift_window_s",
+        ):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"watch.{name}", value, "a positive number")
+        for name in ("most_refused", "chance"):
+            value = getattr(self, name)
+            if not 0.0 < value < 1.0:
+                raise InputError(f"watch.{name}", value, "between 0 and 1")
+        for name in ("patience", "drift_patience"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < np.inf:
+                raise InputError(f"watch.{name}", value, "a number that is not negative")
 
 
 @dataclass

@@ -172,7 +172,9 @@ def test_a_reading_that_no_likely_error_explains_is_refused(kind):
         seen = quat_from_rotation_vector([0.01, 0.0, 0.0])
         aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
     assert [watch.refused for watch in aids.watches.values() if watch.refused] == [1]
-    assert np.array_equal(state.covariance, before)
+    # Where a beam meets the ground has moved, whatever it measured.
+    keep = np.r_[0 : state.block("ground").stop]
+    assert np.array_equal(state.covariance[np.ix_(keep, keep)], before[np.ix_(keep, keep)])
 
 
 def test_gates_refuse_alike_whatever_the_number_of_beams():
@@ -208,3 +210,48 @@ def test_time_does_not_run_backwards_and_ground_is_a_number():
     for changes in ({"sigma": -1.0}, {"relief": np.nan}, {"elevation": np.inf}):
         with pytest.raises(InputError, match="ground"):
             LevelGround(**changes)
+
+
+@pytest.mark.parametrize("relief", [0.05, 0.2])
+def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
+    """Ranges along slanted beams from one place: the ground there is off by the same each time."""
+    state, aids, _ = made(relief=relief, sigma=0.5)
+    state.covariance[9:12, 9:12] = 0.02**2 * np.eye(3)
+    for k in range(300):
+        noise = np.array([0.8, -0.6, 0.3]) * (-1.0) ** k
+        given = np.full(3, np.nan)
+        aids.take("doppler", DopplerReading(
+            0.1 * k, given, 125.0 + noise, given, np.full(3, 1.0)), 0.1 * k)  # fmt: skip
+    # 75 m aside heights differ by so much, which turns the beams' triangle by as much as this.
+    spread = relief * np.sqrt(10.0 * 75.0)
+    by_ground = spread / (125.0 * 0.75)
+    expected = 1.0 / np.sqrt(0.02**-2 + by_ground**-2)
+    found = np.sqrt(np.diag(state.covariance)[9])
+    assert 0.6 * expected < found < 1.4 * expected
+    # Had each reading been a new one, the slope would have been averaged away.
+    assert found > 4.0 / np.sqrt(0.02**-2 + 300.0 * by_ground**-2)
+
+
+def test_a_foot_that_moves_on_is_new_ground():
+    state, aids, _ = made(relief=0.2, sigma=0.5)
+    place = state.block("ground under slanted").start
+
+    def spread() -> float:
+        over, at = np.array([1.0, -1.0]), np.array([place, state.block(GROUND).start])
+        return float(over @ state.covariance[np.ix_(at, at)] @ over)
+
+    full = 0.2**2 * 10.0 * 75.0
+    for k in range(50):
+        aids.take("slanted", AltimeterReading(0.1 * k, 125.0, 0.1), 0.1 * k)
+    known = spread()
+    move = np.zeros(state.size)
+    move[0] = 10.0
+    state.inertial.correct(move[:15])
+    aids.take("slanted", AltimeterReading(5.0, 125.0, 1e3), 5.0)
+    near = spread()
+    move[0] = 700.0
+    state.inertial.correct(move[:15])
+    aids.take("slanted", AltimeterReading(5.1, 125.0, 1e3), 5.1)
+    far = spread()
+    assert known < near < far
+    assert far == pytest.approx(full, rel=0.1)

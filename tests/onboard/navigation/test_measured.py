@@ -176,3 +176,23 @@ def test_whitened_speeds_keep_the_places_of_their_beams():
     assert found.degrees == 2
     assert np.isfinite(found.white).tolist() == [True, False, True]
     assert np.nansum(found.white**2) == pytest.approx(found.nis)
+
+
+def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
+    """One beam at a time, at many attitudes, while no time passes: tilts cannot be seen."""
+    rng = np.random.default_rng(8)
+    attitude = quat_from_rotation_vector([0.1, -0.2, 0.05])
+    state = ErrorState(
+        StrapdownState(np.zeros(3), np.array([30.0, 5.0, -20.0]), attitude, 1.6),
+        StartSigmas(1.0, 10.0, 4e-3),
+    )
+    own = quat_rotate(quat_conjugate(attitude), state.inertial.velocity + [12.0, -9.0, 7.0])
+    before = state.covariance[9:12, 9:12].copy()
+    for k in range(60):
+        seen = np.full(3, np.nan)
+        # Three readings of a beam, then the next one.
+        seen[k // 3 % 3] = BEAMS[k // 3 % 3] @ own + 0.03 * rng.normal()
+        take_speeds(state, seen, np.full(3, 0.03), BEAMS)
+    # The velocity is as well known as the tilt lets it be: 45 m/s times 4 mrad.
+    assert 0.05 < np.sqrt(np.diag(state.covariance)[3:6].max()) < 0.2
+    assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)

@@ -23,6 +23,7 @@ from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import fit, register
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import surface_of
 from lunarsim.sensors.lidar import FlashLidar
@@ -249,3 +250,16 @@ def test_impossible_maps_are_refused():
     terrain = Terrain(hazard_field(np.random.default_rng(0), boulders=0, craters=0).relief)
     with pytest.raises(InputError, match=r"prior\.stale_share"):
         survey(terrain, grid, np.random.default_rng(0), stale_share=1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("model_sigma", 0.0), ("least_squares", -3), ("least_share", 1.2), ("least_share", np.nan),
+     ("greatest_misfit", np.inf), ("chance", 0.0), ("map_chance", -1.0), ("certainty", 1.1),
+     ("level_sigma", np.nan), ("search_s", -0.5), ("lost_s", 0.0), ("gather_s", np.nan),
+     ("odometry_postings", (0.4, 0.05)), ("odometry_postings", (0.0, 0.4)),
+     ("odometry_sigma", -0.03), ("key_share", 0.0)],
+)  # fmt: skip
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(InputError, match=rf"navigation\.{name}"):
+        RegistrationSettings(**{name: value})

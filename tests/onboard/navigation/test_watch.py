@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
@@ -157,3 +159,14 @@ def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
             break
     assert expected is not None
     assert found.index(Verdict.DRIFT) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("window_s", 0.0), ("window_s", np.nan), ("least", -1), ("most_refused", 1.5),
+     ("chance", np.nan), ("correlation", np.inf), ("patience", -1), ("drift_s", -8.0),
+     ("drift_level", 0.0), ("drift_patience", -1), ("drift_window_s", np.nan)],
+)  # fmt: skip
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(InputError, match=rf"watch\.{name}"):
+        WatchSettings(**{name: value})

@@ -14,6 +14,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.early_ground import EarlyGround
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -155,7 +156,8 @@ class GaussianDemMapper(HazardMapper):
         self.refit = refit
         self.safety = safety
         self.rocks = rocks or RockExpectation()
-        self.pool = SamplePool(grid)
+        self._samples, self._turning = SamplePool(grid), SamplePool(grid)
+        self._early = EarlyGround()
         self._map = HazardMap.unobserved(grid)
         self._interval = interval
         self._time, self._due, self._stale = 0.0, -np.inf, False
@@ -163,12 +165,27 @@ class GaussianDemMapper(HazardMapper):
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; a scan without returns changes nothing."""
         points = measurement.points(estimate.position, estimate.attitude)
-        taken = self.pool.add(
+        early = self._early.takes(estimate.tilt_sigma)
+        taken = (self._turning if early else self._samples).add(
             points,
             measurement.height_sigma(estimate.attitude),
             measurement.spacing(estimate.attitude),
         )
         self._stale |= taken > 0
+
+    @property
+    def pool(self) -> SamplePool:
+        """All samples; those that came before the tilt was known lie where they are taken to."""
+        return self._samples.with_those_of(self._turning)
+
+    def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
+        """Turn the samples that came while the tilt was not known; see `HazardMapper.level`."""
+        if self._turning.base is None:
+            return
+        self._turning = self._turning.turned(turn, pivot)
+        self._stale = True
+        if self._early.known(tilt_sigma):
+            self._samples, self._turning = self.pool, SamplePool(self.grid)
 
     def dem(self) -> PooledDem:
         """Return mean and variance of the elevation."""
@@ -201,16 +218,27 @@ class GaussianDemMapper(HazardMapper):
     @property
     def blank(self) -> bool:
         """Whether no return has fallen on the map yet."""
-        return self.pool.base is None
+        return self._samples.base is None and self._turning.base is None
 
     def recentre(self, centre: Array) -> None:
         """Lay the map about another point (3,), local frame, m."""
         if not (self.blank or is_aside(self.grid, centre)):
             return
-        self.pool = self.pool.about(centre)
-        self.grid = self.pool.grid
+        self._samples, self._turning = self._about(centre)
+        self.grid = self._samples.grid
         self._map, self._stale = HazardMap.unobserved(self.grid), not self.blank
         self._due = -np.inf
+
+    def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
+        """Return both pools over one grid about another point (3,)."""
+        both = self.pool.about(centre)
+        if both.base is None:
+            return both, SamplePool(both.grid)
+        # Grids move by whole cells while there are samples, so that both come to lie alike.
+        return tuple(  # type: ignore[return-value]
+            SamplePool(both.grid) if one.base is None else one.laid(both.grid)
+            for one in (self._samples, self._turning)
+        )
 
 
 def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:

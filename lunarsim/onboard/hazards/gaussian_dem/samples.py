@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.early_ground import turned_about
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     base_height,
@@ -22,6 +23,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
 )
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 # Ranges are not known better than this, whatever a sensor says.
 _LEAST_SIGMA = 1e-4
@@ -116,13 +118,71 @@ class SamplePool:
             return SamplePool(g.about(centre))
         by = np.asarray(centre, dtype=np.float64)[:2] - g.centre
         east, north = (int(v) for v in np.rint(by / g.posting))
-        out = SamplePool(g.moved((east * g.posting, north * g.posting)))
-        out.base = self.base
-        rows, from_rows = _overlap(g.rows, north)
-        cols, from_cols = _overlap(g.cols, east)
+        out = self.laid(g.moved((east * g.posting, north * g.posting)))
+        return SamplePool(g.about(centre)) if out.base is None else out
+
+    def laid(self, grid: Grid) -> SamplePool:
+        """Return the same samples on a grid that lies some whole cells aside of this one.
+
+        Those that leave it are dropped.
+        """
+        out, g = SamplePool(grid), self.grid
+        by = np.rint((np.asarray(grid.centre) - g.centre) / g.posting)
+        rows, from_rows = _overlap(g.rows, int(by[1]))
+        cols, from_cols = _overlap(g.cols, int(by[0]))
         for name in ("centroid", "splat", "spacing"):
             getattr(out, name)[rows, cols] = getattr(self, name)[from_rows, from_cols]
-        return out if out.centroid[..., 0].any() else SamplePool(g.about(centre))
+        out.base = self.base if out.centroid[..., 0].any() else None
+        return out
+
+    def turned(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
+        """Return the samples turned by (3, 3) about a pivot (3,), m; those that leave are dropped.
+
+        The mean point of a cell's samples is turned, which is exact but for samples that would come
+        to lie in another cell than their mean; what was splatted about a cell moves with the point
+        above its centre, by whole cells.
+        """
+        out = SamplePool(self.grid)
+        if self.base is None:
+            return out
+        out.base = self.base
+        r, c = np.asarray(turn, np.float64), np.asarray(pivot, np.float64)
+        points, _, spacing = self.vertices()
+        rows, cols = np.nonzero(self.centroid[..., 0])
+        new = turned_about(points, r, c)
+        at, keep = _cells(self.grid, new)
+        weight = self.centroid[rows, cols, 0][keep]
+        away = new[keep] - np.column_stack(
+            (self.grid.centre_of(*at), np.full(len(weight), out.base))
+        )
+        moved = weight[:, None] * np.column_stack((np.ones(len(weight)), away))
+        np.add.at(out.centroid, at, moved)
+        np.minimum.at(out.spacing, at, spacing[keep].astype(np.float32))
+        rows, cols = np.nonzero(self.splat[..., 1])
+        splat = self.splat[rows, cols]
+        above = out.base + splat[:, 2] / splat[:, 1]
+        old = np.column_stack((self.grid.centre_of(rows, cols), above))
+        new = turned_about(old, r, c)
+        at, keep = _cells(self.grid, new)
+        splat[:, 2] += splat[:, 1] * (new[:, 2] - old[:, 2])
+        np.add.at(out.splat[..., 1:], at, splat[keep, 1:])
+        np.maximum.at(out.splat[..., 0], at, splat[keep, 0])
+        return out
+
+    def with_those_of(self, other: SamplePool) -> SamplePool:
+        """Return these samples and those of another pool over the same grid."""
+        if other.base is None or self.base is None:
+            return self if other.base is None else other
+        out = SamplePool(self.grid)
+        out.base = self.base
+        lower = other.base - self.base
+        out.centroid = self.centroid + other.centroid
+        out.centroid[..., 3] += lower * other.centroid[..., 0]
+        out.splat = self.splat + other.splat
+        out.splat[..., 2] += lower * other.splat[..., 1]
+        out.splat[..., 0] = np.maximum(self.splat[..., 0], other.splat[..., 0])
+        out.spacing = np.minimum(self.spacing, other.spacing)
+        return out
 
     def vertices(self) -> tuple[Array, Array, Array]:
         """Return a point a cell (n, 3) with variance (n,), m^2, and spacing (n,)."""
@@ -132,6 +192,13 @@ class SamplePool:
         mean[:, :2] += self.grid.centre_of(rows, cols)
         mean[:, 2] += self.base or 0.0
         return mean, 1.0 / total[:, 0], self.spacing[rows, cols].astype(np.float64)
+
+
+def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.bool_]]:
+    """Return rows and columns of the points (n, 3) that lie on a grid, and which do (n,)."""
+    keep = np.asarray(grid.contains(points[:, :2]))
+    row, col = grid.cell(points[keep, :2])
+    return (np.asarray(row), np.asarray(col)), keep
 
 
 def _overlap(count: int, by: int) -> tuple[slice, slice]:

@@ -13,8 +13,9 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.early_ground import EarlyGround, turned_about
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper, is_aside, map_grid
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
@@ -128,7 +129,7 @@ class QuadtreeMapper(HazardMapper):
         self._target = np.array(grid.centre)
         self._rocks = rocks or RockExpectation()
         self._interval = interval
-        self._unsure = 0
+        self._early, self._unsure = EarlyGround(), 0
         self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = self._nothing(grid)
@@ -179,19 +180,17 @@ class QuadtreeMapper(HazardMapper):
         points, first = self.map.points, self._unsure
         if first == 0:
             return
-        points[:first] = (points[:first] - pivot) @ turn.T + pivot
+        points[:first] = turned_about(points[:first], turn, pivot)
         self._lay_anew(self.grid, float(self.map.centre[2]), points)
-        if tilt_sigma <= SURE_TILT:
+        if self._early.known(tilt_sigma):
             self._unsure = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; without returns nothing changes."""
         if not np.isfinite(measurement.range).any():
             return
-        before = self.map.count
         self._insert(measurement, estimate.position, estimate.attitude)
-        if estimate.tilt_sigma > SURE_TILT and self._unsure == before:
-            # Nothing came yet with a tilt that was known.
+        if self._early.takes(estimate.tilt_sigma):
             self._unsure = self.map.count
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:

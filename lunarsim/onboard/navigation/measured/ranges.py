@@ -11,7 +11,7 @@ from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outco
 Array = NDArray[np.float64]
 
 # Cosine from straight down beyond which a beam says little of the ground below.
-_LEAST_DOWN = 0.1
+LEAST_DOWN = 0.1
 
 
 def take_range(
@@ -22,6 +22,7 @@ def take_range(
     ground: float,
     *,
     block: str | None = None,
+    part: int = 0,
     rise: float = 0.0,
     gate: float = np.inf,
 ) -> Outcome:
@@ -40,6 +41,8 @@ def take_range(
         Elevation of the ground in the site frame, m.
     block
         What is to be added to that elevation is kept there in the state; left out: nothing.
+    part
+        Which error of that block.
     rise
         Variance of the ground's height where the beam meets it, along the beam, m^2.
     gate
@@ -51,17 +54,17 @@ def take_range(
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
     down = float(rotation[2] @ b)
-    level = ground if block is None else ground + float(state.value(block)[0])
+    level = ground if block is None else ground + float(state.value(block)[part])
     if state.has(MAP):
         level += float(state.value(MAP)[2])
     height = float(state.inertial.position[2]) - level
-    if down > -_LEAST_DOWN:
+    if down > -LEAST_DOWN:
         return nothing
     jacobian = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
     columns = POSE[2:]
     if block is not None:
         jacobian = np.append(jacobian, 1.0 / down)
-        columns = np.append(columns, state.block(block).start)
+        columns = np.append(columns, state.block(block).start + part)
     if state.has(MAP):
         # The ground's elevation is known in the site frame.
         jacobian = np.append(jacobian, 1.0 / down)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
@@ -72,3 +73,57 @@ def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
 def test_impossible_intervals_are_refused(interval):
     with pytest.raises(InputError, match="interval"):
         GaussianDemMapper(GRID, Lander(), interval=interval)
+
+
+def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: float) -> None:
+    """Look down on ground of heights (east, north) from 30 m; the estimate errs by a tilt."""
+    nadir = LIDAR.directions()
+    mount = np.diag([1.0, -1.0, -1.0])
+    rays = nadir @ mount.T
+    reach = np.full(len(rays), 30.0)
+    for _ in range(30):
+        at = reach[:, None] * rays + [0.0, 0.0, 30.0]
+        reach = (30.0 - ground(at[:, 0], at[:, 1])) / -rays[:, 2]
+    scan = LidarScan(0.0, reach, nadir, mount, np.full(len(rays), 0.01), (32, 32))
+    # Above the pivot, which is the origin: turned about it the pose is the right one.
+    here = np.array([30.0 * np.sin(wrong), 0.0, 30.0 * np.cos(wrong)])
+    attitude = quat_from_rotation_vector([0.0, wrong, 0.0])
+    own = np.diag([1.0] * 6 + [sigma**2] * 3)
+    mapper.update(scan, Estimate(0.0, here, np.zeros(3), attitude, np.zeros(3), 1.0, own))
+
+
+@pytest.mark.parametrize("tilt", [0.5, 1.5])
+@pytest.mark.parametrize("aside", [False, True])
+def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt, aside):
+    def ground(east, north):
+        return 0.15 * np.sin(1.3 * east) * np.cos(0.9 * north)
+
+    wrong, doubtful, sure = np.deg2rad(tilt), np.deg2rad(1.0), np.deg2rad(0.01)
+    turn = quat_to_matrix(quat_from_rotation_vector([0.0, -wrong, 0.0]))
+    fine = Grid.centred((0.0, 0.0), 6.0, 0.2)
+    mapper, right = (GaussianDemMapper(fine, Lander()) for _ in range(2))
+    seen(mapper, ground, tilt, doubtful, wrong)
+    seen(mapper, ground, tilt, sure, 0.0)
+    seen(right, ground, tilt, sure, 0.0)
+    if aside:
+        for one in (mapper, right):
+            one.recentre(np.array([0.5, 0.0, 0.0]))
+    expected = right.dem().mean
+    off = np.abs(mapper.dem().mean - expected)
+    assert np.nanmax(off) > 0.2 * wrong
+    mapper.level(turn, np.zeros(3), sure)
+    off = np.abs(mapper.dem().mean - expected)
+    assert np.nanmedian(off) < 0.003
+    assert np.nanquantile(off, 0.99) < 0.02
+    # Nothing but what slid over the edge of the map is gone: each ray twice.
+    ratio = mapper.pool.centroid[..., 0].sum() / right.pool.centroid[..., 0].sum()
+    assert 1.9 < ratio < 2.05
+    # By then the tilt is known: another turn moves nothing, nor does what comes later.
+    before = mapper.pool.centroid.copy()
+    mapper.level(turn, np.zeros(3), sure)
+    assert np.array_equal(mapper.pool.centroid, before)
+    seen(mapper, ground, tilt, doubtful, 0.0)
+    before = mapper.pool.centroid.copy()
+    mapper.level(turn, np.zeros(3), sure)
+    assert np.array_equal(mapper.pool.centroid, before)
+    assert mapper.hazard_map().elevation is not None

@@ -1,0 +1,165 @@
+"""Inertial samples that a lander cannot make, one by one and through whole flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.messages.measurements import InertialSamples
+from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.sample_guard import SampleGuard, SampleLimits
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+
+STEP = 0.01
+LANDER = Lander()
+LIMITS = SampleLimits.of(LANDER, STEP, GYROSCOPES, ACCELEROMETERS)
+SCENARIO = Path(__file__).parents[3] / "scenarios" / "instruments.toml"
+
+
+def test_limits_are_those_of_thrusters_and_engine():
+    # 600 N m on 1100 kg m^2; 6000 N on 1100 kg, of which a tenth of the lag lets 9.5 % through.
+    assert LIMITS.step[0] >= 600.0 / 1100.0 * STEP
+    assert LIMITS.step[0] <= 1.5 * 600.0 / 1100.0 * STEP
+    assert LIMITS.step[5] >= 6000.0 / 1100.0 * 0.0951
+    assert LIMITS.step[5] <= 1.5 * 6000.0 / 1100.0 * 0.0952
+    at_once = SampleLimits.of(
+        replace(LANDER, thrust_lag=0.0), STEP, GYROSCOPES, ACCELEROMETERS, slew=0.25
+    )
+    assert at_once.step[5] >= 6000.0 / 1100.0
+    assert at_once.step[0] >= 0.5
+
+
+def manoeuvres(rng, n=4000):
+    """Increments of thrusters and an engine that switch at random between their extremes."""
+    torque = np.repeat(rng.choice([-1.0, 1.0], (n // 10, 3)), 10, axis=0)
+    torque *= np.array([600.0, 600.0, 300.0]) / np.array([1100.0, 1100.0, 1300.0])
+    rate = np.cumsum(torque, axis=0) * STEP
+    asked = np.repeat(rng.choice([0.5, 5.4], n // 10), 10)
+    push = np.zeros(n)
+    for k in range(1, n):
+        push[k] = asked[k] + (push[k - 1] - asked[k]) * np.exp(-STEP / 0.1)
+    force = np.column_stack((np.zeros((n, 2)), push))
+    angle = rate * STEP + GYROSCOPES.random_walk * np.sqrt(STEP) * rng.standard_normal((n, 3))
+    gained = force * STEP + ACCELEROMETERS.random_walk * np.sqrt(STEP) * rng.standard_normal((n, 3))
+    return angle, gained
+
+
+@pytest.mark.parametrize("length", [1, 3, 10])
+def test_the_hardest_manoeuvres_are_believed(length):
+    rng = np.random.default_rng(3)
+    guard = SampleGuard(LIMITS, STEP)
+    angle, velocity = manoeuvres(rng)
+    found = [guard.judge(angle[k : k + length], velocity[k : k + length])
+             for k in range(0, len(angle), length)]  # fmt: skip
+    assert sum(f.refused for f in found) == 0
+    assert not any(f.gone.any() or f.jump.any() for f in found)
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("at", [0, 4, 9, 37])
+def test_a_spike_is_refused_and_nothing_else(at, axis):
+    rng = np.random.default_rng(4)
+    guard = SampleGuard(LIMITS, STEP)
+    angle, velocity = manoeuvres(rng, 100)
+    both = np.hstack((angle, velocity))
+    both[at, axis] += 2.5 * (LIMITS.step + LIMITS.noise)[axis] * STEP * (1 + 9 * (at == 0))
+    found = [guard.judge(both[k : k + 10, :3], both[k : k + 10, 3:]) for k in range(0, 100, 10)]
+    gone = np.concatenate([f.gone for f in found])
+    assert np.flatnonzero(gone).tolist() == [at]
+    assert not any(f.jump.any() for f in found)
+
+
+def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
+    rng = np.random.default_rng(5)
+    upright = np.array([0.0, 0.0, 0.0, 1.0])
+    state = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
+    angle, velocity = manoeuvres(rng, 40)
+    velocity[20:, 1] += 3.0 * STEP
+    _, before = state.propagate(angle[:20], velocity[:20])
+    _, after = state.propagate(angle[20:], velocity[20:])
+    assert before[7, 7] < 1e-6
+    assert np.sqrt(after[7, 7]) == pytest.approx(3.0, abs=0.1)
+    told = dict(state.tell())
+    assert told["samples-refused"] == {"count": 2}
+    assert told["samples-jumped"]["force"] == pytest.approx(3.0, abs=0.1)
+    assert state.tell() == []
+
+
+def test_missing_samples_let_the_lander_have_moved_meanwhile():
+    rng = np.random.default_rng(6)
+    guard = SampleGuard(LIMITS, STEP)
+    angle, velocity = (np.zeros((60, 3)) for _ in range(2))
+    angle[:, 0] = np.cumsum(np.full(60, 600.0 / 1100.0 * STEP)) * STEP
+    angle += 1e-6 * rng.standard_normal((60, 3))
+    angle[10:50] = np.nan
+    found = guard.judge(angle, velocity)
+    assert found.refused == 0
+    assert found.gone.sum() == 40
+
+
+def test_without_a_vehicle_only_what_no_lander_can_do_is_refused():
+    guard = SampleGuard(SampleLimits.unknown(), STEP)
+    angle, velocity = np.zeros((4, 3)), np.zeros((4, 3))
+    angle[1, 2], velocity[2, 0] = 10.0 * STEP, 600.0 * STEP
+    found = guard.judge(angle, velocity)
+    assert found.gone.tolist() == [False, False, True, False]
+    assert found.refused == 1
+
+
+def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[str]]:
+    """Return the greatest error in deviations up to 2 s after a spike, and what was told."""
+    scenario = Scenario.load(SCENARIO).changed(
+        sensors={"flash": None}, tasking={"flash": None}, mappers={"dem": None},
+        terrain={"size_m": 400.0},
+    )  # fmt: skip
+    simulation = Simulation(scenario, 4, None)
+    navigation = simulation.computer.navigation
+    honest, done = navigation.take, []
+
+    def take(sensor: str, m: object, time: float) -> None:
+        if isinstance(m, InertialSamples) and time >= when - 1e-9 and not done:
+            done.append(time)
+            array = getattr(m, which).copy()
+            place = axis + (0 if which == "angle" else 3)
+            limit = (LIMITS.step + LIMITS.noise)[place] * STEP
+            array[4, axis] = array[3, axis] + size * limit
+            m = replace(m, **{which: array})
+        honest(sensor, m, time)
+
+    navigation.take = take
+    worst = 0.0
+    while simulation.time < when + 2.0:
+        simulation.move()
+        worst = max(worst, float(np.abs(error(simulation)).max()))
+    return worst, [name for _, name, _ in simulation.computer.telemetry]
+
+
+def error(simulation: Simulation) -> np.ndarray:
+    """Of velocity and attitude in the site frame (6,), in deviations."""
+    found = simulation.computer.navigation.estimate_in_site(simulation.time, 1.0)
+    state = simulation.state
+    turn = quat_to_rotation_vector(quat_multiply(found.attitude, quat_conjugate(state.attitude)))
+    off = np.concatenate((found.velocity - state.velocity, turn))
+    return off / np.sqrt(np.diag(found.covariance)[3:])
+
+
+@pytest.mark.parametrize("when", [0.1, 3.3])
+@pytest.mark.parametrize(
+    ("which", "axis", "size"),
+    [("angle", 0, 0.98), ("angle", 2, -0.98), ("velocity", 0, 0.98), ("velocity", 2, -0.98),
+     ("angle", 1, 1e3), ("velocity", 2, 1e2)],
+)  # fmt: skip
+def test_the_worst_spike_under_the_limit_is_no_silent_error(which, axis, size, when):
+    """On either side of the limit: what is refused is told, what is believed does no harm."""
+    worst, told = flown(which, axis, size, when)
+    assert worst < 5.0
+    assert "lost" not in told
+    if abs(size) > 1.0:
+        assert "samples-refused" in told
