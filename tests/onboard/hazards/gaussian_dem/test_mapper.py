@@ -72,3 +72,9 @@ def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
 def test_impossible_intervals_are_refused(interval):
     with pytest.raises(InputError, match="interval"):
         GaussianDemMapper(GRID, Lander(), interval=interval)
+
+
+@pytest.mark.parametrize("safety", ["typo", "", None, "Calibrated"])
+def test_a_safety_that_there_is_not_is_refused(safety):
+    with pytest.raises(InputError, match="calibrated, level or planes"):
+        GaussianDemMapper(GRID, Lander(), safety=safety)
