@@ -111,16 +111,19 @@ def gaps(number):
     """Tell which squares of a raster of numbers of points (rows, cols) should hold some and do not.
 
     Along the row or along the column the first two squares of four with points, on either side,
-    hold twelve; where one side has none in four, the other side's do.
+    hold twelve; where one side has none in four, the other side's do. Or no side has any.
     """
     out = np.zeros(number.shape, bool)
     for row, col in np.argwhere(number == 0):
+        near = 0
         for line, at in ((number[row], col), (number[:, col], row)):
             sides = []
             for side in (line[at + 1 : at + 5], line[:at][::-1][:4]):
                 first = np.flatnonzero(side)
                 sides += [side[first[0] : first[0] + 2].max()] if len(first) else []
             out[row, col] |= bool(sides) and min(sides) >= 12
+            near += len(sides)
+        out[row, col] |= near == 0
     return out
 
 

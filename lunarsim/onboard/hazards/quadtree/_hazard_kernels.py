@@ -134,15 +134,15 @@ def _expected(tree, depth, row, col):
 
     What a scan covers has no bays: where its beams lie close on either side they do in between.
     Beside a scan, where only coarser ones came, they do not. Where nothing lies on the one side,
-    what lies on the other must do.
+    what lies on the other must do; where nothing lies on any, no scan came there.
     """
-    most = 0.0
+    most = -1.0
     for up in range(2):
         ahead = _seen_towards(tree, depth, row, col, up, 1 - up)
         behind = _seen_towards(tree, depth, row, col, -up, up - 1)
         both = min(ahead, behind) if min(ahead, behind) >= 0.0 else max(ahead, behind)
         most = max(most, both)
-    return most
+    return most if most >= 0.0 else np.inf
 
 
 @kernel()
