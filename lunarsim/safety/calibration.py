@@ -30,7 +30,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import Ensemble, Odds, cautious, told
+from lunarsim.safety.ensemble import Ensemble, Odds, cautious, doubted
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
@@ -327,7 +327,7 @@ def judged(
     if refit is None:
         return cautious(odds, most, least, covered, FARTHER)
     p = np.minimum(refit.probability(odds, known), most)
-    lowest = np.minimum(told(odds, most, FARTHER), least)
+    lowest = doubted(odds, most, least, FARTHER)
     return np.asarray(np.where(covered, p, np.minimum(p, lowest)))
 
 

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
+from kept import Judged, judged_scenes
 from rich.console import Console
 from rich.table import Table
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
@@ -39,23 +40,6 @@ SITES = 100  # judged of each scene
 # Edges of the strata: nominal slope over the limit, and share of ground above the limit.
 SLOPES = (0.0, 0.5, 0.85, 1.15, np.inf)
 COVERS = (0.0, 0.002, 0.01, np.inf)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Sites of one scene (n, ...); `features` float32, `cover` and `slope` choose the stratum.
-
-    `ceiling` holds everywhere, `bound` outside the domain.
-    """
-
-    scene: Scene
-    features: np.ndarray
-    known: np.ndarray
-    ceiling: np.ndarray
-    bound: np.ndarray
-    slope: np.ndarray
-    cover: float
-    safe: np.ndarray
 
 
 def judge(scene: Scene) -> Judged:
@@ -259,6 +243,9 @@ def options(count: int, own: str) -> Callable[[F], F]:
                      help="Of the scenes."),
         click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
                      help="Processes; results do not depend on it."),
+        click.option("--scenes-file", "file", type=click.Path(path_type=Path, dir_okay=False),
+                     default=None,
+                     help="Scenes are read from this .npz file; if there is none, written to it."),
         click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
                      help=f"Write the model to this file; the package's own is {own}."),
@@ -305,10 +292,12 @@ def report(
 
 @click.command()
 @options(480, "lunarsim/safety/calibration.json")
-def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | None) -> None:
+def main(
+    count: int, seed: int, jobs: int, file: Path | None, target: Path | None, picture: Path | None
+) -> None:
     """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
     console = Console(width=205)
-    judged = gathered(judge, list(scenes(count, seed)), jobs, console, "scenes")
+    judged = judged_scenes(judge, list(scenes(count, seed)), file, jobs, console)
     note = f"scenarios/lidar_maps/calibration.py --scenes {count} --seed {seed}"
     path = None if picture is None else picture / "calibration.png"
     report(judged, RISING, note, target, path, jobs, console)

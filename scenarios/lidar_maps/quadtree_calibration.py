@@ -13,11 +13,11 @@ from pathlib import Path
 
 import click
 import numpy as np
-from calibration import SITES, Judged, options, report
+from calibration import SITES, options, report
+from kept import Judged, judged_scenes
 from rich.console import Console
 from worlds import LANDERS, UPRIGHT, Scene, scenes
 
-from lunarsim.campaign.pool import gathered
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     RISING,
@@ -84,10 +84,12 @@ def drawn(count: int, seed: int) -> list[Scene]:
 
 @click.command()
 @options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
-def main(count: int, seed: int, jobs: int, target: Path | None, picture: Path | None) -> None:
+def main(
+    count: int, seed: int, jobs: int, file: Path | None, target: Path | None, picture: Path | None
+) -> None:
     """Fit the quadtree's probability, and judge it on worlds kept out of the fit."""
     console = Console(width=205)
-    judged = gathered(judge, drawn(count, seed), jobs, console, "scenes")
+    judged = judged_scenes(judge, drawn(count, seed), file, jobs, console)
     note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
     path = None if picture is None else picture / "quadtree_calibration.png"
     report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console, MARGIN)

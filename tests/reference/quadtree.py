@@ -90,7 +90,7 @@ def exceptions(points, corner, side, squares, on_mesh, normal, tolerance):
     """Return share of exceptions, and how far points reach, by the squares (n, n) of a cell.
 
     Off the mesh through `on_mesh`, or off the plane parallel to it in the middle of the points
-    (m, 3). A square without a point where twelve would be expected is NaN.
+    (m, 3). Gaps are left out, see `gaps`.
     """
     d = (points - on_mesh) @ normal
     off_middle = np.abs(d - np.median(d))
@@ -104,9 +104,27 @@ def exceptions(points, corner, side, squares, on_mesh, normal, tolerance):
             if mine.any():
                 ratio[row, col] = np.mean(far[mine] > tolerance)
                 relief[row, col] = np.max(reach[mine])
-            elif len(points) >= 12 * squares**2:
-                ratio[row, col] = relief[row, col] = np.nan
     return ratio, relief
+
+
+def gaps(number):
+    """Tell which squares of a raster of numbers of points (rows, cols) should hold some and do not.
+
+    Along the row or along the column the first two squares of four with points, on either side,
+    hold twelve; where one side has none in four, the other side's do. Or no side has any.
+    """
+    out = np.zeros(number.shape, bool)
+    for row, col in np.argwhere(number == 0):
+        near = 0
+        for line, at in ((number[row], col), (number[:, col], row)):
+            sides = []
+            for side in (line[at + 1 : at + 5], line[:at][::-1][:4]):
+                first = np.flatnonzero(side)
+                sides += [side[first[0] : first[0] + 2].max()] if len(first) else []
+            out[row, col] |= bool(sides) and min(sides) >= 12
+            near += len(sides)
+        out[row, col] |= near == 0
+    return out
 
 
 def mesh_point(xy, corners, heights):

@@ -26,7 +26,7 @@ from lunarsim.safety.calibration import (
     measured,
 )
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import MARGIN, Ensemble
+from lunarsim.safety.ensemble import MARGIN, SURE, UNTOLD, Ensemble
 from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 
@@ -123,9 +123,13 @@ def fits_of(*odds):
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0, curve=rocky(0.01))
     assert in_domain(e).all()
-    for odds, claims, margin in (((2.0, 5.0), False, FARTHER), ((3.0, 5.0), True, MARGIN)):
+    sure, doubtful = (1.0 - UNTOLD) * expit(4.0 - MARGIN), SURE * expit(2.0 - FARTHER)
+    for odds, claims, wanted in (
+        ((2.0, 5.0), False, (1.0 - UNTOLD) * doubtful),
+        ((4.0, 5.0), True, sure),
+    ):
         p, known = calibrated_safety(e, fits_of(*odds))
-        assert p == pytest.approx(expit(odds[0] - margin), rel=1e-5)
+        assert p == pytest.approx(wanted, rel=1e-5)
         assert (known == claims).all()
 
 
@@ -134,11 +138,11 @@ def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most()
     far = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, density=0.01)
     assert (bound(e) == 1.0).all()
     assert (bound(far) < 0.1).all()
-    for odds in (-1.0, 0.5, 2.8):
+    for odds in (-1.0, 0.5, 3.5):
         for site in (e, far):
             p, known = calibrated_safety(site, fits_of(odds, odds))
-            told = np.minimum(expit(odds - FARTHER), bound(site))
-            assert p == pytest.approx(np.minimum(told, ceiling(site)), rel=1e-5)
+            told = np.minimum((1.0 - UNTOLD) * expit(odds - FARTHER), bound(site))
+            assert p == pytest.approx(SURE * np.minimum(told, ceiling(site)), rel=1e-5)
             assert not known.any()
     # Surely unsafe is a frequency again.
     p, known = calibrated_safety(e, fits_of(-4.0, -3.5))

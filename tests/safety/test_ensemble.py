@@ -13,7 +13,7 @@ from scipy.special import expit
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, Ensemble, Odds
+from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, UNTOLD, Ensemble, Odds, cautious
 from lunarsim.safety.logistic import Logistic
 
 
@@ -40,18 +40,35 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
 
 
 def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
-    low = np.array([-9.0, -9.0, -3.0, 0.0, 2.8, 3.0, 3.0, 9.0])
+    low = np.array([-9.0, -9.0, -3.0, 0.0, 3.6, 3.8, 3.8, 9.0])
     apart = np.array([2.0, 6.5, 0.05, 0.0, 0.1, 0.8, 2.5, 5.0])
     said = Odds(low, low + apart).verdict(np.ones(8))
-    assert expit(2.8 - MARGIN) < SURE < expit(3.0 - MARGIN)
+    assert expit(3.6 - MARGIN) < SURE < (1.0 - UNTOLD) * expit(3.8 - MARGIN)
     assert expit(-2.95) < HOPELESS < expit(-2.5)
     assert said.agreed.tolist() == [True, False, True, False, False, True, True, True]
-    # Twice as often unsafe as by the lowest.
-    assert (1.0 / said.p - 1.0) == pytest.approx(2.0 * np.exp(-low))
+    # Twice as often unsafe as by the lowest, and at least as often as no world can tell.
+    assert (1.0 - UNTOLD) / said.p - 1.0 == pytest.approx(2.0 * np.exp(-low))
+    assert said.p.max() < 1.0 - UNTOLD
     # What is fatal by itself leaves it neither safe nor told.
     said = Odds(low, low + apart).verdict(np.full(8, 0.5))
     assert said.p.max() == 0.5
     assert said.agreed.tolist() == [True, False, True, *[False] * 5]
+
+
+@given(st.floats(-8.0, 12.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.7, 4.0))
+def test_where_nothing_is_claimed_nothing_is_surely_safe(low, most, least, margin):
+    said = [np.array([v]) for v in (low, most, least)]
+    p, doubted = (cautious(*said, np.array([known]), margin)[0] for known in (True, False))
+    assert doubted <= SURE * min(most, least, expit(low - margin))
+    assert doubted <= p <= min(most, 1.0 - UNTOLD)
+    # In the domain what is not surely safe is as much in doubt as beyond.
+    assert p == doubted or p >= SURE
+    # Worse evidence, of any kind, is told no better, over both edges.
+    for worse in ((low - 0.3, most, least), (low, 0.9 * most, least), (low, most, 0.9 * least)):
+        said = [np.array([v]) for v in worse]
+        q, beyond = (cautious(*said, np.array([known]), margin)[0] for known in (True, False))
+        assert max(q, beyond) <= p
+        assert beyond <= doubted
 
 
 def test_what_one_world_decides_is_not_agreed_on():

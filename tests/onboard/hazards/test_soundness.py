@@ -29,7 +29,7 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.ensemble import MARGIN, Ensemble
+from lunarsim.safety.ensemble import MARGIN, SURE, UNTOLD, Ensemble
 from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
@@ -201,14 +201,15 @@ def fits_of(*odds: float) -> Ensemble:
 
 
 def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
-    for odds, claims in (((2.0, 5.0), False), ((3.0, 5.0), True)):
+    for odds, claims in (((2.0, 5.0), False), ((4.0, 5.0), True)):
         p, known = site_safety(site(0.02), fits_of(*odds))
-        assert p[0] == pytest.approx(expit(odds[0] - MARGIN))
+        left = (1.0 - UNTOLD) * (1.0 if claims else SURE)
+        assert p[0] == pytest.approx(left * expit(odds[0] - MARGIN))
         assert known[0] == claims
     doubtful = site(0.16, fitted_slope=0.7)
     assert doubtful.in_domain.all()
     p, known = site_safety(doubtful, fits_of(2.8, 2.8))
-    assert p == pytest.approx(expit(2.8 - MARGIN))
+    assert p == pytest.approx((1.0 - UNTOLD) * SURE * expit(2.8 - MARGIN))
     assert not known.any()
     # Far from the domain no more than the chance that no unseen rock stands there.
     far = site(30.0)
@@ -216,7 +217,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     nothing = np.exp(-far.piercing() - far.tilting())
     assert nothing < 0.5
     p, known = site_safety(far, fits_of(2.8, 2.8))
-    assert p == pytest.approx(nothing)
+    assert p == pytest.approx(SURE * nothing)
     assert not known.any()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
@@ -25,6 +26,8 @@ BoolMap = NDArray[np.bool_]
 DENSE = 0.5
 # Of points that are no detector's.
 NO_PIXELS = np.zeros(0, np.int64)
+# Lengths of a random field that its variances, in single precision, can hold, m.
+_LONGEST = 1e9
 # Neighbours by which the distance of samples is judged where no sensor tells it.
 _NEAREST = 6
 
@@ -133,10 +136,10 @@ def _regress(
 
 def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> None:
     for name, value in (("sigma_f", sigma_f), ("length_scale", length_scale)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value}: must be a positive length in metres")
-    if not (np.isfinite(sigma_eps) and sigma_eps >= 0.0):
-        raise ValueError(f"sigma_eps = {sigma_eps}: must be 0 or a positive length in metres")
+        if not 0.0 < value <= _LONGEST:
+            raise InputError(name, value, f"a positive length of at most {_LONGEST:g} m")
+    if not 0.0 <= sigma_eps <= _LONGEST:
+        raise InputError("sigma_eps", sigma_eps, f"0, or a length of at most {_LONGEST:g} m")
 
 
 @dataclass(frozen=True)

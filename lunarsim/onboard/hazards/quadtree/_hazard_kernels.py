@@ -19,8 +19,10 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
 # Hazard cells divide into squares of 1 / 2^FINER of the side of the smallest.
 FINER = 2
-# Points that a square must be expected to hold for none to mean that it was not seen.
+# Points that a square must be expected to hold for none to mean that it was not seen, and how many
+# squares aside what lies there may tell that: no farther than the next of the smallest cells.
 EXPECTED = 12
+REACH = 1 << FINER
 
 
 @kernel()
@@ -97,22 +99,69 @@ def _count_exceptions(off, square, middle, tolerance, ratio, relief):
 
 
 @kernel()
+def _number_in(tree, depth, row, col):
+    """Return how many points lie in a square of a depth (row and column from the south-west).
+
+    A leaf larger than the square lends it its share. Nothing lies off the map.
+    """
+    wide = 1 << depth
+    if not (0 <= row < wide and 0 <= col < wide):
+        return 0.0
+    node, level = 0, depth
+    while level > 0 and tree.child[node] >= 0:
+        level -= 1
+        node = tree.child[node] + ((col >> level) & 1) + 2 * ((row >> level) & 1)
+    return tree.count[node] / (1 << 2 * level)
+
+
+@kernel()
+def _seen_towards(tree, depth, row, col, up, right):
+    """Return how many points lie in the next squares that way where some do; -1: none near.
+
+    The greater number of two squares: half of the first may be hidden too.
+    """
+    for n in range(1, REACH + 1):
+        number = _number_in(tree, depth, row + n * up, col + n * right)
+        if number > 0.0:
+            far = min(n + 1, REACH)
+            return max(number, _number_in(tree, depth, row + far * up, col + far * right))
+    return -1.0
+
+
+@kernel()
+def _expected(tree, depth, row, col):
+    """Return how many points a square would hold, were it seen as what lies on two sides of it.
+
+    What a scan covers has no bays: where its beams lie close on either side they do in between.
+    Beside a scan, where only coarser ones came, they do not. Where nothing lies on the one side,
+    what lies on the other must do; where nothing lies on any, no scan came there.
+    """
+    most = -1.0
+    for up in range(2):
+        ahead = _seen_towards(tree, depth, row, col, up, 1 - up)
+        behind = _seen_towards(tree, depth, row, col, -up, up - 1)
+        both = min(ahead, behind) if min(ahead, behind) >= 0.0 else max(ahead, behind)
+        most = max(most, both)
+    return most if most >= 0.0 else np.inf
+
+
+@kernel()
 def _clear_gaps(tree, node, ratio, relief):
     """Set squares (w, w) of a cell without a point to NaN where chance cannot have left them out.
 
     What was not seen may be what hides behind a boulder, or beyond the edge of a scan.
     """
     wide = ratio.shape[0]
-    if tree.count[node] < EXPECTED * wide * wide:
-        return
+    depth = np.int64(tree.depth[node])
+    while (1 << (depth - tree.depth[node])) < wide:
+        depth += 1
+    row0, col0 = np.int64(tree.row[node]) * wide, np.int64(tree.column[node]) * wide
     for row in range(wide):
         for col in range(wide):
-            m = node
-            half = wide >> 1
-            while half > 0 and tree.child[m] >= 0:
-                m = tree.child[m] + (1 if col & half else 0) + (2 if row & half else 0)
-                half >>= 1
-            if tree.count[m] == 0:
+            # A leaf with points may have one anywhere.
+            if _number_in(tree, depth, row0 + row, col0 + col) > 0.0:
+                continue
+            if _expected(tree, depth, row0 + row, col0 + col) >= EXPECTED:
                 ratio[row, col] = np.nan
                 relief[row, col] = np.nan
 

@@ -242,11 +242,11 @@ class SiteSelector:
         square = self._half_steps(self._hazard[0])
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
-        # A cell's points do not reach over its edge: one half step less on each side.
-        k.mark(self._fresh(self._hazard[1]), -1, square, wide, marked)
+        finer = 2 * (1 << self.map.depths) // len(self._ratios)
+        # What a cell should hold is told by squares beyond its edge: all but the last half step.
+        k.mark(self._fresh(self._hazard[1]), h.REACH * finer - 1, square, wide, marked)
         nodes, empty = self._nodes_in(marked, self._hazard, self._seen[0])
         rasters = (self._ratios, self._reliefs)
-        finer = 2 * (1 << self.map.depths) // len(self._ratios)
         cleared = h.clear(empty, finer, *rasters)
         changed = h.judge_cells(
             tree, nodes, self.mesh.arrays, s.roughness_limit, s.density, *rasters

@@ -24,6 +24,8 @@ _BELL = 3.0
 _NEAR = 1e-3
 # Cells in which points are counted, and width over which their density is, m.
 _FINE, _WINDOW = 0.2, 1.0
+# How far aside of a hole the density about it is looked for, in such widths.
+_ASIDE = 1.6
 # Points that must be expected in an empty rectangle for it to be a gap.
 _EXPECTED = 14.0
 # Its rows and columns of such cells.
@@ -116,8 +118,10 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
     count = np.bincount(row * wide + col, minlength=wide * wide).reshape(wide, wide)
     window = max(1, min(wide, round(_WINDOW / posting)))
     mean = ndimage.uniform_filter(count.astype(np.float64), window, mode="constant")
-    # What lies about a hole, not in it, tells what to expect there.
-    about = ndimage.maximum_filter(mean, 2 * window + 1, mode="constant")
+    # What lies on both sides of a hole, not in it, tells what to expect there: what a scan covers
+    # has no bays, and beside it only coarser ones came.
+    aside = window // 2 + 1, round(_ASIDE * window)
+    about = np.maximum(*(_on_both_sides(mean, *aside, axis) for axis in (0, 1)))
     total = np.zeros((wide + 1, wide + 1), np.int64)
     np.cumsum(np.cumsum(count, axis=0), axis=1, out=total[1:, 1:])
     gap = np.zeros((wide, wide), np.bool_)
@@ -135,6 +139,15 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
             for j in range(across):
                 gap[i : i + empty.shape[0], j : j + empty.shape[1]] |= empty
     return Sampling(grid, gap, mean / posting**2)
+
+
+def _on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
+    """Return the lesser of the greatest densities from `near` to `far` cells before and behind."""
+    lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
+    wide, length = far - near + 1, density.shape[axis]
+    most = np.lib.stride_tricks.sliding_window_view(lines, wide, axis=-1).max(axis=-1)
+    least = np.minimum(most[:, :length], most[:, far + near :])
+    return np.asarray(np.moveaxis(least, -1, axis))
 
 
 def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:

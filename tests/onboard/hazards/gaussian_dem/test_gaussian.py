@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import (
     conventional_dem,
@@ -184,6 +185,26 @@ def test_bad_clouds():
         conventional_dem(cloud(1) + [0.0, 0.0, -9000.0], GRID)
     with pytest.raises(ValueError, match="none of the"):
         conventional_dem([[100.0, 0.0, 0.0]], GRID)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, 1e200, np.nan, np.inf])
+def test_a_random_field_has_a_spread_that_can_be(wrong):
+    for name in ("sigma_f", "sigma_eps", "length_scale"):
+        with pytest.raises(InputError, match=name):
+            gaussian_dem(cloud(1), GRID, **{name: wrong})
+
+
+def test_samples_without_noise_and_ground_all_alike_still_give_a_map():
+    """The samples of a triangle then say all but the same: its matrix is nearly singular."""
+    plane = cloud(1)
+    plane[:, 2] = 0.3 + 0.1 * plane[:, 0]
+    for length in (1e3, 1e6, 1e9):
+        found = gaussian_dem(plane, GRID, sigma_eps=0.0, sigma_f=0.5, length_scale=length)
+        seen = found.observed
+        assert seen.any()
+        x = GRID.centres()[..., 0]
+        assert found.mean[seen] == pytest.approx((0.3 + 0.1 * x)[seen], abs=0.07)
+        assert (found.variance[seen] >= 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,12 @@ def test_impossible_intervals_are_refused(interval):
         GaussianDemMapper(GRID, Lander(), interval=interval)
 
 
+@pytest.mark.parametrize("safety", ["typo", "", None, "Calibrated"])
+def test_a_safety_that_there_is_not_is_refused(safety):
+    with pytest.raises(InputError, match="calibrated, level or planes"):
+        GaussianDemMapper(GRID, Lander(), safety=safety)
+
+
 def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: float) -> None:
     """Look down on ground of heights (east, north) from 30 m; the estimate errs by a tilt."""
     nadir = LIDAR.directions()

@@ -389,3 +389,74 @@ def test_a_boulder_in_a_hollow_is_found_and_what_was_not_seen_is_not_clear():
     assert np.argwhere(~known).tolist() == [[8, 8]]
     assert (selector.hazards[33:36, 33:36] == 1.0).all()
     assert np.isnan(selector.hazards[40, 20])
+
+
+def unseen_by(points):
+    """Return where the ground of points (n, 3) was not seen, by squares of 0.4 m over 25.6 m."""
+    quadtree = QuadtreeMap((0.0, 0.0), 25.6, 0.1)
+    quadtree.insert(points)
+    selector = SiteSelector(quadtree, SiteSettings(mesh_band=(1.6, 3.2)))
+    selector.update()
+    assert selector.ratios.shape == (64, 64)
+    return np.isnan(selector.ratios)
+
+
+def level(rng, density, half):
+    """Return level ground of so many points on a square metre (n, 3) over a square."""
+    xy = rng.uniform(-half, half, (rng.poisson(density * (2.0 * half) ** 2), 2))
+    return np.column_stack((xy, rng.normal(0.0, 0.01, len(xy))))
+
+
+@pytest.mark.parametrize("half", [5.0, 5.4, 6.0])
+def test_coarse_ground_beside_a_fine_patch_is_not_judged_by_the_points_of_the_patch(half):
+    rng = np.random.default_rng(13)
+    coarse, fine = level(rng, 18.0, 12.8), level(rng, 1000.0, half)
+    alone, both = unseen_by(coarse), unseen_by(np.concatenate((coarse, fine)))
+    # A patch that ends within cells of 1.6 m: a square outside of it holds three points, or none.
+    assert (both & ~alone).sum() <= 2
+
+
+def test_a_hole_in_a_patch_that_fills_no_cell_is_seen():
+    rng = np.random.default_rng(14)
+    coarse, fine = level(rng, 12.0, 12.8), level(rng, 300.0, 0.6)
+    points = np.concatenate((coarse, fine))
+    # A square in the patch's middle, on the south-west corner of a cell.
+    hole = ((points[:, :2] > 0.0) & (points[:, :2] < 0.4)).all(axis=1)
+    assert not unseen_by(points)[32, 32]
+    holed = unseen_by(points[~hole])
+    assert holed[32, 32]
+    # That twelve points a square metre leave a square empty tells nothing.
+    assert not unseen_by(coarse[~hole[: len(coarse)]])[32, 32]
+
+
+def test_what_lies_beyond_the_edge_of_a_scan_was_not_seen():
+    rng = np.random.default_rng(15)
+    points = level(rng, 300.0, 12.8)
+    unseen = unseen_by(points[points[:, 0] < 3.0])
+    # A cell ends at 3.2: its last squares hold half of their points, and those beyond none.
+    assert not unseen[4:60, 4:39].any()
+    assert unseen[:, 40:].all()
+    # Each quarter of a cell at the corner of a scan has points; one square, and all in line, none.
+    corner = unseen_by(points[(points[:, :2] < 2.7).all(axis=1)])
+    assert corner[39, 39]
+    cut = unseen_by(points[points[:, 0] < 2.7])
+    assert cut[4:60, 39].all()
+    assert not cut[4:60, 4:38].any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gaps_are_those_of_a_plain_search(seed):
+    rng = np.random.default_rng([17, seed])
+    points = np.concatenate([level(rng, 50.0, 12.8), level(rng, 400.0, rng.uniform(7.0, 10.0))])
+    lattice = np.arange(-10.8, 11.0, 2.4)
+    holes = np.stack(np.meshgrid(lattice, lattice), axis=-1).reshape(-1, 2)
+    holes += rng.uniform(-0.4, 0.4, holes.shape)
+    # Narrower than a quarter of a cell, all of which needs points.
+    wide = rng.uniform(0.25, 0.33, len(holes))
+    inside = np.abs(points[:, None, :2] - holes) < wide[:, None]
+    points = points[~inside.all(axis=2).any(axis=1)]
+    edges = np.linspace(-12.8, 12.8, 65)
+    number = np.histogram2d(points[:, 1], points[:, 0], (edges, edges))[0]
+    assert unseen_by(points)[5:59, 5:59].sum() > 5
+    # Away from the edges of the map, where cells have no plane.
+    assert (unseen_by(points) == reference.gaps(number))[5:59, 5:59].all()

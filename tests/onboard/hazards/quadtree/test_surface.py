@@ -111,6 +111,17 @@ def test_a_trench_that_no_return_came_out_of_is_a_gap():
     assert seen.gap[inside].mean() > 0.9
 
 
+@pytest.mark.parametrize("density", [200, 600])
+def test_ground_beside_a_patch_seen_often_is_as_well_seen_as_without_it(density):
+    rng = np.random.default_rng(16)
+    coarse = scattered(rng, 40 * 164)
+    patch = scattered(rng, 25 * density, 5.0)
+    seen = sampling(mapped(np.concatenate((coarse, patch))))
+    outside = (np.abs(seen.grid.centres()) > 2.6).any(axis=-1)
+    assert not sampling(mapped(coarse)).gap.any()
+    assert seen.gap[outside].mean() < 0.001
+
+
 def test_density_is_that_of_a_plain_count():
     rng = np.random.default_rng(8)
     points = scattered(rng, 5000, 9.0)
