@@ -106,7 +106,7 @@ def test_mistakes_name_field_and_remedy(data, field, hint):
         ("terrain", {"kind": "fractal", "path": "x.tif"}, "'dtm'"),
         ("terrain", {"kind": "hazard-field", "hurst": 0.5}, "'fractal' or 'dtm'"),
         ("policy", {"kind": "safest", "price": 1.0}, "'fuel-aware'"),
-        ("control", {"kind": "ideal", "damping": 1.0}, "'pd'"),
+        ("control", {"kind": "ideal", "damping": 1.0}, "'pd' or 'quaternion-feedback'"),
     ],
 )
 def test_a_key_of_another_kind_names_that_kind(table, value, owner):

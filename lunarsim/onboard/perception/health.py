@@ -135,7 +135,7 @@ class HealthSettings:
     most_same: float = 0.9
     least_shadows: int = 4
     most_width: float = 1.25
-    most_smear: float = 1.45
+    most_smear: float = 1.35
     most_turn: float = float(np.deg2rad(10.0))
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))

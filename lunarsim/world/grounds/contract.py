@@ -28,7 +28,7 @@ def strewn(
     relief: Heightfield,
     rocks: RockPopulation,
     streams: Streams,
-    craters: Callable[[], AgedCraters],
+    craters: Callable[[], AgedCraters] | None = None,
 ) -> Terrain:
     """Return relief with rocks drawn for one flight.
 
@@ -41,7 +41,7 @@ def strewn(
     streams
         Source of what is drawn.
     craters
-        Returns the craters of the relief; asked where rocks lie about them.
+        Returns the craters of the relief; asked where rocks lie about them. Left out: it has none.
 
     Raises
     ------
@@ -56,6 +56,12 @@ def strewn(
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
         clusters = NOWHERE
         if rocks.clustered > 0.0:
+            if craters is None:
+                raise InputError(
+                    "rocks.clustered",
+                    rocks.clustered,
+                    "0: where this ground has craters is not known",
+                )
             found = craters()
             old = found.diameter >= rocks.block_crater
             middles = found.x[old], found.y[old]

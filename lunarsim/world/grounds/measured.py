@@ -12,7 +12,7 @@ from lunarsim.rng import Streams
 from lunarsim.rocks.population import RockPopulation
 from lunarsim.world.grounds.contract import MOST_POSTS, strewn
 from lunarsim.world.grounds.roughness import Roughness
-from lunarsim.world.terrain import AgedCraters, Heightfield, Terrain, add_detail
+from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,7 @@ class MeasuredGround(Roughness):
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""
-        return strewn(self.relief(), rocks, streams, self._no_craters)
-
-    def _no_craters(self) -> AgedCraters:
-        raise InputError(
-            "rocks.clustered", "measured ground", "0: where its craters lie is not known"
-        )
+        return strewn(self.relief(), rocks, streams)
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""
