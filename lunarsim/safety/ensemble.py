@@ -58,10 +58,18 @@ class Odds:
     low: Array
     high: Array
 
-    def verdict(self, most: Array) -> Verdict:
-        """Return what is told of the sites, of which none is safer than `most` (n,)."""
+    def verdict(self, most: Array, hopeless: float = HOPELESS) -> Verdict:
+        """Return what is told of the sites (n,).
+
+        Parameters
+        ----------
+        most
+            None is safer than this (n,).
+        hopeless
+            Sites are surely not safe up to this probability.
+        """
         p = told(self.low, most)
-        return Verdict(p, (p >= SURE) | (expit(self.high) <= HOPELESS))
+        return Verdict(p, (p >= SURE) | (expit(self.high) <= hopeless))
 
 
 @dataclass(frozen=True)

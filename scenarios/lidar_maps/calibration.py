@@ -30,7 +30,7 @@ from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
 from lunarsim.safety.calibration import FARTHER, RISING, bound, ceiling, features, in_domain
-from lunarsim.safety.ensemble import Ensemble, cautious
+from lunarsim.safety.ensemble import HOPELESS, Ensemble, cautious
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -105,15 +105,16 @@ def fitted(
 
 
 def probability(
-    model: Ensemble, sites: Sites, farther: float = FARTHER
+    model: Ensemble, sites: Sites, farther: float = FARTHER, hopeless: float = HOPELESS
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what the map would say of all sites, and where it claims a frequency (n,).
 
-    `farther` is the margin of the log odds where it does not.
+    `farther` is the margin of the log odds where it does not; sites are surely not safe up to
+    `hopeless`.
     """
     odds = model.of_features(sites.features)
     p = cautious(odds.low, sites.ceiling, sites.bound, sites.known, farther)
-    return p, sites.known & odds.verdict(sites.ceiling).agreed
+    return p, sites.known & odds.verdict(sites.ceiling, hopeless).agreed
 
 
 def nearest_range(scene: Scene) -> str:
@@ -270,6 +271,7 @@ def report(
     jobs: int,
     console: Console,
     farther: float = FARTHER,
+    hopeless: float = HOPELESS,
 ) -> None:
     """Fit to all scenes and write that model; judge every row of the matrix by a fit without it."""
     model = fitted(judged, rising, note)
@@ -282,7 +284,7 @@ def report(
     rows = []
     for (name, inside), own in zip(kept, models, strict=False):
         sites = Sites.of(inside)
-        p, claimed = probability(own, sites, farther)
+        p, claimed = probability(own, sites, farther, hopeless)
         if claimed.any():
             rows.append(Row(name, p, claimed, sites))
     console.print(table_of(rows))

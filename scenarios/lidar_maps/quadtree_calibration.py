@@ -20,6 +20,7 @@ from worlds import LANDERS, UPRIGHT, Scene, scenes
 
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import (
+    HOPELESS,
     RISING,
     bound,
     ceiling,
@@ -92,7 +93,8 @@ def main(
     judged = judged_scenes(judge, drawn(count, seed), file, jobs, console)
     note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
     path = None if picture is None else picture / "quadtree_calibration.png"
-    report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console, MARGIN)
+    report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console, MARGIN,
+           HOPELESS)  # fmt: skip
 
 
 if __name__ == "__main__":

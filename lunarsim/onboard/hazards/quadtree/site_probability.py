@@ -56,6 +56,11 @@ _NEAR = (1.0, 2.0, 1.0)
 # Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes
 # there depends on widths that no share tells.
 MOST_SUNK = 0.016
+# A zone is 1.35 times as wide as the lander, and all that stands or gapes in it speaks against it:
+# what is called surely unsafe may be safe for the lander itself unless it is so by far.
+HOPELESS = 0.01
+# Of means over cells of a decimetre nothing is surer than this.
+MOST = 0.99
 # Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
 # what stands out of the ground.
 MOST_NOISE = 0.12
@@ -342,7 +347,7 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
         seen, most = e.judged, ceiling(e)[e.judged]
         odds = (model or measured()).judge(_free(e, seen), _terms(e, seen))
         p[seen] = cautious(odds.low, most, bound(e)[seen], known[seen])
-        claimed[seen] &= odds.verdict(most).agreed
+        claimed[seen] &= odds.verdict(most, HOPELESS).agreed
     return p, claimed
 
 
@@ -351,7 +356,7 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
     Sums of evidence let much that is good make up for one thing that is fatal. Of sites with a
     slope or roughness near the limit or beyond it so few were safe in the worlds of the fit,
-    whatever else.
+    whatever else. Of none more than `MOST`.
     """
     e = evidence
     left = (
@@ -360,7 +365,7 @@ def ceiling(evidence: SiteEvidence) -> Array:
         np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
         np.interp(e.top, *_LEFT_OF_TOP),
     )
-    return np.asarray(np.nan_to_num(np.minimum.reduce(left), nan=0.0))
+    return np.asarray(MOST * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
 
 
 def bound(evidence: SiteEvidence) -> Array:
