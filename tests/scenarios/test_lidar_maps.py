@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 from scipy.special import expit
 
 from lunarsim.grid import Grid
@@ -55,6 +57,38 @@ def test_a_scene_is_judged_the_same_twice(script, name):
     assert np.isfinite(a.features).all()
     done = CliRunner().invoke(study.main, ["--scenes", "2"])
     assert done.exit_code == 2
+
+
+def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
+    kept = script("lidar_maps", "kept")
+    worlds = script("lidar_maps", "worlds")
+    drawn = []
+
+    def judge(scene, add=0.0):
+        drawn.append(scene)
+        rng = scene.rng(9)
+        n = int(rng.integers(2, 6))
+        return kept.Judged(
+            scene, rng.random((n, 3), np.float32), rng.random(n) < 0.5, rng.random(n) + add,
+            rng.random(n), rng.random(n), float(rng.random()), rng.random(n) < 0.5,
+        )  # fmt: skip
+
+    deck, other = ([kept.Scene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4))
+    file, console = tmp_path / "scenes.npz", Console(quiet=True)
+    first = kept.judged_scenes(judge, deck, file, 1, console)
+    drawn.clear()
+    again = kept.judged_scenes(judge, deck, file, 1, console)
+    assert drawn == deck[:1]
+    for one, same in zip(first, again, strict=True):
+        assert (one.scene, one.cover) == (same.scene, same.cover)
+        assert all(np.array_equal(getattr(one, n), getattr(same, n)) for n in kept.ARRAYS)
+    with pytest.raises(click.ClickException, match="other scenes"):
+        kept.judged_scenes(judge, other, file, 1, console)
+    with pytest.raises(click.ClickException, match="another version"):
+        kept.judged_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
+    file.write_bytes(file.read_bytes()[:300])
+    with pytest.raises(click.ClickException, match="no file of scenes"):
+        kept.judged_scenes(judge, deck, file, 1, console)
 
 
 def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):

@@ -22,12 +22,12 @@ class EarlyGround:
 
     def takes(self, tilt_sigma: float) -> bool:
         """Tell whether what comes with a tilt known so well (rad) is to turn with those before."""
-        self._open = self._open and tilt_sigma > SURE_TILT
+        self._open = self._open and not tilt_sigma <= SURE_TILT  # NaN: not known
         return self._open
 
     def known(self, tilt_sigma: float) -> bool:
         """Tell whether what was turned stays where it is from now on."""
-        self._open = self._open and tilt_sigma > SURE_TILT
+        self._open = self._open and not tilt_sigma <= SURE_TILT
         return tilt_sigma <= SURE_TILT
 
 

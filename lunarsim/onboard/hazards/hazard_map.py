@@ -45,8 +45,8 @@ class HazardMap:
     Raises
     ------
     InputError
-        If `eligible`, `in_domain` or `value` has another shape or type, or an entry of `p_safe` or
-        `value` is NaN or outside [0, 1].
+        If a layer is masked; if `eligible`, `in_domain` or `value` has another shape or type; if an
+        entry of `p_safe` or `value` is NaN or outside [0, 1].
     """
 
     grid: Grid
@@ -63,6 +63,8 @@ class HazardMap:
             layer = getattr(self, name)
             if layer is not None and layer.shape != self.grid.shape:
                 raise ValueError(f"{name} has shape {layer.shape}, the grid {self.grid.shape}")
+            if isinstance(layer, np.ma.MaskedArray):
+                raise InputError(f"map.{name}", type(layer), "a plain array")
         for name, kind in (("eligible", np.bool_), ("value", np.floating), ("in_domain", np.bool_)):
             layer = getattr(self, name)
             if layer is None:

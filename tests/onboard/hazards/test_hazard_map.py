@@ -71,3 +71,15 @@ def test_impossible_layers_are_refused(layers, field):
 def test_impossible_boards_are_refused(position, score, here):
     with pytest.raises(InputError, match="scoreboard"):
         Scoreboard(position, score, here)
+
+
+@pytest.mark.parametrize("layer", ["p_safe", "observed", "elevation"])
+def test_masked_layers_are_refused(layer):
+    grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+    layers = {
+        "p_safe": np.ones(grid.shape, np.float32), "observed": np.ones(grid.shape, bool),
+        "elevation": np.zeros(grid.shape, np.float32),
+    }  # fmt: skip
+    layers[layer] = np.ma.masked_array(layers[layer], np.ones(grid.shape, bool))
+    with pytest.raises(InputError, match=layer):
+        HazardMap(grid, **layers)

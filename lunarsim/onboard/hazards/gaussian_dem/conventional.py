@@ -32,14 +32,14 @@ class ConventionalDem:
 
 
 def check_points(points: ArrayLike) -> NDArray[np.float64]:
-    """Return the finite points (n, 3), or raise ValueError.
+    """Return the finite points (n, 3), or raise ValueError; a masked point is none.
 
     Raises
     ------
     ValueError
-        If the array is not (n, 3) or holds infinities.
+        If the array is not (n, 3) of real numbers, or holds infinities.
     """
-    cloud = np.ascontiguousarray(points, dtype=np.float64)
+    cloud = np.ascontiguousarray(plain(points))
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points has shape {cloud.shape}: must be (n, 3), east, north, up")
     kept = finite_rows(cloud)
@@ -48,6 +48,21 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     if np.isinf(cloud).any():
         raise ValueError("points holds infinities: mark rays without a return by NaN")
     return cloud[kept]
+
+
+def plain(values: ArrayLike) -> NDArray[np.float64]:
+    """Return real numbers, NaN where they are masked.
+
+    Raises
+    ------
+    ValueError
+        If they are complex.
+    """
+    if np.iscomplexobj(values):
+        raise ValueError("complex numbers: must be real")
+    if isinstance(values, np.ma.MaskedArray):
+        return np.asarray(values.astype(np.float64).filled(np.nan))
+    return np.asarray(values, dtype=np.float64)
 
 
 def finite_rows(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     check_heights,
     check_points,
     finite_rows,
+    plain,
 )
 from lunarsim.triangulation import delaunay, delaunay_of_image
 
@@ -98,7 +99,7 @@ def gaussian_dem(
         is over 8 km, where float32 no longer tells millimetres.
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
-    raw = np.asarray(points, dtype=np.float64)
+    raw = plain(points)
     cloud = check_points(raw)
     base = base_height(cloud)
     check_heights(cloud)

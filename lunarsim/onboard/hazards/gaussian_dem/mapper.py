@@ -143,7 +143,7 @@ class GaussianDemMapper(HazardMapper):
         refit: ScenarioCalibration | None = None,
         interval: float = 0.0,
     ) -> None:
-        if safety not in {"calibrated", "level", "planes"}:
+        if safety not in ("calibrated", "level", "planes"):
             raise InputError("safety", safety, "calibrated, level or planes")
         if refit is not None:
             if safety != "calibrated":

@@ -20,6 +20,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     check_heights,
     check_points,
     finite_rows,
+    plain,
 )
 
 Array = NDArray[np.float64]
@@ -84,16 +85,16 @@ class SamplePool:
             If points are infinite or more than 8 km up or down, or a deviation or
             spacing is not positive.
         """
-        raw = np.asarray(points, dtype=np.float64)
         try:
+            raw = plain(points)
             cloud = check_points(raw)
         except ValueError as error:
-            raise InputError("points", raw.shape, str(error)) from None
+            raise InputError("points", np.shape(points), str(error)) from None
         if not len(cloud):
             return 0
         finite = finite_rows(raw)
         noise, apart = (
-            _positive(name, np.broadcast_to(values, len(raw))[finite])
+            _positive(name, np.broadcast_to(plain(values), len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
         check_heights(cloud)
@@ -141,12 +142,21 @@ class SamplePool:
         The mean point of a cell's samples is turned, which is exact but for samples that would come
         to lie in another cell than their mean; what was splatted about a cell moves with the point
         above its centre, by whole cells.
+
+        Raises
+        ------
+        InputError
+            If it is no turn, or the pivot no point.
         """
+        r, c = np.asarray(turn, np.float64), np.asarray(pivot, np.float64)
+        if not (r.shape == (3, 3) and np.allclose(r @ r.T, np.eye(3), atol=1e-6)):
+            raise InputError("turn", turn, "a rotation matrix (3, 3)")
+        if not (c.shape == (3,) and np.isfinite(c).all()):
+            raise InputError("pivot", pivot, "a finite point (3,)")
         out = SamplePool(self.grid)
         if self.base is None:
             return out
         out.base = self.base
-        r, c = np.asarray(turn, np.float64), np.asarray(pivot, np.float64)
         points, _, spacing = self.vertices()
         rows, cols = np.nonzero(self.centroid[..., 0])
         new = turned_about(points, r, c)

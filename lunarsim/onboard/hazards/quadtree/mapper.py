@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
@@ -99,6 +100,11 @@ class QuadtreeMapper(HazardMapper):
     lander, rocks
         Whose safety is asked for, and what rocks the mission expects; left out, the defaults.
 
+    Raises
+    ------
+    InputError
+        If the interval is negative or not finite.
+
     Attributes
     ----------
     noise
@@ -119,6 +125,8 @@ class QuadtreeMapper(HazardMapper):
         lander: Lander | None = None,
         rocks: RockExpectation | None = None,
     ) -> None:
+        if not 0.0 <= interval < np.inf:
+            raise InputError("interval", interval, "0 or a positive number of seconds")
         self._quadtree = (least, split_count)
         self._settings = settings
         self._interest = interest
@@ -186,9 +194,22 @@ class QuadtreeMapper(HazardMapper):
             self._unsure = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; without returns nothing changes."""
-        if not np.isfinite(measurement.range).any():
+        """Add a scan taken at the estimated pose; without returns nothing changes.
+
+        Raises
+        ------
+        InputError
+            If a range, or what is stated of its error, is not positive.
+        """
+        returned = np.isfinite(measurement.range)
+        if not returned.any():
             return
+        sigma = measurement.height_sigma(estimate.attitude)[returned]
+        for name, values in (("range", measurement.range[returned]), ("sigma", sigma)):
+            wrong = ~((values > 0.0) & np.isfinite(values))
+            if wrong.any():
+                told = "positive and finite where there is a return"
+                raise InputError(f"scan.{name}", float(values[wrong][0]), told)
         self._insert(measurement, estimate.position, estimate.attitude)
         if self._early.takes(estimate.tilt_sigma):
             self._unsure = self.map.count

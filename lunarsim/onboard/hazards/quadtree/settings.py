@@ -95,6 +95,8 @@ class InterestMap:
     value: Array
 
     def __post_init__(self) -> None:
+        if isinstance(self.value, np.ma.MaskedArray):
+            raise InputError("interest", type(self.value), "a plain array, 0 where not to land")
         value = np.array(self.value, dtype=np.float64)  # a copy that nobody else can write to
         value.flags.writeable = False
         object.__setattr__(self, "value", value)

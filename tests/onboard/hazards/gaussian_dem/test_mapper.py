@@ -10,7 +10,9 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
+from lunarsim.onboard.hazards.early_ground import EarlyGround
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.sensors.lidar import FlashLidar
 
@@ -75,7 +77,7 @@ def test_impossible_intervals_are_refused(interval):
         GaussianDemMapper(GRID, Lander(), interval=interval)
 
 
-@pytest.mark.parametrize("safety", ["typo", "", None, "Calibrated"])
+@pytest.mark.parametrize("safety", ["typo", "", None, "Calibrated", ["calibrated"]])
 def test_a_safety_that_there_is_not_is_refused(safety):
     with pytest.raises(InputError, match="calibrated, level or planes"):
         GaussianDemMapper(GRID, Lander(), safety=safety)
@@ -133,3 +135,41 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
     mapper.level(turn, np.zeros(3), sure)
     assert np.array_equal(mapper.pool.centroid, before)
     assert mapper.hazard_map().elevation is not None
+
+
+def test_masked_samples_are_none():
+    points = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 3))
+    mask = np.zeros(points.shape, bool)
+    mask[:150] = True
+    pool, plain = SamplePool(GRID), SamplePool(GRID)
+    assert pool.add(np.ma.masked_array(points, mask), 0.01, 0.1) == 50
+    plain.add(points[150:], 0.01, 0.1)
+    assert np.array_equal(pool.centroid, plain.centroid)
+    with pytest.raises(InputError, match="sigma"):
+        pool.add(points, np.ma.masked_array(np.full(200, 0.01), mask[:, 0]), 0.1)
+    with pytest.raises(InputError, match="points"):
+        pool.add(points + 1j, 0.01, 0.1)
+    everything = np.ma.masked_array(points, np.ones(points.shape, bool))
+    assert not gaussian_dem(everything, GRID).observed.any()
+
+
+@pytest.mark.parametrize(
+    ("turn", "pivot", "field"),
+    [
+        (np.full((3, 3), np.nan), np.zeros(3), "turn"),
+        (5.0 * np.eye(3), np.zeros(3), "turn"),
+        (np.eye(3), np.array([0.0, 0.0, np.nan]), "pivot"),
+    ],
+)
+def test_what_is_no_turn_is_refused(turn, pivot, field):
+    with pytest.raises(InputError, match=field):
+        SamplePool(GRID).turned(turn, pivot)
+
+
+def test_a_tilt_that_nobody_knows_is_not_taken_for_known():
+    early = EarlyGround()
+    assert early.takes(np.nan)
+    assert not early.known(np.nan)
+    assert early.takes(1.0)
+    assert not early.takes(0.0)
+    assert not early.takes(1.0)

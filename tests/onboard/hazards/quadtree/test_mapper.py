@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -270,3 +272,32 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
     before = found.map.points
     found.level(turn, pivot, np.deg2rad(1.0))
     assert np.array_equal(found.map.points, before)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "name"),
+    [
+        ("sigma", np.nan, "scan.sigma"), ("sigma", 0.0, "scan.sigma"),
+        ("sigma", -0.01, "scan.sigma"), ("range", -30.0, "scan.range"),
+    ],
+)  # fmt: skip
+def test_impossible_scans_are_refused_and_change_nothing(field, value, name):
+    tree = mapper()
+    good = scan(n=30)
+    bad = getattr(good, field).copy()
+    bad[5] = value
+    with pytest.raises(InputError, match=name):
+        tree.update(replace(good, **{field: bad}), estimate())
+    assert tree.blank
+    assert tree.noise == 0.0
+
+
+@pytest.mark.parametrize("interval", [-1.0, np.nan, np.inf])
+def test_impossible_intervals_are_refused(interval):
+    with pytest.raises(InputError, match="interval"):
+        mapper(interval=interval)
+
+
+def test_a_masked_interest_is_refused():
+    with pytest.raises(InputError, match="interest"):
+        InterestMap(GRID, np.ma.masked_array(np.ones(GRID.shape), np.ones(GRID.shape, bool)))
