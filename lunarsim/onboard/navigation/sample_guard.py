@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
 from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.models.lander import Lander
 
@@ -77,7 +78,16 @@ class SampleLimits:
             Error models of the unit.
         slew
             Rate that an ideal attitude actuator may take at once, rad/s; 0: thrusters turn it.
+
+        Raises
+        ------
+        InputError
+            If the step is not positive, or the rate negative, or either not finite.
         """
+        if not 0.0 < step < np.inf:
+            raise InputError("step", step, "a positive time in seconds")
+        if not 0.0 <= slew < np.inf:
+            raise InputError("slew", slew, "a rate of at least 0 rad/s")
         turn = np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
         push = lander.thrust_max / lander.dry_mass
         follows = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
@@ -121,9 +131,20 @@ class SampleGuard:
         What the lander can do.
     step
         Between samples, s.
+
+    Raises
+    ------
+    InputError
+        If a limit is NaN or negative, or the step not positive.
     """
 
     def __init__(self, limits: SampleLimits, step: float) -> None:
+        if not 0.0 < step < np.inf:
+            raise InputError("step", step, "a positive time in seconds")
+        for name in ("step", "noise", "most"):
+            limit = np.asarray(getattr(limits, name))
+            if limit.shape != (6,) or not (limit >= 0.0).all():
+                raise InputError(f"limits.{name}", limit, "six numbers of at least 0")
         self.limits = limits
         self._step = step
         # The last sample believed, and how many steps ago; the last that was not, and how many in a

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import InertialSamples
 from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES
@@ -90,6 +91,53 @@ def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
     assert told["samples-refused"] == {"count": 2}
     assert told["samples-jumped"]["force"] == pytest.approx(3.0, abs=0.1)
     assert state.tell() == []
+
+
+def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
+    upright = np.array([0.0, 0.0, 0.0, 1.0])
+    state = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
+    angle, velocity = manoeuvres(np.random.default_rng(8), 40)
+    velocity[20:, 1] += 3.0 * STEP
+    angle[20:, 2] += 0.5 * STEP
+    state.propagate(angle[:20], velocity[:20])
+    _, after = state.propagate(angle[20:], velocity[20:])
+    honest = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
+    _, before = honest.propagate(*(a[:20] for a in manoeuvres(np.random.default_rng(8), 40)))
+    let_go = np.sqrt(np.diag(after)[[7, 14]] - np.diag(before)[[7, 14]])
+    assert let_go == pytest.approx([3.0, 0.5], abs=0.1)
+    # Velocity and attitude were summed with the wrong one for a while.
+    assert after[4, 4] > 2.0 * before[4, 4]
+    assert after[11, 11] > 2.0 * before[11, 11]
+
+
+def test_spikes_that_agree_but_do_not_follow_each_other_are_refused():
+    guard = SampleGuard(LIMITS, STEP)
+    angle, velocity = np.zeros((60, 3)), np.zeros((60, 3))
+    angle[5::4, 0] = 3.0 * LIMITS.step[0] * STEP * 4.0
+    found = guard.judge(angle, velocity)
+    assert found.gone.tolist() == (angle[:, 0] > 0.0).tolist()
+    assert not found.jump.any()
+
+
+@pytest.mark.parametrize("step", [0.0, -0.01, np.nan, np.inf])
+def test_impossible_steps_are_refused(step):
+    with pytest.raises(InputError, match="step"):
+        SampleLimits.of(LANDER, step, GYROSCOPES, ACCELEROMETERS)
+    with pytest.raises(InputError, match="step"):
+        SampleGuard(LIMITS, step)
+
+
+@pytest.mark.parametrize("slew", [-1.0, np.nan, np.inf])
+def test_impossible_slews_are_refused(slew):
+    with pytest.raises(InputError, match="slew"):
+        SampleLimits.of(LANDER, STEP, GYROSCOPES, ACCELEROMETERS, slew=slew)
+
+
+@pytest.mark.parametrize("name", ["step", "noise", "most"])
+@pytest.mark.parametrize("wrong", [np.nan, -1.0])
+def test_impossible_limits_are_refused(name, wrong):
+    with pytest.raises(InputError, match=f"limits.{name}"):
+        SampleGuard(replace(LIMITS, **{name: np.full(6, wrong)}), STEP)
 
 
 def test_missing_samples_let_the_lander_have_moved_meanwhile():
