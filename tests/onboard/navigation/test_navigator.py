@@ -108,14 +108,14 @@ def names(descent):
 
 def test_it_locks_and_then_errs_as_it_says(world):
     nees, errors = Consistency(), []
-    for seed in range(20):
+    for seed in range(14):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
         if descent.filter.locked:
             nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
     # Whoever starts three sigma off sweeps the grass beside the field.
-    assert len(errors) >= 17
+    assert len(errors) >= 12
     # A post's uses count less than they could, never more: the filter may only be too modest.
     assert 1.0 / 6.0 < nees.ratio < nees.bounds(0.95)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
@@ -177,10 +177,10 @@ def test_scans_of_too_few_posts_take_no_lock_away(world, monkeypatch):
     assert descent.nees() < 40.0
 
 
-@pytest.mark.parametrize(("share", "least"), [(0.05, 7), (0.2, 3)])
+@pytest.mark.parametrize(("share", "least"), [(0.05, 5), (0.2, 2)])
 def test_patches_out_of_date_do_not_mislead(world, share, least):
     errors = []
-    for seed in range(8):
+    for seed in range(6):
         rng = np.random.default_rng(100 + seed)
         descent = Descent(world, seed, mapped(world, rng, stale_share=share)).fly(7.0)
         if descent.filter.locked:
