@@ -61,7 +61,7 @@ def plain(values: ArrayLike) -> NDArray[np.float64]:
     if np.iscomplexobj(values):
         raise ValueError("complex numbers: must be real")
     if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(values.astype(np.float64).filled(np.nan))
+        return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
     return np.asarray(values, dtype=np.float64)
 
 
