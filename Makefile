@@ -14,7 +14,8 @@ demo: $(STAMP)          ## closed-loop comparison of policies on measured terrai
 test: $(STAMP)          ## the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-slow: $(STAMP)          ## the tests and studies that take minutes
+slow: $(STAMP)          ## the tests and studies that take minutes; one of them needs chromium
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[ray]"
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 lint: $(STAMP)          ## style, types, and the walls between rooms

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from lunarsim.scenario import Scenario
-from tests.worlds import ROOT, SCENARIOS
+from tests.worlds import ROOT, SCENARIOS, SMALL_FLIGHT
 
 __all__ = ["ROOT", "SCENARIOS"]
 
@@ -24,17 +24,4 @@ settings.load_profile("kernels")
 @pytest.fixture
 def small_scenario() -> Scenario:
     """A quick flight over rolling ground: 96 x 96 pixels, a coarse map."""
-    return Scenario.from_dict(
-        {
-            "name": "small",
-            "terrain": {"size_m": 80.0},
-            "rocks": {"cover": 0.04, "min_diameter_m": 0.3},
-            "target": {"scatter_m": [15.0, 15.0]},
-            "sensors": {
-                "imu": {"kind": "imu"},
-                "fix": {"kind": "navigation-fix"},
-                "flash": {"kind": "flash-lidar", "rows": 96, "cols": 96},
-            },
-            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}},
-        }
-    )
+    return Scenario.from_dict(SMALL_FLIGHT)

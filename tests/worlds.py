@@ -66,6 +66,32 @@ def long_terrain(rng: np.random.Generator) -> Terrain:
     return Terrain(Heightfield(grid, z), rocks)
 
 
+# A quick flight over rolling ground: 96 x 96 pixels, a coarse map; and a quicker one.
+SMALL_FLIGHT = {
+    "name": "small",
+    "terrain": {"size_m": 80.0},
+    "rocks": {"cover": 0.04, "min_diameter_m": 0.3},
+    "target": {"scatter_m": [15.0, 15.0]},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "fix": {"kind": "navigation-fix"},
+        "flash": {"kind": "flash-lidar", "rows": 96, "cols": 96},
+    },
+    "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}},
+}
+TINY_FLIGHT = {
+    "name": "tiny",
+    "terrain": {"size_m": 60.0},
+    "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
+    "target": {"scatter_m": [8.0, 8.0]},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "fix": {"kind": "navigation-fix"},
+        "flash": {"kind": "flash-lidar", "rows": 64, "cols": 64},
+    },
+    "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 40.0}},
+}
+
 # A short descent over level ground with a small camera.
 SMALL_SHADOW_FLIGHT = {
     "name": "small-shadow",

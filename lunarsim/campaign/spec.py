@@ -23,7 +23,6 @@ width = 0.1
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -41,6 +40,7 @@ from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import quantity, settings_of
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.errors import input_error
+from lunarsim.scenario.files import read_toml
 
 # Draws whose extremes are tried on the scenario before anything is flown.
 _TRIED = 1000
@@ -151,12 +151,7 @@ class CampaignSpec:
             If the file is missing, is no TOML, or a field is wrong.
         """
         path = Path(path)
-        if not path.is_file():
-            raise InputError("spec", str(path), "an existing TOML file")
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError("spec", str(path), f"a TOML file ({error})") from None
+        data = read_toml(path, "spec")
         return cls.from_dict({"name": path.stem} | data, path.parent.resolve())
 
     @classmethod

@@ -21,6 +21,7 @@ from lunarsim.parts import PartSettings, resolve, settings_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error
+from lunarsim.scenario.files import read_toml
 
 
 @dataclass(frozen=True)
@@ -134,13 +135,7 @@ class Scenario:
             If the file is missing, is no TOML, or a field is wrong.
         """
         path = Path(path)
-        if not path.is_file():
-            raise InputError("scenario", str(path), "an existing TOML file")
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError("scenario", str(path), f"a TOML file ({error})") from None
-        return cls.from_dict(data, path.parent.resolve())
+        return cls.from_dict(read_toml(path, "scenario"), path.parent.resolve())
 
     @classmethod
     def from_toml(cls, text: str) -> Scenario:

@@ -6,6 +6,7 @@ compiled cycle knows is flown by it; any other goes through the same steps in Py
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import _cycle_kernels as k
 from lunarsim.simulation.plant import Plant
 from lunarsim.vehicle.dynamics import PLAIN_RIG
+from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
 
@@ -73,6 +75,38 @@ def _driven(
     actuators = plant.actuators
     if actuators is None or not isinstance(loop, JetLoop):
         raise TypeError("a lander with thrusters is flown by a loop that orders firings")
+    throttle = actuators.throttled(thrust)
+
+    def advance(state: State) -> tuple[State, Array]:
+        due = loop.due
+        torque = loop.torque()
+        if due:
+            actuators.order(loop.on_times, loop.gimbal)
+        return actuators.advance(plant.dynamics, state, throttle), torque
+
+    return _step_by_step(plant, loop, imu, advance)
+
+
+def _stepped(
+    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+) -> tuple[Array, Array, Array]:
+    def advance(state: State) -> tuple[State, Array]:
+        torque = loop.torque()
+        return plant.dynamics.advance(state, thrust, torque), torque
+
+    return _step_by_step(plant, loop, imu, advance)
+
+
+def _step_by_step(
+    plant: Plant,
+    loop: AttitudeLoop,
+    imu: Imu,
+    advance: Callable[[State], tuple[State, Array]],
+) -> tuple[Array, Array, Array]:
+    """Return states, increments of the gyroscopes and torques asked for, step by step.
+
+    `advance` asks the loop for a torque, and returns the state a step on with that torque.
+    """
     gyros = imu.gyroscopes
     offsets = gyros.offsets(plant.steps)
     history = np.empty((plant.steps, 15))
@@ -80,35 +114,9 @@ def _driven(
     torques = np.empty((plant.steps, 3))
     turn = np.empty(3)
     state = plant.state
-    throttle = actuators.throttled(thrust)
     for n in range(plant.steps):
-        due = loop.due
-        torques[n] = loop.torque()
-        if due:
-            actuators.order(loop.on_times, loop.gimbal)
         before = state.attitude
-        state = actuators.advance(plant.dynamics, state, throttle)
-        rotation_between(before, state.attitude, turn)
-        sample(turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n])
-        loop.take(increments[n])
-        history[n] = state.as_vector()
-    return history, increments, torques
-
-
-def _stepped(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
-) -> tuple[Array, Array, Array]:
-    d, gyros = plant.dynamics, imu.gyroscopes
-    offsets = gyros.offsets(plant.steps)
-    history = np.empty((plant.steps, 15))
-    increments = np.empty((plant.steps, 3))
-    torques = np.empty((plant.steps, 3))
-    turn = np.empty(3)
-    state = plant.state
-    for n in range(plant.steps):
-        torques[n] = loop.torque()
-        before = state.attitude
-        state = d.advance(state, thrust, torques[n])
+        state, torques[n] = advance(state)
         rotation_between(before, state.attitude, turn)
         sample(turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n])
         loop.take(increments[n])

@@ -19,6 +19,7 @@ from lunarsim.campaign.run import run as fly
 from lunarsim.cli import main
 from lunarsim.scenario import Scenario
 from tests.campaign.surrogate import plan
+from tests.worlds import TINY_FLIGHT
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -31,20 +32,7 @@ def run(*words: object):
 def swept(tmp_path_factory):
     """Return the folder of a sweep over two policies and two heights of the Sun."""
     folder = tmp_path_factory.mktemp("sweep")
-    Scenario.from_dict(
-        {
-            "name": "tiny",
-            "terrain": {"size_m": 60.0},
-            "rocks": {"cover": 0.12, "min_diameter_m": 0.4},
-            "target": {"scatter_m": [8.0, 8.0]},
-            "sensors": {
-                "imu": {"kind": "imu"},
-                "fix": {"kind": "navigation-fix"},
-                "flash": {"kind": "flash-lidar", "rows": 64, "cols": 64},
-            },
-            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 40.0}},
-        }
-    ).save(folder / "tiny.toml")
+    Scenario.from_dict(TINY_FLIGHT).changed(rocks={"cover": 0.12}).save(folder / "tiny.toml")
     done = run(
         "sweep", folder / "tiny.toml", "--over", "policy=no-divert,safest", "--over",
         "sun.elevation_deg=5,20", "--flights", 2, "--jobs", 1, "--out", folder / "out",
@@ -162,8 +150,9 @@ def drawn(page: Path, query: str, tmp_path: Path) -> tuple[str, str]:
     return done.stdout, done.stderr
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, as Debian's package of that name")
+@pytest.mark.slow
 def test_a_browser_draws_the_report_and_filters_by_factor(swept, tmp_path):
+    assert CHROMIUM is not None, "needs chromium: sudo apt-get install chromium"
     out = tmp_path / "r.html"
     assert run("campaign", "report", swept, "--out", out).exit_code == 0
     for theme in ("light", "dark"):

@@ -8,24 +8,12 @@ import pytest
 from lunarsim.campaign import compare
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from tests.worlds import TINY_FLIGHT
 
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return Scenario.from_dict(
-        {
-            "name": "tiny",
-            "terrain": {"size_m": 60.0},
-            "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
-            "target": {"scatter_m": [8.0, 8.0]},
-            "sensors": {
-                "imu": {"kind": "imu"},
-                "fix": {"kind": "navigation-fix"},
-                "flash": {"kind": "flash-lidar", "rows": 64, "cols": 64},
-            },
-            "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 40.0}},
-        }
-    )
+    return Scenario.from_dict(TINY_FLIGHT)
 
 
 @pytest.fixture(scope="module")

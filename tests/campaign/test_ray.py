@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 
@@ -12,8 +13,6 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.run import run
 from lunarsim.errors import InputError
 from tests.campaign.surrogate import plan
-
-ray = pytest.importorskip("ray", reason="needs the extra ray")
 
 
 def parts(folder):
@@ -26,8 +25,15 @@ def test_an_address_that_does_not_answer_is_refused(address):
         engine_of("ray", 1, address, None)
 
 
+def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"pip install \"lunarsim\[ray\]\""):
+        engine_of("ray", 1, None, None)
+
+
 @pytest.mark.slow
 def test_a_node_that_is_taken_away_changes_nothing(tmp_path):
+    import ray
     from ray.cluster_utils import Cluster
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})

@@ -10,21 +10,10 @@ from lunarsim.models.lander import STANDARD_GRAVITY
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.recorder import Tap
+from tests.worlds import SMALL_FLIGHT
 
 JETS = {"kind": "jet-lander"}
 PHASE_PLANE = {"kind": "phase-plane"}
-SMALL = {
-    "name": "small",
-    "terrain": {"size_m": 80.0},
-    "rocks": {"cover": 0.04, "min_diameter_m": 0.3},
-    "target": {"scatter_m": [15.0, 15.0]},
-    "sensors": {
-        "imu": {"kind": "imu"},
-        "fix": {"kind": "navigation-fix"},
-        "flash": {"kind": "flash-lidar", "rows": 96, "cols": 96},
-    },
-    "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}},
-}
 # The last row of the small flight as the version without thrusters flew it.
 UNCHANGED = {
     "time": 37.72000000000027, "position_x": -1.3953257878056657,
@@ -38,7 +27,7 @@ UNCHANGED = {
 
 @pytest.fixture(scope="module")
 def small():
-    return Scenario.from_dict(SMALL)
+    return Scenario.from_dict(SMALL_FLIGHT)
 
 
 def flown(scenario, seed=3, tap=None, **tables):

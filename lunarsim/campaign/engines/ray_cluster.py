@@ -54,6 +54,8 @@ class RayEngine:
     asks_to_halt = True
 
     def __init__(self, address: str | None, jobs: int, time_limit: float | None = None) -> None:
+        if address is not None:
+            _check_answers(address)
         try:
             import ray  # noqa: PLC0415  (an extra)
         except ImportError:
@@ -61,8 +63,6 @@ class RayEngine:
                 "--engine", "ray", 'local, or Ray installed: pip install "lunarsim[ray]"'
             ) from None
         self._ray: Any = ray
-        if address is not None:
-            _check_answers(address)
         self.address, self.jobs, self.time_limit = address, jobs, time_limit
 
     def fly(
