@@ -203,6 +203,8 @@ class GaussianDemMapper(HazardMapper):
         self._time = time
 
     def _draw(self, dem: PooledDem) -> HazardMap:
+        if not len(dem.sampling.rises):
+            return HazardMap.unobserved(self.grid)
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
         map_of = (seen, dem.variance, self.grid, self.lander)
         if self.safety == "calibrated":

@@ -98,15 +98,16 @@ class SamplePool:
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
         check_heights(cloud)
-        if self.base is None:
-            self.base = base_height(cloud)
+        base = base_height(cloud) if self.base is None else self.base
         g = self.grid
         own = np.zeros(g.shape)
         count = k.pool(
-            cloud, self.base, np.maximum(noise, _LEAST_SIGMA), apart, (g.x0, g.y0, g.posting),
+            cloud, base, np.maximum(noise, _LEAST_SIGMA), apart, (g.x0, g.y0, g.posting),
             self.centroid, self.splat, own, self.spacing,
         )  # fmt: skip
         np.maximum(self.splat[..., 0], own, out=self.splat[..., 0])
+        # A cloud beside the grid leaves it as empty as it was.
+        self.base = base if own.any() else self.base
         return int(count)
 
     def about(self, centre: ArrayLike) -> SamplePool:
@@ -133,7 +134,7 @@ class SamplePool:
         cols, from_cols = _overlap(g.cols, int(by[0]))
         for name in ("centroid", "splat", "spacing"):
             getattr(out, name)[rows, cols] = getattr(self, name)[from_rows, from_cols]
-        out.base = self.base if out.centroid[..., 0].any() else None
+        out.base = self.base if out.splat[..., 1].any() else None
         return out
 
     def turned(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
@@ -177,6 +178,7 @@ class SamplePool:
         splat[:, 2] += splat[:, 1] * (new[:, 2] - old[:, 2])
         np.add.at(out.splat[..., 1:], at, splat[keep, 1:])
         np.maximum.at(out.splat[..., 0], at, splat[keep, 0])
+        out.base = self.base if out.splat[..., 1].any() else None
         return out
 
     def with_those_of(self, other: SamplePool) -> SamplePool:

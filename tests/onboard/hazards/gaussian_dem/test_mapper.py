@@ -21,13 +21,14 @@ LIDAR = FlashLidar(rows=32, cols=32)
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def flash(mapper: GaussianDemMapper, east: float = 0.0) -> None:
+def flash(mapper: GaussianDemMapper, east: float = 0.0, tilt_sigma: float = 1.0) -> None:
     """Look straight down on level ground from 50 m."""
     down = LIDAR.directions()
     mount = np.diag([1.0, -1.0, -1.0])
     scan = LidarScan(0.0, 50.0 / down[:, 2], down, mount, np.full(len(down), 0.01), (32, 32))
     here = np.array([east, 0.0, 50.0])
-    mapper.update(scan, Estimate(0.0, here, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, np.eye(9)))
+    own = np.diag([1.0] * 6 + [tilt_sigma**2] * 3)
+    mapper.update(scan, Estimate(0.0, here, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, own))
 
 
 def test_a_map_is_drawn_once_an_interval():
@@ -69,6 +70,23 @@ def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
     gone = np.array(sorted(before - after)).reshape(-1, 3)
     assert ((gone[:, 0] < west) | (gone[:, 1] > north)).all()
     assert len(after) > 50
+
+
+@pytest.mark.parametrize("safety", ["calibrated", "level", "planes"])
+@pytest.mark.parametrize("beside", [0.1, 100.0])
+def test_a_map_whose_returns_all_fell_beside_it_has_seen_nothing(beside, safety):
+    mapper = GaussianDemMapper(GRID, Lander(), safety=safety)
+    # The nearest row of returns lies on the outer half of the cells' rim, or far off.
+    down = LIDAR.directions()
+    east = GRID.extent[1] + beside - 50.0 * (down[:, 0] / down[:, 2]).min()
+    flash(mapper, east, tilt_sigma=np.deg2rad(1.0))
+    assert not mapper.hazard_map().observed.any()
+    mapper.level(np.eye(3), np.zeros(3), np.deg2rad(1.0))
+    after = mapper.hazard_map()
+    assert not after.observed.any()
+    assert (after.p_safe == 0.0).all()
+    assert len(mapper.pool.vertices()[0]) == 0
+    assert mapper.blank == (beside > 1.0)
 
 
 @pytest.mark.parametrize("interval", [-1.0, np.nan, np.inf])
