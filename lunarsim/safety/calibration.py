@@ -58,6 +58,7 @@ COUNT = FREE + RISING
 # See `ceiling`.
 _ODDS = 4.0
 _LEFT_OF_SLOPE = np.array([[0.94, 0.96], [1.0, 0.85]])
+_UNDER_PADS = 2.0
 # In the domain at most so many hazards stand unseen in a footprint, and so many rocks, or holes,
 # under the pads that would tilt the lander over its limit.
 MOST_HAZARDS = 0.003
@@ -336,11 +337,14 @@ def ceiling(evidence: Evidence) -> Array:
 
     Sums of evidence let much that is good make up for one thing that is fatal. Where the support
     planes give slope or roughness less than one chance in so many, that is all there is. Just under
-    the limit of the slope no fit has seen enough ground to call any surely safe.
+    the limit of the slope no fit has seen enough ground to call any surely safe. On a slope a rock
+    under a pad need not be high to tilt the lander too far: what is left is the chance that none
+    of twice as many as may be there unseen is.
     """
     e = evidence
     least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
-    return np.asarray(np.minimum(np.interp(e.slope, *_LEFT_OF_SLOPE), _ODDS * least))
+    seen = np.minimum(np.interp(e.slope, *_LEFT_OF_SLOPE), _ODDS * least)
+    return np.asarray(np.minimum(seen, np.exp(-_UNDER_PADS * e.tilting())))
 
 
 def bound(evidence: Evidence) -> Array:

@@ -184,12 +184,28 @@ def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
 def test_just_under_the_limit_of_the_slope_nothing_is_surely_safe():
     good = {"rough": 0.05, "level": 6.0, "planes": 6.0, "curve": rocky(0.001)}
     told = [
-        calibrated_safety(evidence(**good, slope=s), fits_of(6.0))[0].max() for s in (0.92, 0.97)
+        calibrated_safety(evidence(**good, slope=s), fits_of(6.0))[0].max() for s in (0.8, 0.97)
     ]
     assert told[0] > 0.99
     # All the rest says that it is safe; no rocks can be unseen.
     assert told[1] <= 0.85 + 1e-6
     assert not calibrated_safety(evidence(**good, slope=0.97), fits_of(6.0))[1].any()
+
+
+def test_on_a_slope_it_is_at_most_the_chance_that_no_unseen_rock_lies_under_a_pad():
+    good = {"rough": 0.05, "level": 6.0, "planes": 6.0}
+    expected = [1e-4, 0.01, 0.1]
+    for tilting in expected:
+        e = evidence(**good, slope=0.9)
+        share = e.curve.share * tilting / e.tilting().max()
+        e = replace(e, curve=HeightCurve(e.curve.height, share))
+        assert e.tilting() == pytest.approx(tilting, rel=1e-6)
+        p, claimed = calibrated_safety(e, fits_of(9.0))
+        most = np.exp(-2.0 * tilting)
+        assert p == pytest.approx(
+            min(1.0 - UNTOLD, most) * (1.0 if most > SURE else SURE), abs=1e-3
+        )
+        assert (claimed == (most > SURE)).all()
 
 
 def test_unobserved_ground_is_not_safe():
