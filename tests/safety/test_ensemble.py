@@ -13,6 +13,7 @@ from scipy.special import expit
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.bends import Term, columns
+from lunarsim.safety.calibration import FARTHER
 from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, UNTOLD, Ensemble, Odds, cautious
 from lunarsim.safety.logistic import Logistic
 
@@ -69,6 +70,17 @@ def test_where_nothing_is_claimed_nothing_is_surely_safe(low, most, least, margi
         q, beyond = (cautious(*said, np.array([known]), margin)[0] for known in (True, False))
         assert max(q, beyond) <= p
         assert beyond <= doubted
+
+
+def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
+    # One site of 250 unsafe: none of 750 shows it in one case of twenty.
+    hidden = (1.0 - UNTOLD) ** 750
+    assert hidden == pytest.approx(0.05, abs=0.001)
+    # Odds of being unsafe: doubled where claimed, twelve times near the domain of the packaged fit.
+    even = Odds(np.zeros(1), np.zeros(1)).verdict(np.ones(1)).p
+    assert even == pytest.approx((1.0 - UNTOLD) / 3.0)
+    near = cautious(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), FARTHER)
+    assert near == pytest.approx(SURE * (1.0 - UNTOLD) / 13.0)
 
 
 def test_what_one_world_decides_is_not_agreed_on():

@@ -144,6 +144,13 @@ def test_a_gap_of_four_spacings_is_one_and_of_two_is_none():
     assert not gaussian_dem(hole(points, 2.0 - 1e-6), grid, spacing=0.5).observed[middle]
 
 
+@pytest.mark.parametrize(("spacing", "seen"), [(1.0, True), (0.999, False)])
+def test_an_edge_of_three_spacings_is_the_longest_that_is_no_gap(spacing, seen):
+    corners = np.array([[-1.5, -0.5, 0.0], [1.5, -0.5, 0.0], [0.0, 1.0, 0.0]])
+    dem = gaussian_dem(corners, GRID, spacing=spacing)
+    assert dem.observed[GRID.cell(np.array([0.0, 0.0]))] == seen
+
+
 def test_image_order_changes_nothing_on_open_ground():
     rng = np.random.default_rng(3)
     x, y = np.meshgrid(np.linspace(-5, 5, 40), np.linspace(5, -5, 40))

@@ -155,6 +155,36 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
     assert mapper.hazard_map().elevation is not None
 
 
+def test_a_turn_by_nothing_leaves_samples_as_they_were():
+    pool = SamplePool(GRID)
+    rng = np.random.default_rng(1)
+    points = np.column_stack((rng.uniform(-3.5, 3.5, (150, 2)), rng.normal(2.0, 0.2, 150)))
+    pool.add(points, 0.02, rng.uniform(0.1, 0.6, 150))
+    same = pool.turned(np.eye(3), np.array([1.0, -2.0, 3.0]))
+    assert same.base == pool.base
+    assert np.array_equal(same.spacing, pool.spacing)
+    assert same.centroid == pytest.approx(pool.centroid, abs=1e-6)
+    assert same.splat == pytest.approx(pool.splat, abs=1e-6)
+    # Cells that come to lie on one another are measured as well as the better of them.
+    eighth = quat_to_matrix(quat_from_rotation_vector([0.0, 0.0, 0.25 * np.pi]))
+    assert pool.turned(eighth, np.zeros(3)).splat[..., 0].max() <= pool.splat[..., 0].max()
+
+
+def test_corners_hit_by_two_pools_are_measured_no_better_than_by_the_better_of_them():
+    # A return on the edge of four cells gives each a quarter of its weight, which measures none.
+    one, other = SamplePool(GRID), SamplePool(GRID)
+    x, y = GRID.centres()[4, 4] + 0.5 * GRID.posting
+    near = np.array([[x, y, 0.0], [x + 1.5, y, 0.1], [x, y + 1.5, 0.2]])
+    one.add(near, 0.01, 0.5)
+    other.add(near + [0.0, 0.0, 0.01], 0.01, 0.5)
+    both = one.with_those_of(other)
+    assert both.splat[4, 4] == pytest.approx([0.25, 5000.0, both.splat[4, 4, 2], 1250.0])
+    # Twice in one call it is half, which measures it just not.
+    one.add(np.repeat(near, 2, axis=0), 0.01, 0.5)
+    assert one.splat[4, 4, 0] == pytest.approx(0.5)
+    assert one.turned(np.eye(3), np.zeros(3)).splat[4, 4, 0] == pytest.approx(0.5)
+
+
 def test_masked_samples_are_none():
     points = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 3))
     mask = np.zeros(points.shape, bool)

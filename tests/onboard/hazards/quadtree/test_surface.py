@@ -122,6 +122,15 @@ def test_ground_beside_a_patch_seen_often_is_as_well_seen_as_without_it(density)
     assert seen.gap[outside].mean() < 0.001
 
 
+def test_coarse_ground_between_patches_is_judged_by_what_lies_near_it():
+    rng = np.random.default_rng(17)
+    coarse = scattered(rng, 40 * 164)
+    strips = scattered(rng, 600 * 164)
+    strips = strips[np.abs(strips[:, 0]) > 2.4]
+    seen = sampling(mapped(np.concatenate((coarse, strips))))
+    assert seen.gap[np.abs(seen.grid.centres()[..., 0]) < 0.6].mean() < 0.001
+
+
 def test_density_is_that_of_a_plain_count():
     rng = np.random.default_rng(8)
     points = scattered(rng, 5000, 9.0)
