@@ -60,6 +60,26 @@ class RockExpectation(RockModel):
 
     cover: float = quantity(0.05, gt=0, le=0.2, help="fraction k of ground under rocks")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.cover <= 0.2:
+            raise InputError("rocks.cover", self.cover, "more than 0 and at most 0.2")
+
+    @classmethod
+    def given(cls, rocks: RockExpectation | None) -> RockExpectation:
+        """Return what is expected, the defaults for None.
+
+        Raises
+        ------
+        InputError
+            If it is something else.
+        """
+        if rocks is None:
+            return cls()
+        if not isinstance(rocks, cls):
+            raise InputError("rocks", rocks, "a RockExpectation, or None for its defaults")
+        return rocks
+
     def model(self) -> RockModel:
         """Return how the rocks are thought to be shaped and how deep they sit."""
         burial = (0.0, 0.0) if self.shape == "hemisphere" else self.burial

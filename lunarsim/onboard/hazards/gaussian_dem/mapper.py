@@ -22,7 +22,12 @@ from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety import (
+    bounded_safety,
+    footprint_of,
+    plane_stochastic_safety,
+    stochastic_safety,
+)
 from lunarsim.safety.calibration import Evidence, calibrated_safety, measured
 from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import depth_curve, height_curve
@@ -130,7 +135,8 @@ class GaussianDemMapper(HazardMapper):
     Raises
     ------
     InputError
-        If there is no such `safety`, or `refit` is not for it or for this lander.
+        If there is no such `safety`, or `refit` is not for it or for this lander; if the lander has
+        no footprint on such cells; if `rocks` are none.
     """
 
     def __init__(
@@ -143,7 +149,8 @@ class GaussianDemMapper(HazardMapper):
         refit: ScenarioCalibration | None = None,
         interval: float = 0.0,
     ) -> None:
-        if safety not in ("calibrated", "level", "planes"):
+        footprint_of(lander, grid.posting)
+        if not isinstance(safety, str) or safety not in ("calibrated", "level", "planes"):
             raise InputError("safety", safety, "calibrated, level or planes")
         if refit is not None:
             if safety != "calibrated":
@@ -155,7 +162,7 @@ class GaussianDemMapper(HazardMapper):
         self.lander = lander
         self.refit = refit
         self.safety = safety
-        self.rocks = rocks or RockExpectation()
+        self.rocks = RockExpectation.given(rocks)
         self._samples, self._turning = SamplePool(grid), SamplePool(grid)
         self._early = EarlyGround()
         self._map = HazardMap.unobserved(grid)

@@ -103,7 +103,7 @@ class QuadtreeMapper(HazardMapper):
     Raises
     ------
     InputError
-        If the interval is negative or not finite.
+        If the interval is negative or not finite, or `rocks` are none.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class QuadtreeMapper(HazardMapper):
         self._lander = lander or Lander()
         self._lay(grid, elevation)
         self._target = np.array(grid.centre)
-        self._rocks = rocks or RockExpectation()
+        self._rocks = RockExpectation.given(rocks)
         self._interval = interval
         self._early, self._unsure = EarlyGround(), 0
         self._refreshed = -np.inf

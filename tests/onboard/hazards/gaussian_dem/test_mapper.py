@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,9 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.early_ground import EarlyGround
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.navigation import Estimate
+from lunarsim.rocks.population import RockExpectation
 from lunarsim.sensors.lidar import FlashLidar
 
 GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
@@ -95,7 +99,23 @@ def test_impossible_intervals_are_refused(interval):
         GaussianDemMapper(GRID, Lander(), interval=interval)
 
 
-@pytest.mark.parametrize("safety", ["typo", "", None, "Calibrated", ["calibrated"]])
+@pytest.mark.parametrize("make", [GaussianDemMapper, QuadtreeMapper])
+def test_what_is_no_expectation_of_rocks_is_refused(make):
+    with pytest.raises(InputError, match="rocks = 'many': a RockExpectation"):
+        make(GRID, lander=Lander(), rocks="many")
+    for cover in (np.nan, 0.0, -1.0, 0.5):
+        with pytest.raises(InputError, match=r"rocks\.cover .* more than 0 and at most 0.2"):
+            RockExpectation(cover=cover)
+
+
+def test_a_lander_larger_than_any_map_is_refused_before_it_is_drawn():
+    with pytest.raises(InputError, match="leg_radius"):
+        GaussianDemMapper(GRID, replace(Lander(), leg_radius=1e4))
+
+
+@pytest.mark.parametrize(
+    "safety", ["typo", "", None, "Calibrated", ["calibrated"], np.array("level")]
+)
 def test_a_safety_that_there_is_not_is_refused(safety):
     with pytest.raises(InputError, match="calibrated, level or planes"):
         GaussianDemMapper(GRID, Lander(), safety=safety)
