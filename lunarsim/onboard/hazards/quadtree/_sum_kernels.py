@@ -234,3 +234,16 @@ def add_to_many(tree, leaf, first, last, found):
         tree.apart[i] = False
         add_point(s, x, y, np.float64(tree.xyz[i, 2]))
     return found
+
+
+@kernel()
+def count_in_squares(xyz, half, side, count):
+    """Add to `count` (n, n) how many points fall into each square of a map about (0, 0).
+
+    The map reaches to `half` each way; what lies beyond it, by rounding, counts at its edge.
+    """
+    last = count.shape[0] - 1
+    for k in range(xyz.shape[0]):
+        col = min(max(np.int64((xyz[k, 0] + half) / side), 0), last)
+        row = min(max(np.int64((xyz[k, 1] + half) / side), 0), last)
+        count[row, col] += 1

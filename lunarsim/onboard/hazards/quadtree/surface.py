@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.quadtree._sum_kernels import count_in_squares
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 
 Array = NDArray[np.float64]
@@ -113,9 +114,9 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
     wide = 1 << quadtree.depth_of(_FINE)
     posting = quadtree.side / wide
     grid = Grid.centred(quadtree.centre[:2], quadtree.side, posting)
-    xy = quadtree.tree.xyz[: quadtree.count, :2]
-    col, row = np.clip(((xy + 0.5 * quadtree.side) / posting).astype(np.int64).T, 0, wide - 1)
-    count = np.bincount(row * wide + col, minlength=wide * wide).reshape(wide, wide)
+    points, half = quadtree.tree.xyz[: quadtree.count], np.float32(0.5 * quadtree.side)
+    count = np.zeros((wide, wide), np.int64)
+    count_in_squares(points, half, np.float32(posting), count)
     window = max(1, min(wide, round(_WINDOW / posting)))
     mean = ndimage.uniform_filter(count.astype(np.float64), window, mode="constant")
     # What lies on both sides of a hole, not in it, tells what to expect there: what a scan covers
@@ -135,9 +136,12 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
         # Expected by what lies about the middle of a rectangle.
         here = about[high // 2 :, across // 2 :][: wide - high + 1, : wide - across + 1]
         empty = (inside == 0) & (here * high * across >= _EXPECTED)
+        # All squares of an empty rectangle: its rows, then its columns.
+        tall = np.zeros((wide, empty.shape[1]), np.bool_)
         for i in range(high):
-            for j in range(across):
-                gap[i : i + empty.shape[0], j : j + empty.shape[1]] |= empty
+            tall[i : i + empty.shape[0]] |= empty
+        for j in range(across):
+            gap[:, j : j + empty.shape[1]] |= tall
     return Sampling(grid, gap, mean / posting**2)
 
 
