@@ -56,6 +56,22 @@ def rotated_back(q, v, out):
 
 
 @kernel()
+def points_along(position, rotation, direction, reach):
+    """Return the points (n, 3) at distances (n,) from a position (3,) along rays.
+
+    `direction` (n, 3) are the rays in axes from which `rotation` (3, 3) leads to those of the
+    position.
+    """
+    out = np.empty(direction.shape)
+    for i in range(len(direction)):
+        x, y, z = direction[i, 0], direction[i, 1], direction[i, 2]
+        for k in range(3):
+            ray = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+            out[i, k] = position[k] + reach[i] * ray
+    return out
+
+
+@kernel()
 def along_thrust(direction, heading):
     """Return the quaternion whose body z is along `direction` and body x near `heading`."""
     z = direction / np.sqrt(np.sum(direction * direction))

@@ -94,17 +94,17 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """Return the product ``p q`` (rotate by q, then by p), each (..., 4) scalar last."""
     p = np.asarray(p, dtype=np.float64)
     q = np.asarray(q, dtype=np.float64)
-    px, py, pz, pw = np.moveaxis(p, -1, 0)
-    qx, qy, qz, qw = np.moveaxis(q, -1, 0)
-    return np.stack(
-        (
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-            pw * qw - px * qx - py * qy - pz * qz,
-        ),
-        axis=-1,
+    # One attitude at a time is what onboard software asks for, thousands of times a second.
+    one = p.shape == q.shape == (4,)
+    px, py, pz, pw = p.tolist() if one else np.moveaxis(p, -1, 0)
+    qx, qy, qz, qw = q.tolist() if one else np.moveaxis(q, -1, 0)
+    parts = (
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+        pw * qw - px * qx - py * qy - pz * qz,
     )
+    return np.array(parts) if one else np.stack(parts, axis=-1)
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
@@ -114,13 +114,15 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 def quat_to_matrix(q: ArrayLike) -> Array:
     """Return the direction cosine matrix (..., 3, 3), body to ENU, of unit quaternions."""
-    x, y, z, w = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    q = np.asarray(q, dtype=np.float64)
+    one = q.shape == (4,)
+    x, y, z, w = q.tolist() if one else np.moveaxis(q, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.array(rows) if one else np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:

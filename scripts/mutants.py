@@ -48,11 +48,15 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/hazards/shadows/test_probability_map.py",
         "tests/onboard/hazards/shadows/test_probability.py",
     ),
+    "lunarsim/onboard/navigation/_ground_kernels.py": (
+        "tests/onboard/navigation/test_ground_kernels.py",
+    ),
     "lunarsim/onboard/navigation/_inertial_kernels.py": (
         "tests/onboard/navigation/test_inertial.py",
     ),
     "lunarsim/onboard/navigation/_registration_kernels.py": (
         "tests/onboard/navigation/test_registration.py",
+        "tests/onboard/navigation/test_seen_scan.py",
     ),
     "lunarsim/onboard/navigation/_rock_filter_kernels.py": (
         "tests/onboard/navigation/test_rock_filter.py",

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._frame_kernels import points_along
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.camera import CameraModel
 
@@ -112,10 +114,17 @@ class LidarScan:
         ----------
         position, attitude
             Pose of the lander, (3,) and (4,).
+
+        Raises
+        ------
+        InputError
+            If there are not as many ranges as rays.
         """
-        rotation = quat_to_matrix(attitude) @ self.mount
-        rays = np.einsum("...ij,...j->...i", rotation, self.direction)
-        return np.asarray(position + self.range[:, None] * rays)
+        count = np.shape(self.direction)[:1]
+        if np.shape(self.range) != count:
+            raise InputError("scan.range", np.shape(self.range), f"one a ray {count}")
+        parts = (position, quat_to_matrix(attitude) @ self.mount, self.direction, self.range)
+        return np.asarray(points_along(*(np.ascontiguousarray(of, np.float64) for of in parts)))
 
     def height_sigma(self, attitude: Array) -> Array:
         """Return the standard deviation of the returns' heights (rows * cols,), m.

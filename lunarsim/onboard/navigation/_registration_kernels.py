@@ -1,4 +1,4 @@
-"""Compiled averaging of a scan over the posts of a map."""
+"""Compiled averaging of a scan over the posts of a map, and how its points err."""
 
 from __future__ import annotations
 
@@ -108,3 +108,45 @@ def surface(col, row, mean, x0, y0, posting, centre_tolerance):
         height[i] = mean[i, 2] + slope[i, 0] * (x - mean[i, 0]) + slope[i, 1] * (y - mean[i, 1])
         good[i] = True
     return height, slope, good
+
+
+@kernel()
+def scan_jacobian(points, normals, position, rotation, aim, velocity, rate):
+    """Return how points (m, 3) of a scan move along vectors (m, 3) with its errors (m, 11).
+
+    Errors: position, small rotation (body axes), range, boresight (sensor axes), latency.
+
+    Parameters
+    ----------
+    points, normals
+        Of equal shape.
+    position, velocity
+        Of the lander (3,), (3,), the frame of the points.
+    rotation, aim
+        To that frame from body and from sensor axes (3, 3).
+    rate
+        Body rate (3,), rad/s.
+    """
+    out = np.empty((len(points), 11))
+    away, turn = np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        reach = along = late = 0.0
+        for k in range(3):
+            away[k] = points[i, k] - position[k]
+            reach += away[k] * away[k]
+            along += away[k] * normals[i, k]
+            late += velocity[k] * normals[i, k]
+            out[i, k] = normals[i, k]
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            turn[k] = away[a] * normals[i, b] - away[b] * normals[i, a]
+        for k in range(3):
+            body = sensor = 0.0
+            for j in range(3):
+                body += turn[j] * rotation[j, k]
+                sensor += turn[j] * aim[j, k]
+            out[i, 3 + k], out[i, 7 + k] = body, sensor
+            late += body * rate[k]
+        out[i, 6] = along / max(np.sqrt(reach), 1e-9)
+        out[i, 10] = -late
+    return out

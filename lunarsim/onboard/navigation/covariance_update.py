@@ -27,7 +27,7 @@ def subtract_square(p: Array, w: Array) -> None:
     threads, and are the same however many there are.
     """
     if len(w) == 1:
-        with threads_for(1e-3 * len(p) ** 2):
+        with threads_for(4e-4 * len(p) ** 2):
             subtract_outer(p, w[0])
         return
     n = len(p)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.blas import dtrsm
-from scipy.stats import chi2
+from scipy.special import chdtrc
 from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
@@ -326,7 +326,7 @@ class ErrorState:
             # Rounding has eaten the covariance: nothing can be told from it any more.
             return Outcome(np.inf, k, False)
         distance = float(white @ white)
-        if not (distance <= gate and chi2.sf(distance, max(degrees, 1)) >= chance):
+        if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= chance):
             return Outcome(distance, degrees, False)
         w = solve_triangular(lower, hp, lower=True, check_finite=False)
         error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w

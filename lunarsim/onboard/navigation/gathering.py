@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_to_matrix
+from lunarsim.onboard.navigation import _ground_kernels as kernels
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.submap import Submap
 
@@ -44,7 +45,7 @@ class Gathering:
         What was gathered is seen from where the lander is now: the frame hangs on the ground.
         """
         points = seen.points()
-        if posts_under(points, self._posting) >= self._enough:
+        if posts_under(points, self._posting, self._enough) == self._enough:
             return seen
         if self._submap is None or time - self._since > self._longest:
             self._submap, self._since = Submap(0.0, 0.0, self._posting / _SQUARES), time
@@ -61,11 +62,11 @@ class Gathering:
         return replace(seen, scan=scan)
 
 
-def posts_under(points: Array, posting: float) -> int:
-    """Return how many posts points (n, 3) lie on, NaN for none."""
-    xy = points[np.isfinite(points[:, 0]), :2]
-    if len(xy) == 0:
-        return 0
-    # A map of the whole scan would be too large only where it grazes the ground.
+def posts_under(points: Array, posting: float, most: int = 1 << 40) -> int:
+    """Return how many posts points (n, 3) lie on, NaN for none; `most` once they are so many."""
+    count = int(kernels.squares_under(np.ascontiguousarray(points), posting, most))
+    if count >= 0:
+        return count
+    xy = points[np.isfinite(points[:, :2]).all(axis=1), :2]
     place = np.floor((xy - xy.min(axis=0)) / posting)
-    return len(np.unique(place @ (1.0, 1e7)))
+    return min(len(np.unique(place @ (1.0, 1e7))), most)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.error_state import KEY, ErrorState
+from lunarsim.onboard.navigation.error_state import BLAS, KEY, ErrorState
 from lunarsim.onboard.navigation.estimate import (
     Estimate,
     GroundTurn,
@@ -176,11 +177,18 @@ class Navigator(Navigation):
             self.events.append(NavigationEvent(time, name, details))
         if measurement is None:
             return
-        if isinstance(measurement, LidarScan):
+        scan = isinstance(measurement, LidarScan)
+        if scan:
             measurement = plausible(measurement)
             if not np.isfinite(width_of(measurement)):
                 return
             self._hang(sensor, measurement)
+        # Products of a scan are too small to share: threads that wait for them cost as much again.
+        with BLAS.limit(limits=1, user_api="blas") if scan else nullcontext():
+            self._offer(sensor, measurement, time)
+
+    def _offer(self, sensor: str, measurement: Any, time: float) -> None:
+        """Offer a measurement to the parts in their order."""
         used = False
         for part in self.parts:
             used = part.take(sensor, measurement, time, used=used) or used

@@ -47,6 +47,11 @@ def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Si
     by_body = by_seen @ camera.mount.T
     by_point = by_body @ rotation.T
     # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
-    by_attitude = np.cross(by_body, body[:, None, :])
+    by_attitude = np.empty_like(by_body)
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        by_attitude[..., k] = (
+            by_body[..., a] * body[:, None, b] - by_body[..., b] * body[:, None, a]
+        )
     by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
     return Sight(pixel, seen[:, 2], by_pose, by_point)

@@ -11,6 +11,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_ma
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.instruments import LidarInstrument
+from lunarsim.onboard.navigation import _registration_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.surface import Surface, surface_of
 
@@ -18,7 +19,6 @@ Array = NDArray[np.float64]
 
 # Errors of a scan: position (ENU, m), small rotation (body axes), then the scanner's: range (m),
 # boresight (small rotation, sensor axes, rad), latency (s).
-ERRORS = 11
 SCANNER = slice(6, 11)
 # No scanner is known better than this, whatever is said of it, m, rad, s. Claims beyond it make an
 # error that nobody told of look like one of pose, and nothing then contradicts it.
@@ -106,8 +106,7 @@ class SeenScan:
 
     def point_jacobian(self, point: Array) -> Array:
         """Return how a point of it (3,) moves with its errors (3, 11)."""
-        ways = np.eye(3)
-        return np.vstack([self.jacobian(point[None], way[None])[0] for way in ways])
+        return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
 
     def jacobian(self, points: Array, normals: Array) -> Array:
         """Return how points (m, 3) move along vectors (m, 3) with its errors (m, 11).
@@ -115,14 +114,9 @@ class SeenScan:
         With normals (-dz/dx, -dz/dy, 1): the surface's height over fixed places.
         """
         rotation = quat_to_matrix(self.attitude)
-        away = points - self.position
-        turn = np.cross(away, normals)
-        body = turn @ rotation
-        out = np.empty((len(points), ERRORS))
-        out[:, 0:3] = normals
-        out[:, 3:6] = body
-        reach = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
-        out[:, 6] = np.einsum("ij,ij->i", away, normals) / reach
-        out[:, 7:10] = turn @ (rotation @ self.scan.mount)
-        out[:, 10] = -(normals @ self.velocity) - body @ self.rate
-        return out
+        return np.asarray(
+            kernels.scan_jacobian(
+                np.ascontiguousarray(points), np.ascontiguousarray(normals), self.position,
+                rotation, rotation @ self.scan.mount, self.velocity, self.rate,
+            )
+        )  # fmt: skip

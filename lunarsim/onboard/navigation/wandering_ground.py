@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+
+from lunarsim.onboard.navigation import _ground_kernels as kernels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,8 +60,13 @@ def _lengths(way: Array) -> Array:
 
 
 def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
-    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2)."""
-    k = min(NEIGHBOURS, len(places))
-    nearest = np.asarray(cKDTree(places).query(at, k)[1]).reshape(len(at), k)
-    weights, _ = kriging(places[nearest], at, growth)
-    return np.asarray(np.einsum("bk,bk->b", weights, known[nearest]))
+    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2).
+
+    NaN at points that are not finite.
+    """
+    return np.asarray(
+        kernels.heights(
+            np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
+            np.ascontiguousarray(at, np.float64), min(NEIGHBOURS, len(places)), float(growth), _OWN,
+        )
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import Outcome
@@ -182,7 +182,7 @@ class Watch:
         taken = [o for o in every if o.taken]
         degrees = sum(o.degrees for o in taken) / s.correlation
         total = sum(o.nis for o in taken) / s.correlation
-        return degrees > 0.0 and bool(chi2.sf(total, degrees) < s.chance)
+        return degrees > 0.0 and bool(chdtrc(degrees, total) < s.chance)
 
     def _drifts(self, time: float, outcome: Outcome) -> bool:
         """Tell whether innovations lie to one side: a mean that forgets, in its own deviations."""

@@ -67,3 +67,9 @@ def test_old_scans_are_left_out():
 
 def test_nothing_covers_nothing():
     assert posts_under(np.full((5, 3), np.nan), 1.0) == 0
+
+
+def test_posts_of_a_scan_that_grazes_the_ground_are_counted_too():
+    far = np.array([[0.0, 0.0, 0.0], [0.4, 0.3, 0.0], [1e5, 1e5, 0.0], [1e5, np.nan, 0.0]])
+    assert posts_under(far, 1.0) == 2
+    assert posts_under(far, 1.0, 1) == 1

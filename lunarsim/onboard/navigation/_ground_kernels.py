@@ -1,0 +1,127 @@
+"""Compiled ordinary kriging of heights, and posts that a scan lies on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+
+@kernel()
+def _nearest(places, x, y, chosen, away):
+    """Write which of the places (n, 2) lie nearest to a point, nearest first.
+
+    As many as `chosen` (k,) and `away` (k,), the squares of their distances, hold.
+    """
+    k = chosen.size
+    count = 0
+    for i in range(len(places)):
+        dx, dy = places[i, 0] - x, places[i, 1] - y
+        d = dx * dx + dy * dy
+        if count == k and not d < away[k - 1]:
+            continue
+        at = count if count < k else k - 1
+        count = min(count + 1, k)
+        while at > 0 and d < away[at - 1]:
+            away[at], chosen[at] = away[at - 1], chosen[at - 1]
+            at -= 1
+        away[at], chosen[at] = d, i
+
+
+@kernel()
+def _solve(a, b):
+    """Solve a x = b by elimination with the greatest pivot of a column; x is left in b (n,)."""
+    n = b.size
+    for c in range(n):
+        best = c
+        for r in range(c + 1, n):
+            if abs(a[r, c]) > abs(a[best, c]):
+                best = r
+        if best != c:
+            b[c], b[best] = b[best], b[c]
+            for j in range(c, n):
+                a[c, j], a[best, j] = a[best, j], a[c, j]
+        for r in range(c + 1, n):
+            share = a[r, c] / a[c, c]
+            b[r] -= share * b[c]
+            for j in range(c + 1, n):
+                a[r, j] -= share * a[c, j]
+    for c in range(n - 1, -1, -1):
+        for j in range(c + 1, n):
+            b[c] -= a[c, j] * b[j]
+        b[c] /= a[c, c]
+
+
+@kernel()
+def heights(places, known, at, count, growth, own):
+    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2).
+
+    Parameters
+    ----------
+    places, known, at
+        n at least `count`.
+    count
+        Neighbours that count.
+    growth, own
+        The variance of the difference of two heights: by how much it grows with a metre between
+        them, m^2/m, and half of what it is side by side, as a standard deviation, m.
+    """
+    out = np.empty(len(at))
+    chosen = np.empty(count, np.int64)
+    away = np.empty(count)
+    system = np.empty((count + 1, count + 1))
+    weights = np.empty(count + 1)
+    for b in range(len(at)):
+        if not (np.isfinite(at[b, 0]) and np.isfinite(at[b, 1])):
+            out[b] = np.nan
+            continue
+        _nearest(places, at[b, 0], at[b, 1], chosen, away)
+        for i in range(count):
+            for j in range(count):
+                dx = places[chosen[i], 0] - places[chosen[j], 0]
+                dy = places[chosen[i], 1] - places[chosen[j], 1]
+                system[i, j] = 0.5 * growth * np.sqrt(dx * dx + dy * dy) + own * own
+            system[i, i] = 0.0
+            system[i, count] = system[count, i] = 1.0
+            weights[i] = 0.5 * growth * np.sqrt(away[i]) + own * own
+        system[count, count] = 0.0
+        weights[count] = 1.0
+        _solve(system, weights)
+        total = 0.0
+        for i in range(count):
+            total += weights[i] * known[chosen[i]]
+        out[b] = total
+    return out
+
+
+@kernel()
+def squares_under(points, side, most):
+    """Return on how many squares points (n, 3) lie, NaN for none; `most` once there are so many.
+
+    Squares begin at the westernmost and southernmost of the points. -1 where they would be too many
+    to count so: a scan that grazes the ground.
+    """
+    west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
+    for i in range(len(points)):
+        if np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]):
+            west, east = min(west, points[i, 0]), max(east, points[i, 0])
+            south, north = min(south, points[i, 1]), max(north, points[i, 1])
+    if not west <= east:
+        return 0
+    wide = np.floor((east - west) / side) + 1.0
+    high = np.floor((north - south) / side) + 1.0
+    if not wide * high < 4e6:
+        return -1
+    cols = int(wide)
+    seen = np.zeros(cols * int(high), np.bool_)
+    count = 0
+    for i in range(len(points)):
+        if np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]):
+            col = int(np.floor((points[i, 0] - west) / side))
+            place = int(np.floor((points[i, 1] - south) / side)) * cols + col
+            if not seen[place]:
+                seen[place] = True
+                count += 1
+                if count == most:
+                    return count
+    return count
