@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsim.campaign.cache import DiskCache
+from lunarsim.campaign.dispersions import world_of
 from lunarsim.campaign.factors import Arm, folder_name, groups_of
 from lunarsim.campaign.grounds import SHARES, Grounds
 from lunarsim.campaign.keys import GROUND_TABLES, path_of, tables_of, with_values
@@ -42,6 +43,8 @@ class Study:
         Whether the first flight of each arm is drawn.
     cache
         Where truth is kept between campaigns; None: nowhere.
+    block
+        Flights of a block of a Saltelli design, which share two worlds; 0: each has its own.
     """
 
     seed: int
@@ -50,6 +53,7 @@ class Study:
     records: str = "none"
     figures: bool = False
     cache: DiskCache | None = None
+    block: int = 0
 
 
 def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None = None) -> Plan:
@@ -65,7 +69,8 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
     inputs = {key: kind_of([v[key] for _, v in arms if key in v]) for key in keys}
     for key, law in zip(first, laws.values(), strict=True):
         inputs[key] = kind_of(law.values) if hasattr(law, "values") else "float"
-    study = Study(spec.head.seed, spec.arms, out, spec.head.records, spec.head.figures, cache)
+    head, block = spec.head, spec.dispersions.block
+    study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block)
     return Plan(
         name=spec.head.name,
         seed=spec.head.seed,
@@ -136,7 +141,7 @@ def fly_whole(
     """Fly as `fly` does; return the record, what flew it, and the metrics. Nothing is written."""
     chosen = study.arms[arm]
     scenario = with_values(chosen.scenario, group.draws, "dispersions")
-    seed = flight_seed(study.seed, group.flight)
+    seed = flight_seed(study.seed, world_of(group.flight, study.block))
     grounds = Grounds(seed, memory, study.cache)
     world, truth = grounds.world_and_truth(scenario)
     policy = chosen.policy or scenario.policy.kind
