@@ -16,6 +16,7 @@ from rich.table import Table
 from lunarsim.errors import InputError, check_output
 
 if TYPE_CHECKING:
+    from lunarsim.campaign.cache import DiskCache
     from lunarsim.campaign.spec import CampaignSpec
 
 _INTERRUPTED = 130
@@ -28,6 +29,14 @@ _JOBS = click.option(
 _OUT = click.option(
     "--out", type=_PATH, required=True,
     help="Folder for results: new, or of the same campaign, which is then gone on with.",
+)  # fmt: skip
+_CACHE = click.option(
+    "--cache", type=_PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
+    help="Folder where the truth about grounds is kept between campaigns.",
+)  # fmt: skip
+_CACHE_SIZE = click.option(
+    "--cache-size", type=click.FloatRange(min=0.0), default=4.0, show_default=True,
+    help="Of that folder at most, GiB; 0: nothing is kept. Results do not depend on it.",
 )  # fmt: skip
 _RETRY = click.option(
     "--retry-failed", is_flag=True,
@@ -86,16 +95,20 @@ def plan(spec: Path, out: Path | None) -> None:
 @click.option(
     "--address", default=None, help="Of a running Ray cluster; left out: one is started here."
 )
+@_CACHE
+@_CACHE_SIZE
 @_RETRY
 def run_command(
-    spec: Path, out: Path, engine: str, jobs: int, address: str | None, retry_failed: bool
-) -> None:
+    spec: Path, out: Path, engine: str, jobs: int, address: str | None, cache: Path | None,
+    cache_size: float, retry_failed: bool,
+) -> None:  # fmt: skip
     """Fly what SPEC (a TOML file) declares; the same command goes on with an unfinished folder."""
     from lunarsim.campaign.spec import CampaignSpec
 
     if address is not None and engine != "ray":
         raise InputError("--address", address, "nothing, or --engine ray")
-    _flown(CampaignSpec.load(spec), out, engine, jobs, address, retry_failed)
+    loaded = CampaignSpec.load(spec)
+    _flown(loaded, out, engine, jobs, address, retry_failed, (cache, cache_size))
 
 
 @click.command()
@@ -111,10 +124,12 @@ def run_command(
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @_OUT
 @_JOBS
+@_CACHE
+@_CACHE_SIZE
 @_RETRY
 def sweep(
     scenario: Path, over: tuple[str, ...], flights: int, seed: int, out: Path, jobs: int,
-    retry_failed: bool,
+    cache: Path | None, cache_size: float, retry_failed: bool,
 ) -> None:  # fmt: skip
     """Fly SCENARIO (a TOML file) under every combination of values of some of its keys.
 
@@ -130,18 +145,21 @@ def sweep(
         "seed": seed,
         "factors": parse_over(over),
     }
-    _flown(CampaignSpec.from_dict(data), out, "local", jobs, None, retry_failed)
+    spec = CampaignSpec.from_dict(data)
+    _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 
 def _flown(
-    spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool
-) -> None:
+    spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool,
+    cache: tuple[Path | None, float],
+) -> None:  # fmt: skip
     """Fly a spec behind a progress bar, and tell how it ended."""
     from lunarsim.campaign.engines import engine_of
     from lunarsim.campaign.engines.local import WorkersDieError
     from lunarsim.campaign.fly_spec import fly_spec
 
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
+    kept = _cache(*cache)
     total = spec.head.flights * len(spec.arms)
     with Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -149,7 +167,10 @@ def _flown(
     ) as bar:  # fmt: skip
         task = bar.add_task(spec.head.name, total=total)
         try:
-            ran = fly_spec(spec, flies, out, retry=retry, progress=lambda n: bar.advance(task, n))
+            ran = fly_spec(
+                spec, flies, out, retry=retry, progress=lambda n: bar.advance(task, n), cache=kept,
+                say=bar.console.print,
+            )  # fmt: skip
         except WorkersDieError as error:
             raise click.ClickException(str(error)) from None
     for note in ran.notes:
@@ -164,6 +185,15 @@ def _flown(
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
         sys.exit(_INTERRUPTED if ran.state == "interrupted" else 0)
+
+
+def _cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
+    """Return the cache of a folder, None where nothing is kept."""
+    from lunarsim.campaign.cache import opened, standard_folder
+
+    if gigabytes == 0.0:
+        return None
+    return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
 @campaign.command()
@@ -213,6 +243,44 @@ def report(folder: Path, out: Path | None) -> None:
     target = folder / "report.html" if out is None else out
     write_report(folder, target)
     click.echo(f"report in {target}")
+
+
+@campaign.command()
+@_FOLDER
+@click.option(
+    "--metric", default="safe", show_default=True,
+    help="A column of numbers, or of true and false.",
+)  # fmt: skip
+@click.option(
+    "--resamples", type=click.IntRange(min=20), default=100, show_default=True,
+    help="Of the bootstrap that gives the intervals.",
+)  # fmt: skip
+def sensitivity(folder: Path, metric: str, resamples: int) -> None:
+    """Tell which dispersions of the campaign in FOLDER a metric hangs on, with 95 % intervals.
+
+    Sobol indices where the spec said method = "saltelli"; else PAWN, the distance by which the
+    metric's distribution moves when a key is held in a tenth of its range.
+    """
+    from lunarsim.campaign.results import load_results
+    from lunarsim.campaign.sensitivity import sensitivities
+
+    for found in sensitivities(load_results(folder), metric, resamples):
+        click.echo(
+            f"{found.arm}: {found.metric}, {found.method}, {found.rows} flights"
+            + (f", {found.left_out} left out" if found.left_out else "")
+        )
+        if found.why_not:
+            click.echo(f"  none: {found.why_not}")
+            continue
+        table = Table("key", *found.indices)
+        for i, name in enumerate(found.names):
+            cells = [
+                f"{v[i][0]:.3f} [{v[i][1]:.3f}, {v[i][2]:.3f}]" for v in found.indices.values()
+            ]
+            table.add_row(name, *cells)
+        Console(width=None if sys.stdout.isatty() else 140).print(table)
+        if found.chance == found.chance:
+            click.echo(f"  of a column drawn for nothing: up to {found.chance:.3f}")
 
 
 @campaign.command()

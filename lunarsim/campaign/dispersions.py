@@ -4,6 +4,11 @@ Every draw starts from one number in (0, 1) a key. Plain Monte Carlo takes it fr
 flight's own seed, so that flight i draws the same whatever else is flown; Latin hypercube and
 Sobol designs (`scipy.stats.qmc`) fix the number of flights. Keys may be correlated by a Gaussian
 copula: the matrix is that of the normal scores.
+
+A Saltelli design gives Sobol indices (Saltelli et al. 2010, table 2). Its flights come in blocks:
+point A, A with key k as in B for each key, A in the world of B, point B. The world of a flight
+(rocks, noise, navigation errors) is one factor more, or the indices of the keys would hold part of
+what chance does.
 """
 
 from __future__ import annotations
@@ -26,7 +31,7 @@ from lunarsim.scenario.errors import input_error
 
 Array = NDArray[np.float64]
 
-METHODS = ("monte-carlo", "latin-hypercube", "sobol")
+METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _EDGE = 2.0**-53
 # Share of a normal distribution that must be left between bounds.
@@ -251,6 +256,8 @@ class Dispersions:
             raise InputError(
                 "method", self.method, "monte-carlo, or some [dispersions] that the design is of"
             )
+        if self.method == "saltelli":
+            self._check_blocks()
         seen: set[str] = set()
         for i, group in enumerate(self.correlations):
             for key in group.keys:
@@ -262,6 +269,27 @@ class Dispersions:
                 if key in seen:
                     raise InputError(field, key, "a key of no other group")
                 seen.add(key)
+
+    def _check_blocks(self) -> None:
+        if self.correlations:
+            keys = list(self.correlations[0].keys)
+            raise InputError(
+                "correlations", keys, "none with method saltelli: its indices are of keys that "
+                "vary apart; with another method sensitivity is by PAWN, which allows them",
+            )  # fmt: skip
+        blocks, rest = divmod(self.flights, self.block)
+        if rest or blocks < 2 or blocks & (blocks - 1):
+            below = 1 << max(1, blocks.bit_length() - 1)
+            raise InputError(
+                "flights", self.flights,
+                f"{self.block} (keys and 3) times a power of two of at least 2: "
+                f"{self.block * below} or {2 * self.block * below}",
+            )  # fmt: skip
+
+    @property
+    def block(self) -> int:
+        """Flights of a block of a Saltelli design; 0 for other methods."""
+        return len(self.distributions) + 3 if self.method == "saltelli" else 0
 
     def draws(self, flight: int) -> dict[str, Any]:
         """Return the values of flight number `flight` by key."""
@@ -284,9 +312,38 @@ class Dispersions:
         """Points of the design (flights, d)."""
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)
+        if self.method == "saltelli":
+            return _blocks(qmc.Sobol(2 * count, rng=rng).random(self.flights // self.block))
         if self.method == "sobol":
             return np.asarray(qmc.Sobol(count, rng=rng).random(self.flights))
         return np.asarray(qmc.LatinHypercube(count, rng=rng).random(self.flights))
+
+
+def world_of(flight: int, block: int) -> int:
+    """Return the index whose seed a flight has: its own but for blocks of a Saltelli design.
+
+    Parameters
+    ----------
+    flight
+        Its own index.
+    block
+        See `Dispersions.block`.
+    """
+    if not block:
+        return flight
+    number, place = divmod(flight, block)
+    return 2 * number + (place >= block - 2)
+
+
+def _blocks(points: Array) -> Array:
+    """Return the rows of all blocks (n (d + 3), d) from points A and B side by side (n, 2 d)."""
+    a, b = np.hsplit(points, 2)
+    keys = a.shape[1]
+    rows = np.repeat(a[:, None, :], keys + 3, axis=1)
+    for k in range(keys):
+        rows[:, 1 + k, k] = b[:, k]
+    rows[:, -1] = b
+    return np.asarray(rows.reshape(-1, keys))
 
 
 def _inside(u: Array) -> Array:

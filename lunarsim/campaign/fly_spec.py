@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.flying import check_flyable, plan_of
@@ -12,6 +13,7 @@ from lunarsim.campaign.run import Ran, run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.stopping import WidthRule
 from lunarsim.campaign.store import check_folder
+from lunarsim.campaign.warming import warm
 
 
 def fly_spec(
@@ -21,6 +23,8 @@ def fly_spec(
     *,
     retry: bool = False,
     progress: Callable[[int], None] | None = None,
+    cache: DiskCache | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Ran:
     """Fly what a folder lacks of a spec; see `lunarsim.campaign.run.run`.
 
@@ -30,6 +34,11 @@ def fly_spec(
         What, by whom, and the folder of results.
     retry, progress
         See `run`.
+    cache
+        Where the truth about grounds is kept between campaigns; results do not depend on it.
+    say
+        Told when kernels are compiled first, by one process; left out, or without a cache, or by
+        another engine than the local one: workers compile what they meet.
 
     Raises
     ------
@@ -37,9 +46,11 @@ def fly_spec(
         If the first flight of an arm cannot be flown, or the folder is another's; nothing has been
         written then.
     """
-    plan = plan_of(spec, out)
+    plan = plan_of(spec, out, cache)
     if check_folder(out, plan) is None:
         check_flyable(spec)
+    if cache is not None and say is not None and engine.name == "local":
+        warm(spec, plan, cache, say)
     stop = spec.stop
     rule = None if stop is None else WidthRule(stop.metric, stop.width, len(spec.arms))
     return run(

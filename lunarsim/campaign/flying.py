@@ -7,27 +7,22 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from lunarsim.campaign.cache import DiskCache
+from lunarsim.campaign.dispersions import world_of
 from lunarsim.campaign.factors import Arm, folder_name, groups_of
-from lunarsim.campaign.keys import GROUND_TABLES, TRUTH_TABLES, path_of, tables_of, with_values
+from lunarsim.campaign.grounds import SHARES, Grounds
+from lunarsim.campaign.keys import GROUND_TABLES, path_of, tables_of, with_values
 from lunarsim.campaign.plan import Group, Plan, Work, kind_of
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.evaluation.outcome import COLUMNS, evaluate
 from lunarsim.rng import Streams, flight_seed
-from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation, build_world
-from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
-from lunarsim.world.truth import Truth
-
-# Of the ground where targets are drawn: share that is exactly safe, at any and at one heading.
-SHARES = ("safe_share", "safe_share_at_heading")
 
 
 @dataclass(frozen=True)
@@ -46,6 +41,10 @@ class Study:
         Which flights' whole records are kept: none, failures or all.
     figures
         Whether the first flight of each arm is drawn.
+    cache
+        Where truth is kept between campaigns; None: nowhere.
+    block
+        Flights of a block of a Saltelli design, which share two worlds; 0: each has its own.
     """
 
     seed: int
@@ -53,10 +52,12 @@ class Study:
     out: Path | None = None
     records: str = "none"
     figures: bool = False
+    cache: DiskCache | None = None
+    block: int = 0
 
 
-def plan_of(spec: CampaignSpec, out: Path | None = None) -> Plan:
-    """Return the plan of a spec; records and figures go to `out`."""
+def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None = None) -> Plan:
+    """Return the plan of a spec; records and figures go to `out`, truth to `cache`."""
     arms = [(arm.name, _named(arm.values)) for arm in spec.arms]
     laws = spec.dispersions.distributions
 
@@ -68,7 +69,8 @@ def plan_of(spec: CampaignSpec, out: Path | None = None) -> Plan:
     inputs = {key: kind_of([v[key] for _, v in arms if key in v]) for key in keys}
     for key, law in zip(first, laws.values(), strict=True):
         inputs[key] = kind_of(law.values) if hasattr(law, "values") else "float"
-    study = Study(spec.head.seed, spec.arms, out, spec.head.records, spec.head.figures)
+    head, block = spec.head, spec.dispersions.block
+    study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block)
     return Plan(
         name=spec.head.name,
         seed=spec.head.seed,
@@ -101,9 +103,13 @@ def check_flyable(spec: CampaignSpec) -> None:
         Simulation(scenario, seed, arm.policy or scenario.policy.kind, world=world)
 
 
-def _named(values: Any) -> dict[str, Any]:
-    """Return values by whole key: ``policy`` as ``policy.kind``, which is a column of its own."""
-    return {".".join(path_of(key, value)): value for key, value in values.items()}
+def _named(values: Any, before: str = "") -> dict[str, Any]:
+    """Return values by whole key, which are columns: ``policy`` as ``policy.kind``."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        name = before + ".".join(path_of(key, value))
+        found |= _named(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return found
 
 
 def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
@@ -135,38 +141,13 @@ def fly_whole(
     """Fly as `fly` does; return the record, what flew it, and the metrics. Nothing is written."""
     chosen = study.arms[arm]
     scenario = with_values(chosen.scenario, group.draws, "dispersions")
-    seed = flight_seed(study.seed, group.flight)
-    world, truth = _ground(scenario, seed, memory)
+    seed = flight_seed(study.seed, world_of(group.flight, study.block))
+    grounds = Grounds(seed, memory, study.cache)
+    world, truth = grounds.world_and_truth(scenario)
     policy = chosen.policy or scenario.policy.kind
     simulation = Simulation(scenario, seed, policy, world=world, truth=truth)
     flight = simulation.run()
-    return flight, simulation, evaluate(flight, truth) | _shares(scenario, truth, memory)
-
-
-def _ground(
-    scenario: Scenario, seed: np.random.SeedSequence, memory: dict[Any, Any]
-) -> tuple[World, Truth]:
-    """Return world and truth; what another arm of the group has made already is taken again."""
-    ground = ("ground", tables_of(scenario, GROUND_TABLES))
-    world = build_world(scenario, Streams(seed), memory.get(ground))
-    memory.setdefault(ground, world.terrain)
-    known = ("truth", tables_of(scenario, TRUTH_TABLES))
-    if known not in memory:
-        memory[known] = Truth.of(world, scenario.vehicle.make())
-    return world, memory[known]
-
-
-def _shares(scenario: Scenario, truth: Truth, memory: dict[Any, Any]) -> dict[str, float]:
-    """Return the share of safe ground where targets are drawn, at any and at the heading flown."""
-    tables = tables_of(scenario, (*TRUTH_TABLES, "target")), scenario.start.heading_deg
-    if tables not in memory:
-        # Scatter half sides of zero still mean a spot: look at a footprint's width around it.
-        half = np.maximum(scenario.target.scatter_m, 2.0)
-        centre = scenario.target.position_m
-        heading = float(np.deg2rad(scenario.start.heading_deg))
-        values = truth.safe_share(centre, half), truth.safe_share(centre, half, heading)
-        memory[tables] = dict(zip(SHARES, values, strict=True))
-    return memory[tables]  # type: ignore[no-any-return]
+    return flight, simulation, evaluate(flight, truth) | grounds.shares(scenario, truth)
 
 
 def _keep(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> None:

@@ -60,7 +60,7 @@ class Head:
     seed
         Root seed.
     method
-        Of drawing the dispersions: monte-carlo, latin-hypercube or sobol.
+        Of drawing the dispersions: monte-carlo, latin-hypercube, sobol or saltelli.
     time_limit
         Wall-clock time after which a flight is given up, s; None: never.
     time_budget

@@ -36,6 +36,7 @@ def swept(tmp_path_factory):
     done = run(
         "sweep", folder / "tiny.toml", "--over", "policy=no-divert,safest", "--over",
         "sun.elevation_deg=5,20", "--flights", 2, "--jobs", 1, "--out", folder / "out",
+        "--cache-size", 0,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "complete: 8 flights flown" in done.output

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lunarsim.campaign.analysis import ArmFigures, arm_rows, column
 from lunarsim.campaign.results import Results
+from lunarsim.campaign.sensitivity import Sensitivity
 from lunarsim.evaluation.comparisons import Difference, Ellipse
 from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
 from lunarsim.evaluation.statistics import Proportion
@@ -172,6 +173,45 @@ def differences_plot(made: list[Difference]) -> Plot:
     }  # fmt: skip
     said = "Blue: told apart after Holm's correction; grey: not."
     return _plot("differences", "Paired differences", said, traces, layout)
+
+
+def sensitivity_plot(made: list[Sensitivity]) -> Plot:
+    """Return the indices of every arm with their intervals; the total index hollow."""
+    traces = []
+    names: tuple[str, ...] = ()
+    for i, one in enumerate(made):
+        names = one.names
+        for label, values in one.indices.items():
+            v, low, high = np.array(values).T
+            traces.append({
+                "type": "scatter", "mode": "markers", "arm": one.arm, "name": f"{one.arm}, {label}",
+                "x": _numbers(v), "y": list(one.names),
+                "error_x": {"type": "data", "symmetric": False, "array": _numbers(high - v),
+                            "arrayminus": _numbers(v - low), "thickness": 1, "width": 4},
+                "marker": {"color": colour(i), "size": 9,
+                           "symbol": "circle-open" if label == "total" else "circle"},
+            })  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": "index of the safe share"}, "zeroline": True},
+        "yaxis": {"autorange": "reversed", "automargin": True},
+        "scattermode": "group",
+        "height": 170 + (30 + 12 * len(traces)) * len(names),
+    }
+    if made and made[0].method == "sobol":
+        said = (
+            "Sobol indices: the share of the variance that a key explains by itself (full), and "
+            "with all it acts together with (hollow). World and noise: rocks, sensor noise, "
+            "navigation errors."
+        )
+    else:
+        chance = [f"{one.arm} {one.chance:.3f}" for one in made if one.chance == one.chance]
+        said = (
+            "PAWN: how far the share moves when a key is held in a tenth of its range, median of "
+            "ten. A column drawn for nothing gives up to: " + ", ".join(chance) + "."
+        )
+    missing = [f"{one.arm}: {one.why_not}" for one in made if one.why_not]
+    more = " No indices: " + "; ".join(missing) + "." if missing else ""
+    return _plot("sensitivity", "What it hangs on", said + more, traces, layout)
 
 
 def spread_plot(found: Results, metric: str, label: str) -> Plot:

@@ -18,15 +18,19 @@ from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
     reliability_plot,
+    sensitivity_plot,
     shares_plot,
     spread_plot,
 )
 from lunarsim.campaign.results import Results, failures, load_results
+from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
 from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.sequences import share_sequence
 
 # Flights that are listed as the worst, of each arm.
 _WORST = 5
+# Arms whose sensitivity is worked out, and resamples of its bootstrap.
+_MOST_SENSITIVE, _RESAMPLES = 8, 50
 # Rows of the table of what went wrong.
 _MOST_CAUSES = 60
 _LABELS = {
@@ -98,6 +102,9 @@ def _content(found: Results) -> dict[str, Any]:
         *(spread_plot(found, n, _LABELS[n]) for n in _LABELS if n in found.manifest["columns"]),
     ]
     spec = found.folder / "spec.toml"
+    sensitive, why_not = _sensitivity(found)
+    if sensitive:
+        plots.append(sensitivity_plot(sensitive))
     return {
         "m": found.manifest,
         "done": len(found.table),
@@ -108,11 +115,25 @@ def _content(found: Results) -> dict[str, Any]:
         "plots": {p["id"]: p for p in plots if p is not None},
         "data": _in_script(json.dumps([p for p in plots if p is not None], allow_nan=False)),
         "differences": made,
+        "sensitive": sensitive,
+        "no_sensitivity": why_not,
         "causes": failures(found)[:_MOST_CAUSES],
         "worst": _worst(found),
         "timing": _timing(found),
         "spec": spec.read_text(encoding="utf-8") if spec.is_file() else "",
     }
+
+
+def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
+    """Return the sensitivity of the safe share, and why there is none where something is drawn."""
+    if not found.manifest["identity"].get("dispersions"):
+        return [], ""
+    if len(found.arms) > _MOST_SENSITIVE:
+        return [], f"not worked out for more than {_MOST_SENSITIVE} arms; see the command"
+    try:
+        return sensitivities(found, "safe", _RESAMPLES), ""
+    except InputError as error:
+        return [], str(error)
 
 
 def _interval(arm: ArmFigures, stopped: bool) -> tuple[float, float]:

@@ -1,0 +1,104 @@
+"""The ground of a flight and the truth about it: made once for all arms, kept between campaigns.
+
+Relief and rocks are made anew for each flight's index, which takes hundredths of a second; the
+exact safety of the whole ground takes half a second and more, and is what the cache keeps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsim.campaign.cache import Arrays, DiskCache
+from lunarsim.campaign.files import file_digests
+from lunarsim.campaign.keys import GROUND_TABLES, TRUTH_TABLES, tables_of
+from lunarsim.grid import Grid
+from lunarsim.rng import Streams
+from lunarsim.safety import SafetyMap
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import build_world
+from lunarsim.world import World
+from lunarsim.world.truth import Truth
+
+# Of the ground where targets are drawn: share that is exactly safe, at any and at one heading.
+SHARES = ("safe_share", "safe_share_at_heading")
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """Grounds and truths of one flight's index.
+
+    Attributes
+    ----------
+    seed
+        Of the flight.
+    memory
+        What has been made for the index so far, by this process.
+    cache
+        What any process has made, or None.
+    """
+
+    seed: np.random.SeedSequence
+    memory: dict[Any, Any]
+    cache: DiskCache | None = None
+
+    def world_and_truth(self, scenario: Scenario) -> tuple[World, Truth]:
+        """Return world and truth of a scenario; the lander and its limits are part of the truth."""
+        ground = ("ground", tables_of(scenario, GROUND_TABLES))
+        world = build_world(scenario, Streams(self.seed), self.memory.get(ground))
+        self.memory.setdefault(ground, world.terrain)
+        known = ("truth", tables_of(scenario, TRUTH_TABLES))
+        if known not in self.memory:
+            self.memory[known] = self._truth(scenario, world)
+        return world, self.memory[known]
+
+    def shares(self, scenario: Scenario, truth: Truth) -> dict[str, float]:
+        """Return the share of safe ground where targets are drawn, at any heading and at one."""
+        tables = tables_of(scenario, (*TRUTH_TABLES, "target"))
+        key = ("shares", tables, scenario.start.heading_deg)
+        if key not in self.memory:
+            found = self._kept(key, scenario, lambda: _shares(scenario, truth))
+            self.memory[key] = {name: float(found[name]) for name in SHARES}
+        return self.memory[key]  # type: ignore[no-any-return]
+
+    def _truth(self, scenario: Scenario, world: World) -> Truth:
+        lander = scenario.vehicle.make()
+        key = ("truth", tables_of(scenario, TRUTH_TABLES))
+        found = self._kept(key, scenario, lambda: _arrays(Truth.of(world, lander)))
+        x0, y0, posting, rows, cols = found["grid"]
+        grid = Grid(float(x0), float(y0), float(posting), int(rows), int(cols))
+        maps = (found[name] for name in ("slope", "roughness", "safe", "observed"))
+        return Truth(SafetyMap(grid, *maps), found["elevation"], lander)
+
+    def _kept(self, key: tuple[Any, ...], scenario: Scenario, make: Any) -> Arrays:
+        """Return arrays from the cache; without one they are made."""
+        tables = {name: scenario.to_dict().get(name) for name in TRUTH_TABLES}
+        # Of a part from elsewhere nobody can tell whether its code is still the same.
+        if self.cache is None or any(":" in str((t or {}).get("kind")) for t in tables.values()):
+            return make()  # type: ignore[no-any-return]
+        files = file_digests(tables)
+        seed = (self.seed.entropy, self.seed.spawn_key)
+        return self.cache.get(key[0], repr((key, sorted(files.items()), seed)), make)
+
+
+def _arrays(truth: Truth) -> Arrays:
+    safety = truth.safety
+    return {
+        "grid": np.array(astuple(safety.grid)),
+        "slope": safety.slope,
+        "roughness": safety.roughness,
+        "safe": safety.safe,
+        "observed": safety.observed,
+        "elevation": truth.elevation,
+    }
+
+
+def _shares(scenario: Scenario, truth: Truth) -> Arrays:
+    # Scatter half sides of zero still mean a spot: look at a footprint's width around it.
+    half = np.maximum(scenario.target.scatter_m, 2.0)
+    centre = scenario.target.position_m
+    heading = float(np.deg2rad(scenario.start.heading_deg))
+    values = truth.safe_share(centre, half), truth.safe_share(centre, half, heading)
+    return {name: np.array(value) for name, value in zip(SHARES, values, strict=True)}
