@@ -9,24 +9,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from lunarsim.errors import InputError, check_output
+from lunarsim.cli_common import (
+    INTERRUPTED,
+    PATH,
+    load_scenario,
+    progress_bar,
+    scenario_options,
+    wide_console,
+)
+from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
     from lunarsim.campaign.spec import CampaignSpec
 
-_INTERRUPTED = 130
-_PATH = click.Path(path_type=Path)
-_FOLDER = click.argument("folder", type=_PATH)
+_FOLDER = click.argument("folder", type=PATH)
 _JOBS = click.option(
     "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1,
     show_default="number of cores", help="Processes; the results do not depend on it.",
 )  # fmt: skip
 _OUT = click.option(
-    "--out", type=_PATH, required=True,
+    "--out", type=PATH, required=True,
     help="Folder for results: new, or of the same campaign, which is then gone on with.",
 )  # fmt: skip
 _RETRY = click.option(
@@ -48,9 +51,9 @@ def campaign() -> None:
 
 
 @campaign.command()
-@click.argument("spec", type=_PATH)
+@click.argument("spec", type=PATH)
 @click.option(
-    "--out", type=_PATH, default=None, show_default="standard output",
+    "--out", type=PATH, default=None, show_default="standard output",
     help="CSV or Parquet file to write.",
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
@@ -76,7 +79,7 @@ def plan(spec: Path, out: Path | None) -> None:
 
 
 @campaign.command("run")
-@click.argument("spec", type=_PATH)
+@click.argument("spec", type=PATH)
 @_OUT
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
@@ -99,7 +102,7 @@ def run_command(
 
 
 @click.command()
-@click.argument("scenario", type=_PATH)
+@scenario_options
 @click.option(
     "--over", "over", multiple=True, required=True,
     help="KEY=A,B,C or KEY=LOW:HIGH:COUNT; may be repeated: every combination is flown.",
@@ -113,8 +116,8 @@ def run_command(
 @_JOBS
 @_RETRY
 def sweep(
-    scenario: Path, over: tuple[str, ...], flights: int, seed: int, out: Path, jobs: int,
-    retry_failed: bool,
+    scenario: Path, changes: tuple[str, ...], over: tuple[str, ...], flights: int, seed: int,
+    out: Path, jobs: int, retry_failed: bool,
 ) -> None:  # fmt: skip
     """Fly SCENARIO (a TOML file) under every combination of values of some of its keys.
 
@@ -125,7 +128,7 @@ def sweep(
 
     data = {
         "name": f"{scenario.stem}-sweep",
-        "scenario": str(scenario.absolute()),
+        "scenario": load_scenario(scenario, changes).to_dict(),
         "flights": flights,
         "seed": seed,
         "factors": parse_over(over),
@@ -143,13 +146,9 @@ def _flown(
 
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
     total = spec.head.flights * len(spec.arms)
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True),
-    ) as bar:  # fmt: skip
-        task = bar.add_task(spec.head.name, total=total)
+    with progress_bar(spec.head.name, total) as advance:
         try:
-            ran = fly_spec(spec, flies, out, retry=retry, progress=lambda n: bar.advance(task, n))
+            ran = fly_spec(spec, flies, out, retry=retry, progress=advance)
         except WorkersDieError as error:
             raise click.ClickException(str(error)) from None
     for note in ran.notes:
@@ -163,7 +162,7 @@ def _flown(
     click.echo(f"results in {out}: lunarsim campaign report {out}")
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
-        sys.exit(_INTERRUPTED if ran.state == "interrupted" else 0)
+        sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
 
 
 @campaign.command()
@@ -190,7 +189,7 @@ def _span(seconds: float) -> str:
 
 @campaign.command()
 @_FOLDER
-@click.option("--out", type=_PATH, required=True, help="CSV or Parquet file to write.")
+@click.option("--out", type=PATH, required=True, help="CSV or Parquet file to write.")
 @click.option("--timing", is_flag=True, help="Wall-clock times too.")
 def export(folder: Path, out: Path, timing: bool) -> None:
     """Write all rows of the campaign in FOLDER into one file."""
@@ -202,7 +201,7 @@ def export(folder: Path, out: Path, timing: bool) -> None:
 @campaign.command()
 @_FOLDER
 @click.option(
-    "--out", type=_PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
+    "--out", type=PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
 )
 def report(folder: Path, out: Path | None) -> None:
     """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
@@ -216,8 +215,8 @@ def report(folder: Path, out: Path | None) -> None:
 
 
 @campaign.command()
-@click.argument("first", type=_PATH, metavar="A")
-@click.argument("second", type=_PATH, metavar="B")
+@click.argument("first", type=PATH, metavar="A")
+@click.argument("second", type=PATH, metavar="B")
 @click.option(
     "--margin", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
     help="Differences of the share up to this do not matter.",
@@ -234,6 +233,8 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
     for all arms. Equivalent: the 90 % interval of the difference lies within the margin, which is
     two one-sided tests at 5 %.
     """
+    from rich.table import Table
+
     from lunarsim.campaign.analysis import diff as compare
     from lunarsim.campaign.results import load_results
 
@@ -248,7 +249,7 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
             d.first, str(d.pairs), f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]", f"{d.p:.3g}",
             f"{d.corrected:.3g}", word,
         )  # fmt: skip
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    wide_console(140).print(table)
     if any(v.worse or (require_equivalent and not v.equivalent) for v in verdicts):
         sys.exit(1)
 
@@ -256,10 +257,11 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 @click.command()
 @_FOLDER
 @click.option("--flight", required=True, help="Its id, such as 12-0: index and number of the arm.")
-@click.option("--out", type=_PATH, default=None, help="New folder for its record and figures.")
+@click.option("--out", type=PATH, default=None, help="New folder for its record and figures.")
 def replay(folder: Path, flight: str, out: Path | None) -> None:
     """Fly one flight of the campaign in FOLDER again, and compare it with its row."""
-    from lunarsim.campaign.comparison import check_folder
+    from rich.table import Table
+
     from lunarsim.campaign.replay import replay as fly
 
     if out is not None:
@@ -268,7 +270,7 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():
         table.add_row(name, _word(value))
-    Console().print(table)
+    wide_console(120).print(table)
     if found.recorded is None:
         click.echo("the campaign has no row of this flight yet")
     elif found.differences is None:
