@@ -30,6 +30,11 @@ class Group(click.Group):
         """Run a command."""
         try:
             return super().invoke(ctx)
+        except click.exceptions.NoArgsIsHelpError:
+            raise
+        except click.UsageError as error:
+            where = ctx.command_path if error.ctx is None else error.ctx.command_path
+            _end(ctx, f"{error.format_message()} (`{where} --help` tells more)", 2)
         except InputError as error:
             _end(ctx, str(error), 2)
         except RenderingError as error:
@@ -124,4 +129,9 @@ def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(name, total=total)
-        yield lambda n: bar.advance(task, n)
+        try:
+            yield lambda n: bar.advance(task, n)
+        except InputError:
+            bar.live.transient = True  # nothing began
+            bar.console.quiet = not bar.console.is_terminal
+            raise

@@ -49,6 +49,17 @@ def check_folder(out: Path) -> None:
         raise InputError("--out", str(out), "a folder, not a file")
     if out.exists() and any(out.iterdir()):
         raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
+    check_writable(out)
+
+
+def check_writable(out: Path) -> None:
+    """Refuse a folder for results where none can be made or written to; leave it as it was.
+
+    Raises
+    ------
+    InputError
+        Naming ``--out``.
+    """
     there = next(p for p in (out, *out.absolute().parents) if p.exists())
     try:
         tempfile.TemporaryFile(dir=there).close()

@@ -259,9 +259,12 @@ def _chosen(
     return ChosenPart(kind, _table(path, of, data, folder, contract, kind))
 
 
-def _whole(path: Path, folder: Path | None) -> Path:
+def _whole(field: str, path: Path, folder: Path | None) -> Path:
     """Return a path that means the same from everywhere."""
-    return ((Path.cwd() if folder is None else folder) / path).resolve()
+    try:
+        return ((Path.cwd() if folder is None else folder) / path).resolve()
+    except (ValueError, OSError) as error:
+        raise InputError(field, str(path), f"the path of a file ({error})") from None
 
 
 def _table(
@@ -285,7 +288,7 @@ def _table(
     except ValidationError as error:
         raise input_error(path, model, error, contract, kind) from None
     paths = {
-        key: given if given.is_absolute() and folder is None else _whole(given, folder)
+        key: _whole(f"{path}.{key}", given, folder)
         for key in model.model_fields
         if isinstance(given := getattr(table, key), Path)
     }
