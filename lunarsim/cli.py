@@ -5,67 +5,55 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 import lunarsim
 from lunarsim.cli_campaign import campaign, replay, sweep
-from lunarsim.errors import InputError, RenderingError, check_output
+from lunarsim.cli_common import (
+    FLIGHT,
+    INTERRUPTED,
+    PATH,
+    SEED,
+    Group,
+    load_scenario,
+    progress_bar,
+    scenario_options,
+    wide_console,
+)
+from lunarsim.cli_scenario import parts, scenario
+from lunarsim.cli_terrain import terrain
+from lunarsim.errors import InputError, check_folder, check_output
 
-_INTERRUPTED = 130
+if TYPE_CHECKING:
+    from rich.table import Table
 
-
-class _Group(click.Group):
-    """Turns a user's mistake into one line and exit code 2."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except InputError as error:
-            click.echo(f"error: {error}", err=True)
-            ctx.exit(2)
-        except RenderingError as error:
-            click.echo(f"error: {error}", err=True)
-            ctx.exit(1)
-        except OSError as error:
-            if error.filename is None:
-                raise
-            click.echo(f"error: {error.filename}: {error.strerror}", err=True)
-            ctx.exit(2)
+    from lunarsim.scenario import Scenario
+    from lunarsim.simulation.flight import Flight
 
 
-@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
 def main() -> None:
     """Simulate lunar landings in closed loop: terrain, LiDAR, hazard map, divert, touchdown.
 
     \b
     Start here:
-      lunarsim fly scenarios/hirise.toml --policy safest --out out/one
-      lunarsim compare scenarios/hirise.toml --flights 20 --out out/compare
+      lunarsim scenario list
+      lunarsim scenario new hirise
+      lunarsim fly hirise.toml --policy safest --out out/one
+      lunarsim fly hirise.toml --set rocks.cover=0.12 --set start.heading_deg=0
+      lunarsim compare hirise.toml --flights 20 --out out/compare
     """  # noqa: D301  (click wants the character itself)
 
 
-main.add_command(campaign)
-main.add_command(sweep)
-main.add_command(replay)
-
-_SCENARIO = click.argument("scenario", type=click.Path(path_type=Path))
-_SEED = click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed."
-)
-_FLIGHT = click.option(
-    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Index of the flight: world and noise derive from the seed and this.",
-)  # fmt: skip
+for _command in (campaign, sweep, replay, terrain, scenario, parts):
+    main.add_command(_command)
 
 
 @main.command()
-@_SCENARIO
+@scenario_options
 @click.option(
     "--policy", default=None, show_default="the scenario's",
     help="A name that `lunarsim parts policy` lists, or module:Class.",
@@ -74,58 +62,74 @@ _FLIGHT = click.option(
     "--guidance", default=None, show_default="the scenario's",
     help="A law that `lunarsim parts guidance` lists, with its defaults, or module:Class.",
 )  # fmt: skip
-@_SEED
-@_FLIGHT
+@SEED
+@FLIGHT
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None,
-    help="New folder for the record and figures.",
+    "--out", type=PATH, default=None,
+    help="New folder for the scenario, the record and figures.",
 )  # fmt: skip
 def fly(
-    scenario: Path, policy: str | None, guidance: str | None, seed: int, flight: int,
-    out: Path | None,
+    scenario: Path, changes: tuple[str, ...], policy: str | None, guidance: str | None, seed: int,
+    flight: int, out: Path | None,
 ) -> None:  # fmt: skip
-    """Fly one descent of SCENARIO (a TOML file) and print how it ended."""
-    from lunarsim.campaign.comparison import check_folder, check_request
-    from lunarsim.parts import resolve
+    """Fly one descent of SCENARIO (a TOML file, or a name of `scenario list`): print its end."""
+    from lunarsim.cli_waiting import compilation_told
     from lunarsim.rng import flight_seed
-    from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
     from lunarsim.simulation.lock_forecast import lock_forecast
 
-    loaded = Scenario.load(scenario)
-    if guidance is not None and guidance != loaded.guidance.kind:
-        resolve("guidance", guidance, "--guidance")
-        loaded = loaded.changed(guidance={"kind": guidance})
-    chosen = policy or loaded.policy.kind
-    check_request([chosen], 1, 1)
+    loaded = load_scenario(scenario, changes)
+    loaded = _with_part(_with_part(loaded, "policy", policy), "guidance", guidance)
     if out is not None:
         check_folder(out)
-    simulation = Simulation(loaded, flight_seed(seed, flight), chosen)
-    console = Console()
-    forecast = lock_forecast(simulation.briefing)
-    if forecast is not None and not forecast.can_lock:
-        console.print(f"warning: {forecast}", soft_wrap=True)
-    record = simulation.run()
-    verdict = record.verdict
-    console.print("landed safe" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
-    table = Table(show_header=False, box=None)
-    for name, value in _facts(record):
-        table.add_row(name, value)
-    console.print(table)
-    for decision in record.decisions:
-        console.print(
-            f"{decision['time']:6.1f} s  divert to ({decision['to'][0]:.1f}, "
-            f"{decision['to'][1]:.1f}) m: {decision['reason']}"
-        )
+    with compilation_told():
+        simulation = Simulation(loaded, flight_seed(seed, flight), loaded.policy.kind)
+        forecast = lock_forecast(simulation.briefing)
+        if forecast is not None and not forecast.can_lock:
+            click.echo(f"warning: {forecast}", err=True)
+        record = simulation.run()
+    _tell(record)
     if out is not None:
         from lunarsim.viz import draw_flight
 
         record.save(out)
+        loaded.save(out / "scenario.toml")
         draw_flight(record, simulation.world, simulation.truth, out)
-        console.print(f"record and figures in {out}")
+        click.echo(f"scenario, record and figures in {out}")
 
 
-def _facts(record: Any) -> list[tuple[str, str]]:
+def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
+    """Return a scenario with a part that an option names, with that kind's defaults."""
+    from lunarsim.parts import resolve
+
+    if kind is None or kind == getattr(scenario, contract).kind:
+        return scenario
+    resolve(contract, kind, f"--{contract}")
+    return scenario.changed(**{contract: {"kind": kind}})
+
+
+def _tell(record: Flight) -> None:
+    """Print how a flight ended."""
+    from rich.table import Table
+
+    verdict = record.verdict
+    click.echo("landed safe" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
+    table = Table(show_header=False, box=None)
+    for name, value in _facts(record):
+        table.add_row(name, value)
+    wide_console(120).print(table)
+    if record.decisions:
+        click.echo("diverts, east and north in m of the frame that the computer flies in:")
+    for decision in record.decisions:
+        click.echo(
+            f"{decision['time']:6.1f} s  to ({decision['to'][0]:.1f}, "
+            f"{decision['to'][1]:.1f}): {decision['reason']}"
+        )
+
+
+def _facts(record: Flight) -> list[tuple[str, str]]:
+    from lunarsim.evaluation.map_words import words_on_maps
+
     facts = [
         ("time of flight", f"{record.duration:.1f} s"),
         ("propellant", f"{record.propellant_used:.1f} kg"),
@@ -134,8 +138,11 @@ def _facts(record: Any) -> list[tuple[str, str]]:
     if record.first_lost is not None:
         end = "to the end" if record.lost else "believed again later"
         facts.append(("navigation", f"lost from {record.first_lost:.1f} s, {end}"))
+    facts += [(f"map {name!r}", words) for name, words in words_on_maps(record).items()]
     touchdown = record.verdict.touchdown
     if touchdown is not None:
+        x, y = touchdown.position[:2]
+        facts.append(("touchdown", f"({x:.1f}, {y:.1f}) m east and north, true frame"))
         degrees = 57.29577951308232
         facts += [
             ("vertical speed", f"{touchdown.vertical_speed:.2f} m/s"),
@@ -149,25 +156,26 @@ def _facts(record: Any) -> list[tuple[str, str]]:
 
 
 @main.command()
-@_SCENARIO
+@scenario_options
 @click.option(
     "--policies", default="no-divert,safest,nearest-safe,fuel-aware,truth-oracle",
     show_default=True, help="Policies, separated by commas.",
 )  # fmt: skip
 @click.option("--flights", type=int, default=20, show_default=True, help="Flights a policy.")
-@_SEED
+@SEED
 @click.option(
     "--jobs", type=int, default=os.cpu_count() or 1, show_default="number of cores",
     help="Processes; the results do not depend on it.",
 )  # fmt: skip
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True,
+    "--out", type=PATH, required=True,
     help="New folder for results.parquet, every flight's record, and figures.",
 )  # fmt: skip
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 def compare(
-    scenario: Path, policies: str, flights: int, seed: int, jobs: int, out: Path, figures: bool
-) -> None:
+    scenario: Path, changes: tuple[str, ...], policies: str, flights: int, seed: int, jobs: int,
+    out: Path, figures: bool,
+) -> None:  # fmt: skip
     """Fly several policies over the same worlds of SCENARIO and compare them.
 
     Every policy meets the same worlds, starts and noise. The table gives, a row a policy: the
@@ -177,26 +185,19 @@ def compare(
     with p > 0.5 against the exact map); and wall-clock time a flight.
     """
     from lunarsim.campaign.comparison import compare as run
-    from lunarsim.scenario import Scenario
+    from lunarsim.cli_waiting import compilation_told
 
-    loaded = Scenario.load(scenario)
+    loaded = load_scenario(scenario, changes)
     names = [name.strip() for name in policies.split(",") if name.strip()]
-    console = Console(width=None if sys.stdout.isatty() else 170)
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True),
-    ) as bar:  # fmt: skip
-        task = bar.add_task(f"{loaded.name}", total=max(flights, 0) * len(names))
+    console = wide_console(170)
+    with (
+        progress_bar(loaded.name, max(flights, 0) * len(names)) as advance,
+        compilation_told(),
+    ):
         result = run(
-            loaded,
-            names,
-            flights=flights,
-            seed=seed,
-            jobs=jobs,
-            out=out,
-            figures=figures,
-            progress=lambda n: bar.advance(task, n),
-        )
+            loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
+            progress=advance,
+        )  # fmt: skip
     if result.rows:
         console.print(_table(result))
         console.print(
@@ -206,11 +207,11 @@ def compare(
         console.print(f"results, records and figures in {out}")
     if not result.complete:
         click.echo("interrupted: only finished flights were written", err=True)
-        sys.exit(_INTERRUPTED)
+        sys.exit(INTERRUPTED)
 
 
 @main.command()
-@_SCENARIO
+@scenario_options
 @click.option("--flights", type=int, default=12, show_default=True, help="Descents, at least 2.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True,
@@ -229,12 +230,12 @@ def compare(
     help="Name of the mapper of kind gaussian-dem.",
 )  # fmt: skip
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="JSON file to write.",
+    "--out", type=PATH, required=True, help="JSON file to write.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
 def calibrate(
-    scenario: Path, flights: int, seed: int, jobs: int, sites: int, mapper: str | None,
-    out: Path, force: bool,
+    scenario: Path, changes: tuple[str, ...], flights: int, seed: int, jobs: int, sites: int,
+    mapper: str | None, out: Path, force: bool,
 ) -> None:  # fmt: skip
     """Fit the Gaussian DEM's probability of safety to SCENARIO's own ground.
 
@@ -256,27 +257,22 @@ def calibrate(
     from lunarsim.campaign.calibrate import calibrate as run
     from lunarsim.campaign.calibrate import gaussian_mapper
     from lunarsim.campaign.calibration_report import calibration_table, verdicts
-    from lunarsim.scenario import Scenario
 
     check_output("--out", out, ".json")
     if out.exists() and not force:
         raise InputError("--out", str(out), "a new file, or --force to write over this one")
-    loaded = Scenario.load(scenario)
+    loaded = load_scenario(scenario, changes)
     gaussian_mapper(loaded, mapper)
-    console = Console(width=None if sys.stdout.isatty() else 170)
+    console = wide_console(170)
     try:
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-            TimeRemainingColumn(), console=Console(stderr=True),
-        ) as bar:  # fmt: skip
-            task = bar.add_task(f"{loaded.name}", total=max(flights, 0))
+        with progress_bar(loaded.name, max(flights, 0)) as advance:
             found = run(
                 loaded, flights=flights, seed=seed, sites=sites, jobs=jobs, mapper=mapper,
-                progress=lambda n: bar.advance(task, n),
+                progress=advance,
             )  # fmt: skip
     except KeyboardInterrupt:
         click.echo("interrupted: nothing was written", err=True)
-        sys.exit(_INTERRUPTED)
+        sys.exit(INTERRUPTED)
     found.calibration.save(out)
     console.print(calibration_table(found))
     for line in verdicts(found):
@@ -285,7 +281,7 @@ def calibrate(
 
 
 @main.command()
-@_SCENARIO
+@scenario_options
 @click.option(
     "--altitude", type=float, default=100.0, show_default=True,
     help="Height of the camera above the ground at the target, m.",
@@ -305,26 +301,26 @@ def calibrate(
     help="s; left out: so that the brightest ground nearly fills the detector.",
 )  # fmt: skip
 @click.option("--ideal", is_flag=True, help="Without blur, noise and distortion; 16 bits.")
-@_SEED
-@_FLIGHT
+@SEED
+@FLIGHT
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.",
+    "--out", type=PATH, required=True, help="PNG file to write.",
 )  # fmt: skip
 @click.option(
-    "--truth", type=click.Path(path_type=Path), default=None,
+    "--truth", type=PATH, default=None,
     help="NPZ file for radiance, range, normal and identity of every pixel.",
 )  # fmt: skip
 def render(
-    scenario: Path, altitude: float, sun_elevation: float | None, sun_azimuth: float | None,
+    scenario: Path, changes: tuple[str, ...], altitude: float, sun_elevation: float | None,
+    sun_azimuth: float | None,
     off_nadir: float, heading: float, exposure: float | None, ideal: bool, seed: int,
     flight: int, out: Path, truth: Path | None,
 ) -> None:  # fmt: skip
     """Take a picture of SCENARIO's ground with its camera."""
-    from lunarsim.scenario import Scenario
     from lunarsim.simulation.picture import take_picture
 
     info = take_picture(
-        Scenario.load(scenario),
+        load_scenario(scenario, changes, flown=False),
         altitude=altitude,
         sun_elevation_deg=sun_elevation,
         sun_azimuth_deg=sun_azimuth,
@@ -340,122 +336,9 @@ def render(
     click.echo(info)
 
 
-@main.group(cls=_Group)
-def terrain() -> None:
-    """Look at measured and procedural ground."""
-
-
-@terrain.command()
-@click.argument("file", type=click.Path(path_type=Path))
-def info(file: Path) -> None:
-    """Print what a terrain model FILE (GeoTIFF, PDS .IMG) says of itself."""
-    from lunarsim.world.terrain.dtm import read_info
-
-    found = read_info(file)
-    table = Table(show_header=False, box=None)
-    posting = None
-    if found.posting is None:
-        resampled = found.frame.startswith(("geographic", "rotated"))
-        posting = (
-            "resampled to a metric frame when loaded"
-            if resampled
-            else "not given: set terrain.dtm_posting_m"
-        )
-    for name, value in (
-        ("file", str(found.path)),
-        ("format", found.driver),
-        ("posts", f"{found.rows} x {found.cols} (rows x columns)"),
-        ("posting", posting or f"{found.posting:.4g} m"),
-        ("frame", found.frame),
-        ("elevation", f"{found.z_range[0]:.2f} to {found.z_range[1]:.2f} m"),
-        ("no data", f"{100.0 * found.no_data_share:.2f} %"),
-    ):
-        table.add_row(name, value)
-    Console().print(table)
-
-
-@terrain.command()
-@_SCENARIO
-@_SEED
-@_FLIGHT
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file to write.")
-def preview(scenario: Path, seed: int, flight: int, out: Path) -> None:
-    """Draw the ground of SCENARIO: shaded relief, slopes, rocks."""
-    from lunarsim.rng import Streams, flight_seed
-    from lunarsim.scenario import Scenario
-    from lunarsim.simulation.worlds import build_world
-    from lunarsim.viz.terrain import draw_terrain
-
-    loaded = Scenario.load(scenario)
-    check_output("out", out, ".png")
-    world = build_world(loaded, Streams(flight_seed(seed, flight)))
-    draw_terrain(world.terrain, loaded.name, out)
-    click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
-
-
-@terrain.command()
-@_SCENARIO
-@_SEED
-@_FLIGHT
-@click.option("--posting", type=float, default=0.2, show_default=True, help="Of the maps, m.")
-@click.option(
-    "--size", type=float, default=60.0, show_default=True,
-    help="Side of the square around the target, m.",
-)  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file (.nc).")
-def truth(scenario: Path, seed: int, flight: int, posting: float, size: float, out: Path) -> None:
-    """Write true maps of SCENARIO's ground: elevation, slope, rocks, exact safety, shadow."""
-    from lunarsim.rng import Streams, flight_seed
-    from lunarsim.scenario import Scenario
-    from lunarsim.simulation.worlds import build_world
-    from lunarsim.world.truth_products import TruthProducts, survey_grid
-
-    loaded = Scenario.load(scenario)
-    check_output("out", out, ".nc")
-    world = build_world(loaded, Streams(flight_seed(seed, flight)))
-    grid = survey_grid(world, loaded.target.position_m, size, posting)
-    maps = TruthProducts.of(world, loaded.vehicle.make(), grid)
-    maps.save(out)
-    click.echo(
-        f"{out}: {grid.rows} x {grid.cols} cells, {100 * maps.safe.mean():.1f} % exactly safe, "
-        f"{100 * (maps.rock >= 0).mean():.1f} % under rocks, {100 * maps.shadow.mean():.1f} % dark"
-    )
-
-
-@main.command()
-@click.argument("contract", required=False)
-def parts(contract: str | None) -> None:
-    """List the parts that scenarios choose from, or those of one CONTRACT."""
-    from lunarsim.scenario.reference import parts_list
-
-    for line in parts_list(contract):
-        click.echo(line)
-
-
-@main.group(cls=_Group)
-def scenario() -> None:
-    """Scenario files: what they may hold, and whether one is right."""
-
-
-@scenario.command()
-@click.option("--markdown", is_flag=True, help="As Markdown tables; else as text.")
-def reference(markdown: bool) -> None:
-    """Print every key of a scenario file with unit, default, bounds and meaning."""
-    from lunarsim.scenario.reference import reference_text
-
-    click.echo(reference_text(markdown=markdown))
-
-
-@scenario.command()
-@click.argument("file", type=click.Path(path_type=Path))
-def check(file: Path) -> None:
-    """Check a scenario FILE and print it whole, defaults included."""
-    from lunarsim.scenario import Scenario
-
-    click.echo(Scenario.load(file).to_toml(), nl=False)
-
-
 def _table(result: Any) -> Table:
+    from rich.table import Table
+
     from lunarsim.evaluation.statistics import summarise
 
     table = Table(title=None)

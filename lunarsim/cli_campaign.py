@@ -9,29 +9,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from lunarsim.errors import InputError, check_output
+from lunarsim.cli_common import (
+    INTERRUPTED,
+    PATH,
+    load_scenario,
+    progress_bar,
+    scenario_options,
+    wide_console,
+)
+from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
     from lunarsim.campaign.cache import DiskCache
     from lunarsim.campaign.spec import CampaignSpec
 
-_INTERRUPTED = 130
-_PATH = click.Path(path_type=Path)
-_FOLDER = click.argument("folder", type=_PATH)
+_FOLDER = click.argument("folder", type=PATH)
 _JOBS = click.option(
     "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1,
     show_default="number of cores", help="Processes; the results do not depend on it.",
 )  # fmt: skip
 _OUT = click.option(
-    "--out", type=_PATH, required=True,
+    "--out", type=PATH, required=True,
     help="Folder for results: new, or of the same campaign, which is then gone on with.",
 )  # fmt: skip
 _CACHE = click.option(
-    "--cache", type=_PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
+    "--cache", type=PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
     help="Folder where the truth about grounds is kept between campaigns.",
 )  # fmt: skip
 _CACHE_SIZE = click.option(
@@ -57,9 +60,9 @@ def campaign() -> None:
 
 
 @campaign.command()
-@click.argument("spec", type=_PATH)
+@click.argument("spec", type=PATH)
 @click.option(
-    "--out", type=_PATH, default=None, show_default="standard output",
+    "--out", type=PATH, default=None, show_default="standard output",
     help="CSV or Parquet file to write.",
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
@@ -85,7 +88,7 @@ def plan(spec: Path, out: Path | None) -> None:
 
 
 @campaign.command("run")
-@click.argument("spec", type=_PATH)
+@click.argument("spec", type=PATH)
 @_OUT
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
@@ -112,7 +115,7 @@ def run_command(
 
 
 @click.command()
-@click.argument("scenario", type=_PATH)
+@scenario_options
 @click.option(
     "--over", "over", multiple=True, required=True,
     help="KEY=A,B,C or KEY=LOW:HIGH:COUNT; may be repeated: every combination is flown.",
@@ -128,8 +131,8 @@ def run_command(
 @_CACHE_SIZE
 @_RETRY
 def sweep(
-    scenario: Path, over: tuple[str, ...], flights: int, seed: int, out: Path, jobs: int,
-    cache: Path | None, cache_size: float, retry_failed: bool,
+    scenario: Path, changes: tuple[str, ...], over: tuple[str, ...], flights: int, seed: int,
+    out: Path, jobs: int, cache: Path | None, cache_size: float, retry_failed: bool,
 ) -> None:  # fmt: skip
     """Fly SCENARIO (a TOML file) under every combination of values of some of its keys.
 
@@ -140,7 +143,7 @@ def sweep(
 
     data = {
         "name": f"{scenario.stem}-sweep",
-        "scenario": str(scenario.absolute()),
+        "scenario": load_scenario(scenario, changes).to_dict(),
         "flights": flights,
         "seed": seed,
         "factors": parse_over(over),
@@ -161,15 +164,11 @@ def _flown(
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
     kept = _cache(*cache)
     total = spec.head.flights * len(spec.arms)
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True),
-    ) as bar:  # fmt: skip
-        task = bar.add_task(spec.head.name, total=total)
+    with progress_bar(spec.head.name, total) as advance:
         try:
             ran = fly_spec(
-                spec, flies, out, retry=retry, progress=lambda n: bar.advance(task, n), cache=kept,
-                say=bar.console.print,
+                spec, flies, out, retry=retry, progress=advance, cache=kept,
+                say=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkersDieError as error:
             raise click.ClickException(str(error)) from None
@@ -184,7 +183,7 @@ def _flown(
     click.echo(f"results in {out}: lunarsim campaign report {out}")
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
-        sys.exit(_INTERRUPTED if ran.state == "interrupted" else 0)
+        sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
 
 
 def _cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
@@ -220,7 +219,7 @@ def _span(seconds: float) -> str:
 
 @campaign.command()
 @_FOLDER
-@click.option("--out", type=_PATH, required=True, help="CSV or Parquet file to write.")
+@click.option("--out", type=PATH, required=True, help="CSV or Parquet file to write.")
 @click.option("--timing", is_flag=True, help="Wall-clock times too.")
 def export(folder: Path, out: Path, timing: bool) -> None:
     """Write all rows of the campaign in FOLDER into one file."""
@@ -232,7 +231,7 @@ def export(folder: Path, out: Path, timing: bool) -> None:
 @campaign.command()
 @_FOLDER
 @click.option(
-    "--out", type=_PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
+    "--out", type=PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
 )
 def report(folder: Path, out: Path | None) -> None:
     """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
@@ -261,6 +260,8 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
     Sobol indices where the spec said method = "saltelli"; else PAWN, the distance by which the
     metric's distribution moves when a key is held in a tenth of its range.
     """
+    from rich.table import Table
+
     from lunarsim.campaign.results import load_results
     from lunarsim.campaign.sensitivity import sensitivities
 
@@ -278,14 +279,14 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
                 f"{v[i][0]:.3f} [{v[i][1]:.3f}, {v[i][2]:.3f}]" for v in found.indices.values()
             ]
             table.add_row(name, *cells)
-        Console(width=None if sys.stdout.isatty() else 140).print(table)
+        wide_console(140).print(table)
         if found.chance == found.chance:
             click.echo(f"  of a column drawn for nothing: up to {found.chance:.3f}")
 
 
 @campaign.command()
-@click.argument("first", type=_PATH, metavar="A")
-@click.argument("second", type=_PATH, metavar="B")
+@click.argument("first", type=PATH, metavar="A")
+@click.argument("second", type=PATH, metavar="B")
 @click.option(
     "--margin", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
     help="Differences of the share up to this do not matter.",
@@ -302,6 +303,8 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
     for all arms. Equivalent: the 90 % interval of the difference lies within the margin, which is
     two one-sided tests at 5 %.
     """
+    from rich.table import Table
+
     from lunarsim.campaign.analysis import diff as compare
     from lunarsim.campaign.results import load_results
 
@@ -316,7 +319,7 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
             d.first, str(d.pairs), f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]", f"{d.p:.3g}",
             f"{d.corrected:.3g}", word,
         )  # fmt: skip
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    wide_console(140).print(table)
     if any(v.worse or (require_equivalent and not v.equivalent) for v in verdicts):
         sys.exit(1)
 
@@ -324,10 +327,11 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 @click.command()
 @_FOLDER
 @click.option("--flight", required=True, help="Its id, such as 12-0: index and number of the arm.")
-@click.option("--out", type=_PATH, default=None, help="New folder for its record and figures.")
+@click.option("--out", type=PATH, default=None, help="New folder for its record and figures.")
 def replay(folder: Path, flight: str, out: Path | None) -> None:
     """Fly one flight of the campaign in FOLDER again, and compare it with its row."""
-    from lunarsim.campaign.comparison import check_folder
+    from rich.table import Table
+
     from lunarsim.campaign.replay import replay as fly
 
     if out is not None:
@@ -336,7 +340,7 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():
         table.add_row(name, _word(value))
-    Console().print(table)
+    wide_console(120).print(table)
     if found.recorded is None:
         click.echo("the campaign has no row of this flight yet")
     elif found.differences is None:

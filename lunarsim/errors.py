@@ -35,6 +35,42 @@ class RenderingError(RuntimeError):
     """The machine cannot render; the message says what to install."""
 
 
+def check_folder(out: Path) -> None:
+    """Refuse a folder for results that is a file, holds something, or cannot be written to.
+
+    It is tried where it will be made, and left as it was.
+
+    Raises
+    ------
+    InputError
+        Naming ``--out``.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError("--out", str(out), "a folder, not a file")
+    if out.exists() and any(out.iterdir()):
+        raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
+    check_writable(out)
+
+
+def check_writable(out: Path) -> None:
+    """Refuse a folder for results where none can be made or written to; leave it as it was.
+
+    Raises
+    ------
+    InputError
+        Naming ``--out``.
+    """
+    there = next(p for p in (out, *out.absolute().parents) if p.exists())
+    try:
+        tempfile.TemporaryFile(dir=there).close()
+    except OSError as error:
+        raise InputError(
+            "--out",
+            str(out),
+            f"a folder where one can be made: {there} cannot be written to ({error.strerror})",
+        ) from None
+
+
 def check_output(field: str, path: Path, suffix: str) -> None:
     """Refuse a file to write that has another suffix, is a folder, or lies where none can be.
 

@@ -9,6 +9,44 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 
+_UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
+
+
+def bytes_in_words(count: float) -> str:
+    """Return a number of bytes in words, such as 4.61 TiB."""
+    power = 0
+    while count >= 1024.0 and power < len(_UNITS) - 1:
+        count, power = count / 1024.0, power + 1
+    return f"{count:.3g} {_UNITS[power]}"
+
+
+def check_side(field: str, size: float, posting: float, most: int, what: str = "cells") -> None:
+    """Refuse a square raster of too many cells along a side, before memory is asked for it.
+
+    Parameters
+    ----------
+    field
+        Where the side was given.
+    size, posting
+        Side and distance of the cells, m.
+    most
+        Cells along a side.
+    what
+        What the cells are called.
+
+    Raises
+    ------
+    InputError
+        With what the raster would take, 4 bytes a cell.
+    """
+    count = size / posting
+    if not count <= most:
+        raise InputError(
+            field, size,
+            f"at most {most} {what} of {posting:g} m a side: {count:.4g} squared of 4 bytes are "
+            + bytes_in_words(4.0 * count * count),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Grid:

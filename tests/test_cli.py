@@ -194,7 +194,7 @@ def test_check_prints_the_scenario_whole_or_what_is_wrong(tmp_path):
     path.write_text('name = "x"\n[sun]\nelevation_deg = 12.0')
     done = run("scenario", "check", str(path))
     assert done.exit_code == 0, done.output
-    printed = Scenario.from_toml(done.output)
+    printed = Scenario.from_toml(done.stdout)
     assert printed == Scenario.load(path)
     assert (printed.sun.elevation_deg, printed.sun.azimuth_deg) == (12.0, 270.0)
     path.write_text("[sun]\nelevation = 12.0")

@@ -26,13 +26,13 @@ from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.factors import Arm
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.fly_spec import fly_spec
-from lunarsim.campaign.keys import with_values
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.spec import CampaignSpec, Head
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_folder
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.parts import resolve
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import with_values
 
 Progress = Callable[[int], None]
 
@@ -86,14 +86,6 @@ def check_request(policies: Sequence[str | RetargetingPolicy], flights: int, job
         raise InputError("--flights", flights, "at least 1")
     if jobs < 1:
         raise InputError("--jobs", jobs, "at least 1")
-
-
-def check_folder(out: Path) -> None:
-    """Raise `InputError` if `out` cannot take results."""
-    if out.exists() and not out.is_dir():
-        raise InputError("--out", str(out), "a folder, not a file")
-    if out.exists() and any(out.iterdir()):
-        raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
 
 
 def compare(

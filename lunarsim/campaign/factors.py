@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.campaign.keys import GROUND_TABLES, tables_of, with_values
+from lunarsim.campaign.keys import GROUND_TABLES, tables_of
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import with_values
 
 # More are a mistake in a spec rather than a study.
 MOST_ARMS = 1000

@@ -16,11 +16,12 @@ from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.dispersions import world_of
 from lunarsim.campaign.factors import Arm, folder_name, groups_of
 from lunarsim.campaign.grounds import SHARES, Grounds
-from lunarsim.campaign.keys import GROUND_TABLES, path_of, tables_of, with_values
+from lunarsim.campaign.keys import GROUND_TABLES, tables_of
 from lunarsim.campaign.plan import Group, Plan, Work, kind_of
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.evaluation.outcome import COLUMNS, evaluate
 from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.simulation import Flight, Simulation, build_world
 from lunarsim.world.terrain import Terrain
 

@@ -1,105 +1,23 @@
-"""Keys of a scenario as campaigns write them: ``rocks.cover``, ``start.position_m.0``, ``policy``.
-
-A key is the path of tables down to a value, with dots between; a number at its end is an element of
-a list. The name of a table with a `kind` alone stands for its `kind`.
-"""
+"""Values of a scenario by keys, and the tables that a world is made from."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-from lunarsim.errors import InputError
-from lunarsim.scenario import Scenario, layout
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import at, path_of
 
 # What a ground and the truth about it are made from, besides the seed.
 GROUND_TABLES = ("terrain", "rocks")
 TRUTH_TABLES = (*GROUND_TABLES, "vehicle")
 
 
-def path_of(key: str, value: Any = "") -> tuple[str, ...]:
-    """Return the steps of a key; the name of a part's table with a text as value means its kind."""
-    if key in layout.CHOSEN and isinstance(value, str):
-        return key, "kind"
-    return tuple(key.split("."))
-
-
-def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Scenario:
-    """Return a scenario with other values.
-
-    Parameters
-    ----------
-    scenario
-        The study.
-    values
-        Value by key; a table of another `kind` starts from that kind's defaults.
-    where
-        Put before the field of an error.
-
-    Raises
-    ------
-    InputError
-        If a key is not one of the scenario's, or a value will not do.
-    """
-    if not values:
-        return scenario
-    data = scenario.to_dict()
-    change: dict[str, Any] = {}
-    for key, value in values.items():
-        field = f"{where}.{key}"
-        steps, new = path_of(key, value), value
-        if not all(steps):
-            raise InputError(field, value, "a key of the scenario such as rocks.cover")
-        if len(steps) > 1 and steps[-1].isdigit():
-            steps, index = steps[:-1], int(steps[-1])
-            new = _replaced(_at(change, steps) or _at(data, steps), index, value, field)
-        _lay(change, steps, new, field)
-    try:
-        return scenario.changed(**change)
-    except InputError as error:
-        raise InputError(f"{where}.{error.field}", error.value, error.expected) from None
-
-
 def value_at(scenario: Scenario, key: str) -> Any:
     """Return the scenario's own value at a key, None where it has none."""
-    return _at(scenario.to_dict(), path_of(key))
+    return at(scenario.to_dict(), path_of(key))
 
 
 def tables_of(scenario: Scenario, tables: tuple[str, ...]) -> str:
     """Return some tables as a text that two scenarios share exactly if their tables are equal."""
     data = scenario.to_dict()
     return repr({name: data.get(name) for name in tables})
-
-
-def _at(data: Any, steps: tuple[str, ...]) -> Any:
-    for step in steps:
-        if isinstance(data, Mapping):
-            data = data.get(step)
-        elif isinstance(data, list | tuple) and step.isdigit() and int(step) < len(data):
-            data = data[int(step)]
-        else:
-            return None
-    return data
-
-
-def _replaced(current: Any, index: int, value: Any, field: str) -> list[Any]:
-    """Return a list with one element replaced."""
-    if not isinstance(current, list | tuple):
-        raise InputError(field, value, "an element of a list that the scenario has")
-    if index >= len(current):
-        raise InputError(field, value, f"an element from 0 to {len(current) - 1}")
-    new = list(current)
-    new[index] = value
-    return new
-
-
-def _lay(change: dict[str, Any], steps: tuple[str, ...], value: Any, field: str) -> None:
-    """Lay one value into a nested change."""
-    for step in steps[:-1]:
-        inner = change.setdefault(step, {})
-        if not isinstance(inner, dict):
-            raise InputError(field, value, f"no key below {step!r}, which is set as a whole")
-        change = inner
-    if isinstance(change.get(steps[-1]), dict):
-        raise InputError(field, value, "a table as a whole or keys in it, not both")
-    change[steps[-1]] = value

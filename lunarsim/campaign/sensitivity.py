@@ -16,11 +16,11 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lunarsim.campaign.analysis import arm_rows, column
-from lunarsim.campaign.keys import path_of
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.results import Results
 from lunarsim.errors import InputError, suggestion
 from lunarsim.rng import design_seed
+from lunarsim.scenario.changes import path_of
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]

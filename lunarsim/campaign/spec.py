@@ -34,11 +34,11 @@ from pydantic import ValidationError
 
 from lunarsim.campaign.dispersions import KINDS, Correlation, Dispersions, distribution
 from lunarsim.campaign.factors import Arm, arms_of, flattened, listed, product
-from lunarsim.campaign.keys import path_of, with_values
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import quantity, settings_of
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
 

@@ -33,7 +33,7 @@ import lunarsim
 from lunarsim.campaign.files import code_digest, environment, write_json, write_whole
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_writable
 
 FORMAT = 1
 # A row of results and its times.
@@ -380,6 +380,7 @@ def check_folder(folder: Path, plan: Plan) -> dict[str, Any] | None:
             raise InputError(
                 "--out", str(folder), "an empty or new folder: this one holds other files"
             )
+        check_writable(folder)
         return None
     manifest = read_manifest(folder)
     for key, ours in (("format", FORMAT), ("version", lunarsim.__version__),

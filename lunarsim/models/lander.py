@@ -12,6 +12,11 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import check_bounds, quantity
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition; turns specific impulse into exhaust speed
+# Squared radii of gyration of a lander whose moments are not given, m^2: of what is left when the
+# tanks are empty, about each body axis, and of the propellant. 1,100 kg and 400 kg of propellant
+# have 1100, 1100, 1300 and 1400, 1400, 1600 kg m^2.
+_DRY_GYRATION = (1.0, 1.0, 13.0 / 11.0)
+_PROPELLANT_GYRATION = 0.75
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,8 @@ class Lander:
     dry_mass, propellant_mass
         kg.
     inertia_dry, inertia_full
-        Principal moments about the centre of mass (3,), kg m^2, with tanks empty and full.
+        Principal moments about the centre of mass (3,), kg m^2, with tanks empty and full; those
+        left out follow the masses.
     thrust_min, thrust_max
         Throttle range of the running engine, N.
     specific_impulse
@@ -53,12 +59,14 @@ class Lander:
 
     dry_mass: float = quantity(1100.0, "kg", gt=0, help="without propellant")
     propellant_mass: float = quantity(400.0, "kg", gt=0, help="full tanks")
-    inertia_dry: tuple[float, float, float] = quantity(
-        (1100.0, 1100.0, 1300.0), "kg m^2", gt=0, help="principal moments, tanks empty"
-    )
-    inertia_full: tuple[float, float, float] = quantity(
-        (1400.0, 1400.0, 1600.0), "kg m^2", gt=0, help="principal moments, tanks full"
-    )
+    inertia_dry: tuple[float, float, float] | None = quantity(
+        None, "kg m^2", gt=0,
+        help="principal moments, tanks empty; left out: 1, 1 and 1.18 m^2 times dry_mass_kg",
+    )  # fmt: skip
+    inertia_full: tuple[float, float, float] | None = quantity(
+        None, "kg m^2", gt=0,
+        help="principal moments, tanks full; left out: 0.75 m^2 times propellant_mass_kg more",
+    )  # fmt: skip
     thrust_min: float = quantity(600.0, "N", ge=0, help="of the running engine")
     thrust_max: float = quantity(6000.0, "N", gt=0, help="of the engine")
     specific_impulse: float = quantity(311.0, "s", gt=0, help="of the engine")
@@ -84,6 +92,7 @@ class Lander:
             raise InputError("vehicle.legs", self.legs, "3 or 4")
         if self.thrust_min >= self.thrust_max:
             raise InputError("vehicle.thrust_min", self.thrust_min, f"less than {self.thrust_max}")
+        self._follow_mass()
         for name in ("inertia_dry", "inertia_full"):
             a, b, c = sorted(getattr(self, name))
             if a + b < c:
@@ -96,6 +105,16 @@ class Lander:
             raise InputError(
                 "vehicle.pad_diameter", self.pad_diameter, f"less than {self.leg_radius}"
             )
+
+    def _follow_mass(self) -> None:
+        """Set the moments that are left out."""
+        if self.inertia_dry is None:
+            dry = tuple(round(self.dry_mass * k, 9) for k in _DRY_GYRATION)
+            object.__setattr__(self, "inertia_dry", dry)
+        if self.inertia_full is None:
+            more = _PROPELLANT_GYRATION * self.propellant_mass
+            full = tuple(round(moment + more, 9) for moment in self.inertia_dry or ())
+            object.__setattr__(self, "inertia_full", full)
 
     @property
     def wet_mass(self) -> float:

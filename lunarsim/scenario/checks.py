@@ -11,6 +11,7 @@ import numpy as np
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.hazards.mapper import check_map
 from lunarsim.parts import loadable
 
 
@@ -163,6 +164,7 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
+        _check_map(field, mapper, scenario)
         if mapper.sensor not in sensors:
             raise InputError(
                 f"{field}.sensor", mapper.sensor,
@@ -182,6 +184,16 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
                 f"{_kinds_of('navigation', wanted)}: {field} of kind {part.kind!r} maps with that "
                 "filter",
             )  # fmt: skip
+
+
+def _check_map(field: str, mapper: Any, scenario: Tables) -> None:
+    """Refuse a map that is too small, too coarse or too large, where the mapper says how large."""
+    size, posting = getattr(mapper, "size", None), getattr(mapper, "posting", None)
+    if isinstance(size, float | int) and isinstance(posting, float | int):
+        try:
+            check_map(size, posting, scenario.vehicle.make())
+        except InputError as error:
+            raise InputError(f"{field}.{error.field}", error.value, error.expected) from None
 
 
 def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:

@@ -22,11 +22,14 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is missing or no TOML.
+        If it is missing, holds nothing, or is no TOML. A byte order mark at its start is read over.
     """
     if not path.is_file():
         raise InputError(name, str(path), "an existing TOML file")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(name, str(path), f"a TOML file ({error})") from None
+    if not tables:
+        raise InputError(name, str(path), "a file with at least one key: this one holds none")
+    return tables

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 
+_MOST_CYCLES = 1_000_000
+
 
 @dataclass(frozen=True)
 class Start:
@@ -81,14 +83,23 @@ class Clock:
         A flight that is not over by then is, s.
     """
 
-    step: float = quantity(0.01, "s", gt=0, help="of integration, inertial unit, attitude loop")
+    step: float = quantity(
+        0.01, "s", ge=1e-4, le=1, help="of integration, inertial unit, attitude loop"
+    )
     cycle: float = quantity(0.1, "s", gt=0, le=1, help="of the onboard computer")
-    max_time: float = quantity(300.0, "s", gt=0, help="a flight that is not over by then is")
+    max_time: float = quantity(
+        300.0, "s", gt=0, le=1e5, help="a flight that is not over by then is"
+    )
 
     def __post_init__(self) -> None:
         steps = self.cycle / self.step
         if steps < 1.0 or abs(steps - round(steps)) > 1e-6:
             raise InputError("cycle", self.cycle, f"a whole number of steps of {self.step} s")
+        if self.max_time / self.cycle > _MOST_CYCLES:
+            raise InputError(
+                "max_time", self.max_time,
+                f"at most {_MOST_CYCLES} cycles of {self.cycle} s: each is a row of the record",
+            )  # fmt: skip
 
     @property
     def steps(self) -> int:

@@ -88,6 +88,8 @@ class Scenario:
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Scenario:
         """Build a scenario from plain tables; relative paths start from `folder`.
 
+        Without a folder they start from the working directory.
+
         Raises
         ------
         InputError
@@ -142,7 +144,7 @@ class Scenario:
         """Build a scenario from the text of a TOML file whose paths are absolute."""
         return cls.from_dict(tomllib.loads(text))
 
-    def changed(self, **tables: Any) -> Scenario:
+    def changed(self, /, **tables: Any) -> Scenario:
         """Return the scenario with other values, checked.
 
         Parameters
@@ -257,6 +259,14 @@ def _chosen(
     return ChosenPart(kind, _table(path, of, data, folder, contract, kind))
 
 
+def _whole(field: str, path: Path, folder: Path | None) -> Path:
+    """Return a path that means the same from everywhere."""
+    try:
+        return ((Path.cwd() if folder is None else folder) / path).resolve()
+    except (ValueError, OSError) as error:
+        raise InputError(field, str(path), f"the path of a file ({error})") from None
+
+
 def _table(
     path: str,
     of: type,
@@ -278,9 +288,9 @@ def _table(
     except ValidationError as error:
         raise input_error(path, model, error, contract, kind) from None
     paths = {
-        key: (folder / given).resolve()
+        key: _whole(f"{path}.{key}", given, folder)
         for key in model.model_fields
-        if folder is not None and isinstance(given := getattr(table, key), Path)
+        if isinstance(given := getattr(table, key), Path)
     }
     if paths:
         table = model.model_validate(table.model_dump() | paths)

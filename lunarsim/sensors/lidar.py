@@ -20,6 +20,8 @@ from lunarsim.world import World
 Array = NDArray[np.float64]
 
 _REFERENCE_RANGE = 500.0
+# Of a detector: a map of more returns takes gigabytes.
+_MOST_PIXELS = 2**22
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,12 @@ class FlashLidar:
         check_bounds(self, "lidar")
         if self.spacing not in {"tangent", "angle"}:
             raise InputError("lidar.spacing", self.spacing, "tangent or angle")
+        if self.rows * self.cols > _MOST_PIXELS:
+            raise InputError(
+                "lidar.rows", self.rows,
+                f"at most {_MOST_PIXELS // self.cols} with {self.cols} columns: {_MOST_PIXELS} "
+                "returns a flash",
+            )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> FlashLidar | BiasedLidar:
         """Return the LiDAR of one flight."""

@@ -19,6 +19,9 @@ from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State
 from lunarsim.world import World
 
+# From higher up ground of kilometres is no picture any more, m.
+_HIGHEST = 1e6
+
 
 def camera_state(
     camera: Camera, world: World, target: tuple[float, float], altitude: float,
@@ -42,10 +45,14 @@ def camera_state(
     ground = float(world.terrain.elevation(target))
     if not np.isfinite(ground):
         raise InputError("target.position_m", target, "a point with known elevation")
-    if not altitude > 0.0:
-        raise InputError("altitude", altitude, "a height above the ground in metres")
+    if not 0.0 < altitude < _HIGHEST:
+        raise InputError(
+            "--altitude", altitude, f"metres above the ground, more than 0, less than {_HIGHEST:g}"
+        )
+    if not np.isfinite(heading):
+        raise InputError("--heading", float(np.rad2deg(heading)), "a finite angle in deg")
     if not 0.0 <= off_nadir < np.deg2rad(85.0):
-        raise InputError("off-nadir", float(np.rad2deg(off_nadir)), "from 0 to 85 deg")
+        raise InputError("--off-nadir", float(np.rad2deg(off_nadir)), "from 0 to 85 deg")
     forward = np.array([np.sin(heading), np.cos(heading), 0.0])
     boresight = np.sin(off_nadir) * forward - np.array([0.0, 0.0, np.cos(off_nadir)])
     if off_nadir < 1e-6:
@@ -89,9 +96,9 @@ def take_picture(
     InputError
         If a value cannot be used; nothing is written.
     """
-    check_output("out", out, ".png")
+    check_output("--out", out, ".png")
     if truth is not None:
-        check_output("truth", truth, ".npz")
+        check_output("--truth", truth, ".npz")
     changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
     given = {name: value for name, value in changes.items() if value is not None}
     scenario = scenario.changed(sun=given)
@@ -111,7 +118,7 @@ def take_picture(
     camera = replace(camera, exposure=exposure or metered(camera, world, state))
     photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
     if not cv2.imwrite(str(out), photo.counts):
-        raise InputError("out", str(out), "a file that can be written")
+        raise InputError("--out", str(out), "a file that can be written")
     if truth is not None:
         _save_truth(photo, truth)
     sun = scenario.sun

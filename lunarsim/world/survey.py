@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid
+from lunarsim.grid import Grid, check_side
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.parts.quantity import quantity
 from lunarsim.world.terrain import Terrain
@@ -53,8 +53,7 @@ class PriorSurvey:
     void_share: float = quantity(0.0, ge=0, lt=1, help="of the posts without an elevation")
 
     def __post_init__(self) -> None:
-        if self.size / self.posting > _MOST_POSTS:
-            raise InputError("size", self.size, f"at most {_MOST_POSTS} posts of {self.posting} m")
+        check_side("size", self.size, self.posting, _MOST_POSTS, "posts")
 
     def build(
         self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator

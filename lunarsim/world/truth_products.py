@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid
+from lunarsim.grid import Grid, check_side
 from lunarsim.models.lander import Lander
 from lunarsim.safety import exact_safety
 from lunarsim.world import World
 
 _OFF = 1e-3  # rays to the Sun start this far off the ground, m
+
+
+# Along a side of the maps.
+_MOST_CELLS = 8000
 
 
 @dataclass(frozen=True)
@@ -91,12 +95,13 @@ def survey_grid(world: World, centre: tuple[float, float], size: float, posting:
         If a value is not positive or the square reaches beyond the terrain.
     """
     if not (np.isfinite(posting) and posting > 0.0):
-        raise InputError("posting", posting, "a positive length in metres")
+        raise InputError("--posting", posting, "more than 0, in metres")
     if not (np.isfinite(size) and size >= 10.0 * posting):
-        raise InputError("size", size, f"at least ten postings, {10.0 * posting:g} m")
+        raise InputError("--size", size, f"at least ten postings, {10.0 * posting:g} m")
+    check_side("--size", size, posting, _MOST_CELLS)
     west, east, south, north = world.terrain.bounds
     half = 0.5 * size
     room = min(centre[0] - west, east - centre[0], centre[1] - south, north - centre[1])
     if half > room:
-        raise InputError("size", size, f"at most {2.0 * room:g} m around the target")
+        raise InputError("--size", size, f"at most {2.0 * room:g} m around the target")
     return Grid.centred(centre, size, posting)

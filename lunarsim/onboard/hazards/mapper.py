@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid
+from lunarsim.grid import Grid, check_side
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -127,18 +127,35 @@ def is_aside(grid: Grid, centre: Array) -> bool:
     return bool((far > 0.125 * min(east - west, north - south)).any())
 
 
+def check_map(size: float, posting: float, lander: Lander) -> None:
+    """Refuse a map that is smaller than the lander's footprint, too coarse, or too large.
+
+    Parameters
+    ----------
+    size, posting
+        Side of the square and of a cell, m.
+    lander
+        That is to land on it.
+
+    Raises
+    ------
+    InputError
+        Naming ``size_m`` or ``posting_m``.
+    """
+    if posting > 0.5 * lander.leg_radius:
+        raise InputError("posting_m", posting, f"at most {0.5 * lander.leg_radius} m")
+    if size < 4.0 * lander.leg_radius + 1.0:
+        raise InputError("size_m", size, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m")
+    check_side("size_m", size, posting, _MOST_CELLS)
+
+
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:
     """Return the cells of a hazard map about a point.
 
     Raises
     ------
     InputError
-        If the map is smaller than the lander's footprint or its posting is too coarse.
+        See `check_map`.
     """
-    if posting > 0.5 * lander.leg_radius:
-        raise InputError("posting_m", posting, f"at most {0.5 * lander.leg_radius} m")
-    if size < 4.0 * lander.leg_radius + 1.0:
-        raise InputError("size_m", size, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m")
-    if size / posting > _MOST_CELLS:
-        raise InputError("size_m", size, f"at most {_MOST_CELLS} cells of {posting} m a side")
+    check_map(size, posting, lander)
     return Grid.centred(centre, size, posting)

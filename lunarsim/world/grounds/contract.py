@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from lunarsim.errors import InputError
+from lunarsim.grid import check_side
 from lunarsim.rng import Streams
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.laws import sample_diameters
@@ -14,6 +15,7 @@ from lunarsim.world.terrain import AgedCraters, Clusters, Heightfield, Terrain, 
 from lunarsim.world.terrain.placement import NOWHERE
 
 MOST_POSTS = 20_000
+LEAST_POSTS = 2
 
 
 class Ground(Protocol):
@@ -71,9 +73,12 @@ def strewn(
 
 
 def check_posts(size: float, posting: float) -> None:
-    """Raise `InputError` for relief of more than 20,000 posts a side: 1.6 GB."""
-    if size / posting > MOST_POSTS:
-        raise InputError("size", size, f"at most {MOST_POSTS} posts of {posting} m a side")
+    """Raise `InputError` for relief of less than 2 posts a side, or more than 20,000: 1.6 GB."""
+    check_side("size", size, posting, MOST_POSTS, "posts")
+    if round(size / posting) < LEAST_POSTS:
+        raise InputError(
+            "posting", posting, f"at most {size / LEAST_POSTS:g}: half of size_m, {size:g}"
+        )
 
 
 def check_room(terrain: Terrain, footprint: float) -> None:

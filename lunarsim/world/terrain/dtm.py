@@ -18,11 +18,18 @@ from rasterio.warp import transform as warp
 from rasterio.windows import Window
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid
+from lunarsim.grid import Grid, bytes_in_words
 from lunarsim.world.terrain.heightfield import Heightfield
 
 # Float rasters from PDS mark missing posts by huge negative numbers, not always declared.
 _MISSING_BELOW = -1e30
+# No ground is farther from the middle of a body than this, m: the Moon's centre to its surface is
+# 1.7e6 m, and files that count heights from there are used as they are.
+_FARTHEST = 1e7
+# Ground within one file differs by less, m.
+_MOST_RELIEF = 1e5
+# Elevations read at once: 1.6 GB.
+_MOST_READ = 400_000_000
 # Grid north may be off true north by as much before a raster is turned, rad.
 _LEAST_CONVERGENCE = np.deg2rad(0.1)
 
@@ -61,11 +68,20 @@ def _open(path: Path) -> rasterio.io.DatasetReader:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
-            return rasterio.open(path)
+            source = rasterio.open(path)
         except RasterioIOError as error:
             raise InputError(
                 "terrain.path", str(path), f"a raster that GDAL can read ({error})"
             ) from error
+    if source.count != 1:
+        count = source.count
+        source.close()
+        raise InputError(
+            "terrain.path", str(path),
+            f"a raster of one band, the elevations: this one has {count} "
+            "(`gdal_translate -b N` takes band N out)",
+        )  # fmt: skip
+    return source
 
 
 def _metric_posting(source: rasterio.io.DatasetReader) -> tuple[float | None, str]:
@@ -88,11 +104,52 @@ def _metric_posting(source: rasterio.io.DatasetReader) -> tuple[float | None, st
 def _elevations(
     source: rasterio.io.DatasetReader, part: Window | None = None
 ) -> NDArray[np.float32]:
-    z: NDArray[np.float32] = (
-        source.read(1, masked=True, window=part).astype(np.float32).filled(np.nan)
-    )
+    """Return the elevations of a window, NaN where there are none.
+
+    Raises
+    ------
+    InputError
+        If there are too many, they cannot be read, or they are none of a ground.
+    """
+    rows, cols = (source.height, source.width) if part is None else (part.height, part.width)
+    _check_count("terrain.path", source.name, rows, cols, "give terrain.dtm_window")
+    try:
+        z: NDArray[np.float32] = (
+            source.read(1, masked=True, window=part).astype(np.float32).filled(np.nan)
+        )
+    except RasterioIOError as error:
+        raise InputError(
+            "terrain.path",
+            source.name,
+            f"a whole raster: its elevations end early ({error.__cause__ or error})",
+        ) from None
     z[~np.isfinite(z) | (z < _MISSING_BELOW)] = np.nan
+    _check_heights(source.name, z)
     return z
+
+
+def _check_count(field: str, value: object, rows: int, cols: int, remedy: str) -> None:
+    """Refuse more posts than memory is asked for."""
+    if rows * cols > _MOST_READ:
+        raise InputError(
+            field, value,
+            f"at most {_MOST_READ} posts: {rows} x {cols} of 4 bytes are "
+            f"{bytes_in_words(4.0 * rows * cols)}; {remedy}",
+        )  # fmt: skip
+
+
+def _check_heights(path: str, z: NDArray[np.float32]) -> None:
+    """Refuse heights that no ground has."""
+    known = z[np.isfinite(z)]
+    if not known.size:
+        return
+    low, high = float(known.min()), float(known.max())
+    if max(-low, high) > _FARTHEST or high - low > _MOST_RELIEF:
+        raise InputError(
+            "terrain.path", path,
+            f"elevations in metres, within {_MOST_RELIEF:g} m of each other: these reach from "
+            f"{low:.6g} to {high:.6g} m; posts without one are marked by the file's no-data value",
+        )  # fmt: skip
 
 
 def read_info(path: str | Path) -> DtmInfo:
@@ -101,7 +158,7 @@ def read_info(path: str | Path) -> DtmInfo:
     Raises
     ------
     InputError
-        If the file is missing or not a raster.
+        If the file is missing, no raster of one band, cut short, or holds what no ground has.
     """
     with _open(Path(path)) as source:
         posting, frame = _metric_posting(source)
@@ -147,7 +204,8 @@ def load_dtm(
     Raises
     ------
     InputError
-        If the file is missing, is no raster, has no metric frame and no `posting` is given, holds
+        If the file is missing, is no whole raster of one band, holds what no ground has, has no
+        metric frame and no `posting` is given, holds
         no elevation at all, or the window lies outside.
     """
     path = Path(path)
@@ -232,6 +290,7 @@ def _north_up(
         source.crs, target, cols, rows, *bounds,
         **({} if posting is None else {"resolution": posting}),
     )  # fmt: skip
+    _check_count("terrain.dtm_posting_m", posting, high, wide, "a coarser posting takes less")
     out = np.full((high, wide), np.nan, np.float32)
     reproject(
         z, out, src_transform=transform, src_crs=source.crs, src_nodata=np.nan,

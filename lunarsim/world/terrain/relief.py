@@ -55,7 +55,8 @@ def fractal_relief(
     z = np.fft.irfft2(noise * k ** -(1.0 + hurst), s=(rows, cols))[: grid.rows, : grid.cols]
     step = max(1, round(baseline / grid.posting))
     if min(grid.shape) <= step:
-        raise InputError("terrain.size_m", grid.shape, f"a side longer than {baseline} m")
+        side = min(grid.shape) * grid.posting
+        raise InputError("terrain.size_m", side, f"a side longer than {baseline} m")
     length = step * grid.posting
     mean_square = np.mean(((z[:, step:] - z[:, :-step]) / length) ** 2) + np.mean(
         ((z[step:, :] - z[:-step, :]) / length) ** 2

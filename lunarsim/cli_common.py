@@ -1,0 +1,137 @@
+"""What all commands share: mistakes as one line, scenarios by file or name, options, progress."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from lunarsim.errors import InputError, RenderingError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lunarsim.scenario import Scenario
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+INTERRUPTED = 130
+PATH = click.Path(path_type=Path)
+
+
+class Group(click.Group):
+    """Turns a user's mistake into one line and exit code 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except click.exceptions.NoArgsIsHelpError:
+            raise
+        except click.UsageError as error:
+            where = ctx.command_path if error.ctx is None else error.ctx.command_path
+            _end(ctx, f"{error.format_message()} (`{where} --help` tells more)", 2)
+        except InputError as error:
+            _end(ctx, str(error), 2)
+        except RenderingError as error:
+            _end(ctx, str(error), 1)
+        except MemoryError as error:
+            _end(ctx, f"memory: {error or 'not enough'}; smaller sizes take less", 1)
+        except OSError as error:
+            if error.filename is None:
+                raise
+            _end(ctx, f"{error.filename}: {error.strerror}", 2)
+
+
+def _end(ctx: click.Context, message: str, code: int) -> None:
+    """Write a message as one line and leave."""
+    click.echo("error: " + " ".join(message.split()), err=True)
+    ctx.exit(code)
+
+
+# --- options ----------------------------------------------------------------------------------
+
+_FILE = click.argument("scenario", type=PATH)
+_SET = click.option(
+    "--set", "changes", multiple=True, metavar="KEY=VALUE",
+    help="Another value of a key, such as sun.elevation_deg=5; may be repeated.",
+)  # fmt: skip
+SEED = click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed."
+)
+FLIGHT = click.option(
+    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Index of the flight: world and noise derive from the seed and this.",
+)  # fmt: skip
+
+
+def scenario_options(command: F) -> F:
+    """Give a command the argument SCENARIO and the option ``--set``."""
+    return _FILE(_SET(command))
+
+
+def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) -> Scenario:
+    """Return a scenario with changes of the command line; tell on stderr what is odd about it.
+
+    Parameters
+    ----------
+    given
+        A file, or the name of a scenario that comes with the package.
+    changes
+        ``KEY=VALUE`` each.
+    flown
+        Whether a flight follows; pictures and maps of the ground use more, and less, of it.
+
+    Raises
+    ------
+    InputError
+        If the file or a change will not do.
+    """
+    from lunarsim.scenario import Scenario
+    from lunarsim.scenario.changes import with_changes
+    from lunarsim.scenario.notes import notes_on
+    from lunarsim.scenario.shipped import found
+
+    loaded = with_changes(Scenario.load(found(given)), changes)
+    for note in notes_on(loaded) if flown else ():
+        click.echo(f"warning: {note}", err=True)
+    return loaded
+
+
+# --- what is shown meanwhile --------------------------------------------------------------------
+
+
+def wide_console(width: int) -> Console:
+    """Return a console for tables, `width` columns wide where it is no terminal."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else width)
+
+
+@contextmanager
+def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a bar on stderr; what is yielded takes the number of things done since the last call."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(name, total=total)
+        try:
+            yield lambda n: bar.advance(task, n)
+        except InputError:
+            bar.live.transient = True  # nothing began
+            bar.console.quiet = not bar.console.is_terminal
+            raise

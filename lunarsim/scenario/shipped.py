@@ -1,0 +1,85 @@
+"""The scenarios that come with the package: by name, and copied to start from."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from lunarsim.errors import InputError, suggestion
+
+_PACKAGE = Path(__file__).parent.parent
+
+
+def folder() -> Path:
+    """Return where they lie: in the package once it is installed, else in the repository."""
+    installed = _PACKAGE / "shipped"
+    return installed if installed.is_dir() else _PACKAGE.parent / "scenarios"
+
+
+def names() -> dict[str, Path]:
+    """Return the file of each by name."""
+    return {path.stem: path for path in sorted(folder().glob("*.toml"))}
+
+
+def path_of(name: str) -> Path:
+    """Return the file of one.
+
+    Raises
+    ------
+    InputError
+        If none has that name.
+    """
+    known = names()
+    if name not in known:
+        raise InputError("NAME", name, suggestion(name, known))
+    return known[name]
+
+
+def found(given: Path) -> Path:
+    """Return a file as it is; where there is none, the scenario that is shipped by that name."""
+    return given if given.exists() else names().get(str(given), given)
+
+
+def description_of(path: Path) -> str:
+    """Return what a file says of itself in its first key ``description``."""
+    return str(tomllib.loads(path.read_text(encoding="utf-8")).get("description", ""))
+
+
+def copy_to(name: str, target: Path) -> list[Path]:
+    """Copy one, and the files that it names, to start from; return what was written.
+
+    Parameters
+    ----------
+    name
+        Of the scenario.
+    target
+        TOML file to write; files that it names go to the same places relative to it.
+
+    Raises
+    ------
+    InputError
+        If there is no such scenario, or a file is there already and is another.
+    """
+    source = path_of(name)
+    tables = tomllib.loads(source.read_text(encoding="utf-8"))
+    pairs = [(source, target)]
+    pairs += [(source.parent / path, target.parent / path) for path in _named(tables)]
+    for old, new in pairs:
+        if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
+            raise InputError("--out", str(new), "a new file: this one is there already")
+    for old, new in pairs:
+        new.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(old, new)
+    return [new for _, new in pairs]
+
+
+def _named(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the relative paths that a scenario's tables name."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _named(value)
+        elif (key == "path" or key.endswith("_path")) and not Path(str(value)).is_absolute():
+            yield str(value)

@@ -1,0 +1,90 @@
+"""What is told of a scenario that can be flown and is odd all the same."""
+
+from __future__ import annotations
+
+import pytest
+
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.models.lander import Lander
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.notes import notes_on
+from tests.worlds import SCENARIOS
+
+CAMERA = {"kind": "camera"}
+
+
+def notes(**tables):
+    return notes_on(Scenario.from_dict(tables))
+
+
+def test_the_default_study_has_nothing_odd():
+    assert notes() == []
+
+
+@pytest.mark.parametrize(
+    ("tables", "begins", "told"),
+    [
+        (
+            {"vehicle": {"dry_mass_kg": 400.0, "inertia_dry_kg_m2": [1100.0, 1100.0, 1300.0]}},
+            "vehicle.inertia_dry_kg_m2 = [1100, 1100, 1300]", "mass of 400 kg",
+        ),
+        (
+            {"vehicle": {"inertia_dry_kg_m2": [11.0, 11.0, 13.0]}},
+            "vehicle.inertia_dry_kg_m2 = [11, 11, 13]", "left out, it follows the mass",
+        ),
+        (
+            {"vehicle": {"inertia_full_kg_m2": [1000.0, 1000.0, 1000.0]}},
+            "vehicle.inertia_full_kg_m2", "less than inertia_dry_kg_m2",
+        ),
+        ({"vehicle": {"torque_max_n_m": [1.0, 600.0, 300.0]}}, "vehicle.torque_max_n_m", "rad/s^2"),
+        ({"vehicle": {"com_height_m": 20.0}}, "vehicle.slope_limit_deg = 10", "from 4.75 deg on"),
+        ({"vehicle": {"roughness_limit_m": 0.4}}, "vehicle.roughness_limit_m", "belly touches"),
+        ({"sun": {"elevation_deg": 5.0}}, "sun.elevation_deg = 5", "no sensor of kind 'camera'"),
+        (
+            {"terrain": {"kind": "hazard-field"}, "rocks": {"cover": 0.1}},
+            "rocks.cover = 0.1", "its own",
+        ),
+        ({"rocks": {"cover": 0.0, "shape": "cube"}}, "rocks.shape = 'cube'", "cover = 0"),
+        ({"rocks": {"block_crater_m": 30.0}}, "rocks.block_crater_m = 30", "clustered = 0"),
+        (
+            {"terrain": {"kind": "dtm", "path": "x.tif", "preset": "mare"}},
+            "terrain.preset = 'mare'", "detail = false",
+        ),
+        ({"terrain": {"crater_saturation_m": 9.0}}, "terrain.crater_saturation_m", "no craters"),
+        (
+            {"policy": {"kind": "no-divert"}, "decisions": {"interval_s": 2.0}},
+            "decisions.interval_s = 2", "decides nothing",
+        ),
+    ],
+)  # fmt: skip
+def test_each_oddity_is_told_once_with_key_and_value(tables, begins, told):
+    (note,) = [n for n in notes(**tables) if n.startswith(begins)]
+    assert told in note
+    assert "\n" not in note
+
+
+def test_the_sun_is_of_use_to_what_sees_it():
+    two_eyes = Scenario.load(SCENARIOS / "two_eyes.toml").changed(sun={"elevation_deg": 7.0})
+    assert notes_on(two_eyes) == []
+    stars = Scenario.load(SCENARIOS / "instruments.toml").changed(sun={"elevation_deg": 7.0})
+    assert not [n for n in notes_on(stars) if n.startswith("sun")]
+
+
+def test_inertia_follows_the_masses_that_are_given():
+    assert Lander().inertia_dry == (1100.0, 1100.0, 1300.0)
+    assert Lander().inertia_full == (1400.0, 1400.0, 1600.0)
+    half = Scenario.from_dict(
+        {"vehicle": {"dry_mass_kg": 550.0, "propellant_mass_kg": 200.0, "thrust_min_n": 300.0}}
+    ).vehicle.make()
+    assert half.inertia_dry == (550.0, 550.0, 650.0)
+    assert half.inertia_full == (700.0, 700.0, 800.0)
+    own = Lander(inertia_dry=(900.0, 900.0, 900.0), propellant_mass=100.0)
+    assert own.inertia_full == (975.0, 975.0, 975.0)
+    assert JetLander(dry_mass=2200.0).inertia_dry == (2200.0, 2200.0, 2600.0)
+
+
+def test_a_scenario_that_is_changed_twice_follows_the_last_mass():
+    once = Scenario.from_dict({}).changed(vehicle={"dry_mass_kg": 800.0})
+    again = once.changed(vehicle={"dry_mass_kg": 1200.0})
+    assert again.vehicle.make().inertia_dry[0] == 1200.0
+    assert notes_on(again) == []

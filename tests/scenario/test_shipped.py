@@ -1,0 +1,54 @@
+"""The scenarios that come with the package."""
+
+from __future__ import annotations
+
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario, shipped
+from tests.worlds import SCENARIOS
+
+
+def test_every_scenario_is_shipped_under_its_name():
+    assert set(shipped.names()) == {path.stem for path in SCENARIOS.glob("*.toml")}
+    assert shipped.description_of(shipped.path_of("hirise")).startswith("Measured Martian relief")
+
+
+@pytest.mark.parametrize("name", ["hirise", "golombek"])
+def test_a_copy_is_the_scenario_with_its_data(name, tmp_path):
+    target = tmp_path / "mine.toml"
+    written = shipped.copy_to(name, target)
+    assert written[0] == target
+    mine, theirs = Scenario.load(target), Scenario.load(shipped.path_of(name))
+    if name == "hirise":
+        assert mine.terrain.path == tmp_path / "data" / theirs.terrain.path.name
+        assert mine.terrain.path.read_bytes() == theirs.terrain.path.read_bytes()
+        mine = mine.changed(terrain={"path": str(theirs.terrain.path)})
+    assert mine == theirs
+    assert target.read_bytes() == shipped.path_of(name).read_bytes()
+
+
+def test_nothing_is_written_over(tmp_path):
+    shipped.copy_to("hirise", tmp_path / "a.toml")
+    shipped.copy_to("hirise", tmp_path / "b.toml")  # the same data again
+    with pytest.raises(InputError, match="a new file"):
+        shipped.copy_to("hirise", tmp_path / "a.toml")
+    (tmp_path / "data" / "hirise_dteec_010228_1490_crop.tif").write_bytes(b"mine")
+    with pytest.raises(InputError, match="a new file"):
+        shipped.copy_to("hirise", tmp_path / "c.toml")
+    assert not (tmp_path / "c.toml").exists()
+
+
+def test_a_name_that_is_none_names_the_nearest():
+    with pytest.raises(InputError, match="did you mean 'hirise'"):
+        shipped.path_of("hiris")
+
+
+def test_a_name_stands_for_its_file_where_no_file_has_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    from pathlib import Path
+
+    assert shipped.found(Path("golombek")) == shipped.path_of("golombek")
+    (tmp_path / "golombek").write_text("")
+    assert shipped.found(Path("golombek")) == Path("golombek")
+    assert shipped.found(Path("nothing.toml")) == Path("nothing.toml")

@@ -1,0 +1,233 @@
+"""Every command's bad input: code 2, one line with field, value and remedy, nothing written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from rasterio.transform import from_origin
+
+from lunarsim.cli import main
+from tests.worlds import SCENARIOS
+
+GOOD = str(SCENARIOS / "golombek.toml")
+SPEC = str(SCENARIOS / "campaigns" / "hard.toml")
+
+# Of every command that takes a scenario: arguments, and what the line must hold.
+OF_A_SCENARIO = [
+    (["gone.toml"], ["scenario", "gone.toml", "an existing TOML file"]),
+    (["empty.toml"], ["scenario", "empty.toml", "at least one key"]),
+    (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
+    (["folder"], ["scenario", "folder", "an existing TOML file"]),
+    (["wrong.toml"], ["sun.elevation_deg = 95.0", "less than or equal to 90"]),
+    (["words.toml"], ["vehicle.dry_mass_kg = '1100'", "a plain number in kg"]),
+    ([GOOD, "--set", "rocks.cover"], ["--set", "KEY=VALUE"]),
+    ([GOOD, "--set", "rocks.covr=0.1"], ["--set rocks.covr", "did you mean 'cover'"]),
+    ([GOOD, "--set", "terrain.size_m=1e9"], ["1000000000.0", "55.5 EiB", "at most 20000 posts"]),
+    ([GOOD, "--set", "mappers.dem.size_m=1e6"], ["1000000.0", "90.9 TiB", "at most 8000 cells"]),
+]
+# Of every command: arguments of its own, and what the line must hold.
+OWN = {
+    "fly": [
+        ([GOOD, "--policy", "safset"], ["--policy = 'safset'", "did you mean 'safest'"]),
+        ([GOOD, "--guidance", "apolo"], ["--guidance = 'apolo'", "did you mean 'apollo'"]),
+        ([GOOD, "--seed", "-1"], ["--seed", "-1", "x>=0"]),
+        ([GOOD, "--flight", "many"], ["--flight", "many", "integer"]),
+        ([GOOD, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
+        ([GOOD, "--out", "wrong.toml"], ["--out = 'wrong.toml'", "a folder, not a file"]),
+        ([GOOD, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
+        (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
+        (["bands.toml"], ["terrain.path", "bands.tif", "one band"]),
+        (["high.toml"], ["terrain.path", "high.tif", "1e+30", "elevations in metres"]),
+        ([GOOD, "--set", "terrain.posting_m=1000"], ["terrain.posting_m", "1000.0", "at most 80"]),
+        ([GOOD, "--set", "target.position_m=[900, 0]"], ["target.position_m", "within the map"]),
+        ([GOOD, "--frobnicate"], ["--frobnicate", "fly --help"]),
+        ([], ["SCENARIO", "fly --help"]),
+    ],
+    "compare": [
+        ([GOOD, "--out", "new", "--policies", "safest,safest"], ["--policies", "each policy once"]),
+        ([GOOD, "--out", "new", "--policies", "safset"], ["'safset'", "did you mean 'safest'"]),
+        ([GOOD, "--out", "new", "--flights", "0"], ["--flights = 0", "at least 1"]),
+        ([GOOD, "--out", "new", "--jobs", "0"], ["--jobs = 0", "at least 1"]),
+        ([GOOD, "--out", "full", "--flights", "1"], ["--out = 'full'", "an empty or new folder"]),
+        ([GOOD, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
+        ([GOOD], ["--out", "compare --help"]),
+    ],
+    "calibrate": [
+        ([GOOD, "--out", "c.txt"], ["--out = 'c.txt'", ".json"]),
+        ([GOOD, "--out", "none/c.json"], ["--out = 'none/c.json'", "existing folder"]),
+        ([GOOD, "--out", "there.json"], ["--out = 'there.json'", "--force"]),
+        ([GOOD, "--out", "c.json", "--flights", "1"], ["--flights = 1", "at least 2"]),
+        ([GOOD, "--out", "c.json", "--mapper", "dam"], ["--mapper = 'dam'", "there are dem"]),
+    ],
+    "render": [
+        ([GOOD, "--out", "x.jpg"], ["--out = 'x.jpg'", ".png"]),
+        ([GOOD, "--out", "x.png", "--altitude", "-5"], ["--altitude = -5.0", "above the ground"]),
+        ([GOOD, "--out", "x.png", "--altitude", "nan"], ["--altitude = nan", "above the ground"]),
+        ([GOOD, "--out", "x.png", "--off-nadir", "89"], ["--off-nadir = 89", "from 0 to 85"]),
+        ([GOOD, "--out", "x.png", "--sun-elevation", "95"], ["sun.elevation_deg = 95.0", "90"]),
+        ([GOOD, "--out", "x.png", "--exposure", "0"], ["--exposure", "x>0"]),
+        ([GOOD, "--out", "x.png", "--truth", "x.txt"], ["--truth = 'x.txt'", ".npz"]),
+        ([GOOD, "--out", "x.png", "--heading", "inf"], ["--heading = inf", "finite"]),
+    ],
+    "sweep": [
+        ([GOOD, "--out", "new", "--over", "rocks.cover"], ["--over", "KEY=A,B,C"]),
+        ([GOOD, "--out", "new", "--over", "rocks.cover=0.1,0.9"], ["rocks.cover = 0.9", "0.2"]),
+        ([GOOD, "--out", "full", "--over", "rocks.cover=0.1", "--flights", "1"], ["--out", "full"]),
+        ([GOOD, "--out", "/proc/none", "--over", "rocks.cover=0.1"], ["--out", "/proc/none"]),
+    ],
+    "replay": [
+        (["folder", "--flight", "0-0"], ["folder", "manifest.json"]),
+        (["gone", "--flight", "0-0"], ["gone", "manifest.json"]),
+    ],
+    "parts": [(["polcy"], ["contract = 'polcy'", "did you mean 'policy'"])],
+    "campaign plan": [
+        (["gone.toml"], ["gone.toml", "an existing TOML file"]),
+        (["empty.toml"], ["empty.toml", "at least one key"]),
+        ([SPEC, "--out", "x.txt"], ["--out = 'x.txt'", ".csv"]),
+        (["wrong.toml"], ["sun", "unknown key"]),
+    ],
+    "campaign run": [
+        (["gone.toml", "--out", "new"], ["gone.toml", "an existing TOML file"]),
+        ([SPEC, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
+        ([SPEC, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
+        ([SPEC, "--out", "new", "--address", "x:1"], ["--address = 'x:1'", "--engine ray"]),
+        ([SPEC, "--out", "new", "--engine", "cloud"], ["--engine", "cloud", "local"]),
+        ([SPEC, "--out", "new", "--jobs", "0"], ["--jobs", "0", "x>=1"]),
+    ],
+    "campaign status": [(["gone"], ["gone", "manifest.json"])],
+    "campaign export": [
+        (["gone", "--out", "x.csv"], ["gone", "manifest.json"]),
+        (["folder", "--out", "x.txt"], ["x.txt", ".csv"]),
+    ],
+    "campaign report": [(["gone"], ["gone", "manifest.json"])],
+    "campaign diff": [
+        (["gone", "folder"], ["gone", "manifest.json"]),
+        (["gone", "folder", "--margin", "2"], ["--margin", "2"]),
+    ],
+    "scenario check": [],
+    "scenario show": [(["hiris"], ["NAME = 'hiris'", "did you mean 'hirise'"])],
+    "scenario new": [
+        (["hiris"], ["NAME = 'hiris'", "did you mean 'hirise'"]),
+        (["hirise", "--out", "wrong.toml"], ["--out = 'wrong.toml'", "a new file"]),
+        (["hirise", "--out", "x.txt"], ["--out = 'x.txt'", ".toml"]),
+        (["hirise", "--out", "none/x.toml"], ["--out = 'none/x.toml'", "existing folder"]),
+    ],
+    "scenario list": [(["more"], ["more", "list --help"])],
+    "scenario reference": [(["more"], ["more", "reference --help"])],
+    "terrain info": [
+        (["gone.tif"], ["terrain.path = 'gone.tif'", "an existing GeoTIFF"]),
+        (["cut.tif"], ["terrain.path = 'cut.tif'", "whole raster"]),
+        (["bands.tif"], ["terrain.path = 'bands.tif'", "one band"]),
+        (["high.tif"], ["terrain.path = 'high.tif'", "elevations in metres"]),
+        (["empty.toml"], ["terrain.path = 'empty.toml'", "GDAL can read"]),
+    ],
+    "terrain preview": [
+        ([GOOD, "--out", "p.jpg"], ["--out = 'p.jpg'", ".png"]),
+        ([GOOD, "--out", "none/p.png"], ["--out = 'none/p.png'", "existing folder"]),
+    ],
+    "terrain truth": [
+        ([GOOD, "--out", "t.png"], ["--out = 't.png'", ".nc"]),
+        ([GOOD, "--out", "t.nc", "--posting", "0"], ["--posting = 0.0", "more than 0"]),
+        ([GOOD, "--out", "t.nc", "--posting", "1e-6"], ["--size = 60.0", "12.8 PiB"]),
+        ([GOOD, "--out", "t.nc", "--size", "nan"], ["--size = nan", "at least ten postings"]),
+        ([GOOD, "--out", "t.nc", "--size", "1e9"], ["--size = 1000000000.0", "EiB"]),
+    ],
+}  # fmt: skip
+# What a command that takes a scenario needs besides.
+WITH = {
+    "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
+    "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
+    "scenario check": [], "terrain preview": ["--out", "new.png"],
+    "terrain truth": ["--out", "new.nc"],
+}  # fmt: skip
+CASES = [(name, *case) for name, cases in OWN.items() for case in cases] + [
+    (name, [*arguments, *more], words) for name, more in WITH.items()
+    for arguments, words in OF_A_SCENARIO
+]  # fmt: skip
+
+
+def _commands(group, before=()):
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from _commands(command, (*before, name))
+        else:
+            yield " ".join((*before, name)), command
+
+
+def _raster(path, bands, top=1.0):
+    z = np.linspace(0.0, top, 40 * 40, dtype=np.float32).reshape(40, 40)
+    with rasterio.open(
+        path, "w", driver="GTiff", height=40, width=40, count=bands, dtype="float32",
+        crs="EPSG:32633", transform=from_origin(5e5, 5e6, 4.0, 4.0),
+    ) as file:  # fmt: skip
+        file.write(np.repeat(z[None], bands, axis=0))
+
+
+@pytest.fixture(scope="module")
+def mistakes(tmp_path_factory):
+    """Return a folder of files that will not do."""
+    here = tmp_path_factory.mktemp("mistakes")
+    (here / "folder").mkdir()
+    (here / "full").mkdir()
+    (here / "full" / "notes.txt").write_text("mine")
+    (here / "empty.toml").write_text("# nothing\n")
+    (here / "broken.toml").write_text("name = [")
+    (here / "wrong.toml").write_text("[sun]\nelevation_deg = 95.0\n")
+    (here / "words.toml").write_text('[vehicle]\ndry_mass_kg = "1100"\n')
+    (here / "there.json").write_text(json.dumps({}))
+    _raster(here / "bands.tif", 3)
+    _raster(here / "high.tif", 1, 1e30)
+    _raster(here / "cut.tif", 1)
+    whole = (here / "cut.tif").read_bytes()
+    (here / "cut.tif").write_bytes(whole[: len(whole) // 2])
+    for name in ("bands", "high", "cut"):
+        (here / f"{name}.toml").write_text(f'[terrain]\nkind = "dtm"\npath = "{name}.tif"\n')
+    return here
+
+
+def _state(folder: Path):
+    return {p: p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
+
+
+def test_every_command_has_its_mistakes():
+    known = dict(_commands(main))
+    assert set(known) == set(OWN)
+    taking = {n for n, c in known.items() if any(p.name == "changes" for p in c.params)}
+    assert taking == set(WITH)
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "words"), CASES, ids=lambda v: v if isinstance(v, str) else None
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(command, arguments, words, mistakes, monkeypatch):
+    monkeypatch.chdir(mistakes)
+    before = _state(mistakes)
+    done = CliRunner().invoke(main, [*command.split(), *arguments])
+    assert done.exit_code == 2, done.output
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1, done.output
+    assert lines[0].startswith("error: ")
+    for word in words:
+        assert word in lines[0]
+    assert not done.stdout
+    assert _state(mistakes) == before
+
+
+def test_a_group_alone_prints_its_help():
+    for group in ([], ["campaign"], ["scenario"], ["terrain"]):
+        assert "Commands:" in CliRunner().invoke(main, group).output
+
+
+def test_help_holds_no_control_characters():
+    runner = CliRunner()
+    for name in ["", *(n for n, _ in _commands(main)), "campaign", "scenario", "terrain"]:
+        text = runner.invoke(main, [*name.split(), "--help"]).output
+        assert "Usage:" in text
+        assert not [c for c in text if ord(c) < 32 and c != "\n"]
+        assert "\\b" not in text
