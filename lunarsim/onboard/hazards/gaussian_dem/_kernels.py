@@ -108,6 +108,8 @@ def edges(points, triangles, pixels, cols, spacing):
     """
     longest = np.empty(triangles.shape[0])
     usable = np.empty(triangles.shape[0], np.bool_)
+    # Whole divisions are slow: once a pixel, not once an edge.
+    row, col = pixels // cols, pixels % cols
     for t in prange(triangles.shape[0]):
         most = 0.0
         apart = 0
@@ -120,8 +122,7 @@ def edges(points, triangles, pixels, cols, spacing):
             most = max(most, dx * dx + dy * dy)
             wide = max(wide, spacing[a])
             if pixels.size > 0:
-                apart = max(apart, abs(pixels[a] // cols - pixels[b] // cols))
-                apart = max(apart, abs(pixels[a] % cols - pixels[b] % cols))
+                apart = max(apart, abs(row[a] - row[b]), abs(col[a] - col[b]))
         longest[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
         usable[t] = longest[t] <= _GAP * wide
     return longest, usable
