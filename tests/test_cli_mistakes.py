@@ -106,6 +106,7 @@ OWN = {
         (["folder", "--out", "x.txt"], ["x.txt", ".csv"]),
     ],
     "campaign report": [(["gone"], ["gone", "manifest.json"])],
+    "campaign rare": [(["gone"], ["gone", "manifest.json"])],
     "campaign sensitivity": [(["gone"], ["gone", "manifest.json"])],
     "campaign diff": [
         (["gone", "folder"], ["gone", "manifest.json"]),
