@@ -6,7 +6,7 @@ venv=${1:?usage: setup.sh VENV}
 
 # --- what the system must bring ---------------------------------------------------------------
 find_python() {
-    for name in python3.13 python3.12 python3.11 python3; do
+    for name in python3.11 python3.12 python3.13 python3; do
         if command -v "$name" >/dev/null 2>&1 &&
             "$name" -c 'import sys; raise SystemExit(not (3, 11) <= sys.version_info[:2] <= (3, 13))'
         then

@@ -23,6 +23,9 @@ MODULES = (
     "lunarsim.scenario",
 )
 
+# What the command line may not load before it knows what it is to do.
+SLOW = ("rich", "numpy", "scipy", "numba", "pydantic", "pyarrow")
+
 # Imports one module after the other and prints what is loaded after each.
 CODE = """
 import importlib, sys
@@ -33,16 +36,21 @@ for module in modules:
 """
 
 
-def loaded(*modules: str) -> dict[str, set[str]]:
+def loaded(*modules: str, heavy: tuple[str, ...] = HEAVY) -> dict[str, set[str]]:
     """Return what is loaded after each module, all of them imported by one process in turn."""
-    command = [sys.executable, "-c", CODE, ",".join(HEAVY), *modules]
+    command = [sys.executable, "-c", CODE, ",".join(heavy), *modules]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     lines = [line.split() for line in done.stdout.splitlines()]
-    return {module: set(heavy) for module, *heavy in lines}
+    return {module: set(found) for module, *found in lines}
 
 
 def test_nothing_heavy_comes_along():
     assert loaded(*MODULES) == {module: set() for module in MODULES}
+
+
+def test_help_waits_for_nothing():
+    """`lunarsim --help` loads what it prints, and no library that takes time."""
+    assert loaded("lunarsim.cli", heavy=SLOW) == {"lunarsim.cli": set()}
 
 
 def test_the_check_can_fail():

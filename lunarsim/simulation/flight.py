@@ -56,6 +56,15 @@ COLUMNS: dict[str, str] = {
     "phase": "0 approach, 1 vertical descent, 2 abort, 3 braking",
     "lost": "1 while navigation says that it is lost",
 }
+# In which frame positions are, by what they are of; see `lunarsim.frames`.
+_TRUE, _LOCAL = (
+    "true ENU: origin at the middle of the terrain, at its mean elevation",
+    "local ENU, where the computer keeps its maps; navigation_error_m of a map leads to the true",
+)
+FRAMES: dict[str, str] = {
+    "position, velocity, target, verdict": _TRUE,
+    "estimated, site, decisions, scans, candidates, maps": _LOCAL,
+}
 _SCAN_COLUMNS = ("x", "y", "z", "time")
 _CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
 _LAYERS = {
@@ -221,11 +230,13 @@ class Flight:
         folder.mkdir(parents=True, exist_ok=True)
         table = pa.table({name: self.trajectory[name] for name in COLUMNS})
         units = {f"unit:{name}": unit for name, unit in COLUMNS.items()}
-        pq.write_table(table.replace_schema_metadata(units), folder / "trajectory.parquet")
+        frames = {f"frame:{what}": frame for what, frame in FRAMES.items()}
+        pq.write_table(table.replace_schema_metadata(units | frames), folder / "trajectory.parquet")
         for name, columns in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
             data = getattr(self, name)
             cloud = {column: data[:, i] for i, column in enumerate(columns)}
-            pq.write_table(pa.table(cloud), folder / f"{name}.parquet")
+            placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL})
+            pq.write_table(placed, folder / f"{name}.parquet")
         for old in (folder / "maps").glob("*"):
             old.unlink()  # of a flight that was saved here before
         for name, record in self.maps.items():
@@ -237,6 +248,7 @@ class Flight:
     def _record(self) -> dict[str, Any]:
         first = self.first_map
         return {
+            "frames": FRAMES,
             "scenario": self.scenario,
             "seed": self.seed,
             "policy": self.policy,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from lunarsim.errors import InputError
@@ -109,6 +111,27 @@ def test_a_divert_in_the_first_cycle_counts(small_scenario):
     assert flight.target == pytest.approx(first)
 
 
+@pytest.mark.parametrize("altitude", [150.0, 380.0])
+def test_a_start_within_the_decision_window_is_judged_by_where_it_aimed(small_scenario, altitude):
+    """The oracle diverts in the first cycle; figures are those of the site that it left."""
+    start = {"position_m": [-0.6 * altitude, 0.0, altitude], "velocity_m_s": [10.0, 0.0, -8.0]}
+    scenario = small_scenario.changed(start=start, rocks={"cover": 0.15})
+    for seed in range(1, 9):
+        simulation = Simulation(scenario, flight_seed(seed, 0), "truth-oracle")
+        aimed = simulation.site - simulation.navigation_error
+        if not simulation.truth.safe_at(aimed[:2]):
+            break
+    flight = simulation.run()
+    row = evaluate(flight, simulation.truth)
+    assert flight.decisions[0]["time"] == 0.0
+    assert first_aim(flight) == pytest.approx(aimed[:2])
+    assert row["target_exactly_safe"] is False
+    assert flight.verdict.touchdown is not None
+    flown = np.hypot(*(flight.verdict.touchdown.position[:2] - aimed[:2]))
+    assert row["divert_m"] > 1.0
+    assert row["divert_m"] == pytest.approx(flown, abs=1.0)
+
+
 def test_no_setting_of_a_mapper_changes_the_yardstick(small_scenario):
     coarse = small_scenario.changed(mappers={"dem": {"posting_m": 0.8}})
     a, b = (Simulation(s, flight_seed(3, 0)) for s in (small_scenario, coarse))
@@ -126,3 +149,17 @@ def test_what_is_no_flight_is_refused(flown, tmp_path):
     (folder / "flight.json").write_text("{")
     with pytest.raises(InputError, match="whole record"):
         Flight.load(folder)
+
+
+def test_files_say_in_which_frame_positions_are(flown, tmp_path):
+    folder = flown[1].save(tmp_path / "framed")
+    told = json.loads((folder / "flight.json").read_text())["frames"]
+    assert any("site" in what and "local" in frame for what, frame in told.items())
+    assert any("target" in what and "true" in frame for what, frame in told.items())
+    for name in ("scans", "candidates"):
+        metadata = pq.read_schema(folder / f"{name}.parquet").metadata
+        assert metadata[b"frame"].startswith(b"local ENU")
+    columns = pq.read_schema(folder / "trajectory.parquet").metadata
+    assert next(v for k, v in columns.items() if k.startswith(b"frame:position")).startswith(
+        b"true"
+    )
