@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import time
+import weakref
 
 import pytest
 from rich.console import Console
@@ -38,6 +40,30 @@ def test_what_is_done_before_an_interrupt_is_kept():
     assert gathered(third_interrupts, range(5), 1, QUIET, "numbers") == [0, -1]
     with pytest.raises(KeyboardInterrupt):
         gathered(first_interrupts, range(5), 1, QUIET, "numbers")
+
+
+class Circle:
+    def __init__(self) -> None:
+        self.itself = self
+
+
+CIRCLES: weakref.WeakSet[Circle] = weakref.WeakSet()
+
+
+def leaves_a_circle(x: int) -> int:
+    """Return how many circles earlier tasks have left in this process."""
+    gc.disable()
+    left = len(CIRCLES)
+    CIRCLES.add(Circle())
+    return left
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_task_leaves_behind_is_freed(jobs):
+    try:
+        assert gathered(leaves_a_circle, range(5), jobs, QUIET, "circles") == [0] * 5
+    finally:
+        gc.enable()
 
 
 def sleeps(seconds: float) -> float:
