@@ -285,6 +285,31 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
 
 
 @campaign.command()
+@_FOLDER
+@click.option(
+    "--metric", default="safe", show_default=True,
+    help="A column of true and false (failed: false), or of numbers with a limit.",
+)  # fmt: skip
+@click.option("--above", type=float, default=None, help="A number above this is a failure.")
+@click.option("--below", type=float, default=None, help="A number below this is a failure.")
+def rare(folder: Path, metric: str, above: float | None, below: float | None) -> None:
+    """Tell the share of failures of the campaign in FOLDER, flown with method = "importance".
+
+    The share is that under the dispersions as declared, with its 95 % interval, and worth so many
+    flights of plain Monte Carlo.
+    """
+    from lunarsim.campaign.rare import rare_shares
+    from lunarsim.campaign.results import load_results
+
+    table = Table("arm", "flights", "failed", "without verdict", "share that fails [95 %]", "worth")
+    for s in rare_shares(load_results(folder), metric, above, below):
+        interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" rough" if s.few else "")
+        worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
+        table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+@campaign.command()
 @click.argument("first", type=PATH, metavar="A")
 @click.argument("second", type=PATH, metavar="B")
 @click.option(

@@ -78,7 +78,14 @@ def arm_rows(found: Results) -> dict[str, NDArray[np.bool_]]:
 
 
 def figures_of(found: Results) -> list[ArmFigures]:
-    """Return the figures of every arm; flights without a verdict are counted, not judged."""
+    """Return the figures of every arm; flights without a verdict are counted, not judged.
+
+    Raises
+    ------
+    InputError
+        If flights do not count alike (importance sampling).
+    """
+    found.check_even("folder")
     rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
     flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
     told = [name for name in _TOLD if name in found.manifest["columns"]]
@@ -128,8 +135,10 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
     Raises
     ------
     InputError
-        If the campaign has no such metric that is a number, or true or false.
+        If the campaign has no such metric that is a number, or true or false, or its flights do not
+        count alike.
     """
+    found.check_even("folder")
     kind = found.manifest["columns"].get(metric)
     if kind not in ("bool", "float", "int"):
         raise InputError("metric", metric, suggestion(metric, found.manifest["columns"]))
@@ -185,8 +194,10 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
     Raises
     ------
     InputError
-        If they did not fly the same, or there is no such metric.
+        If they did not fly the same, their flights do not count alike, or there is no such metric.
     """
+    for field, found in (("A", first), ("B", second)):
+        found.check_even(field)
     for name in ("seed", "arms"):
         ours, theirs = (_key(found, name) for found in (first, second))
         if ours != theirs:

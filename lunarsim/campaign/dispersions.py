@@ -13,7 +13,7 @@ what chance does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -31,7 +31,9 @@ from lunarsim.scenario.errors import input_error
 
 Array = NDArray[np.float64]
 
-METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli")
+METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli", "importance")
+# Of which the flights depend on their index alone, so that more can be asked for later.
+OPEN = ("monte-carlo", "importance")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _EDGE = 2.0**-53
 # Share of a normal distribution that must be left between bounds.
@@ -230,6 +232,59 @@ class Correlation:
 
 
 @dataclass(frozen=True)
+class Importance:
+    """Where draws lean to, for failures that are too rare to wait for.
+
+    Normal scores z of the keys (independent ones, before correlations) are drawn from a mixture:
+    with probability `nominal_share` as they are, else as shift + scale z. A flight counts with the
+    ratio of the two densities, which is at most 1 / nominal_share whatever the shifts.
+
+    Attributes
+    ----------
+    shifts, scales
+        By key, sigmas; left out: 0 and 1.
+    nominal_share
+        Of the flights that are drawn as they are.
+    """
+
+    shifts: Mapping[str, float] | None = quantity(None)
+    scales: Mapping[str, float] | None = quantity(None)
+    nominal_share: float = quantity(0.1, ge=0.01, lt=1, help="drawn as they are")
+
+    def __post_init__(self) -> None:
+        for name, table in (("shifts", self.shifts), ("scales", self.scales)):
+            for key, value in (table or {}).items():
+                fits = -8.0 <= value <= 8.0 if name == "shifts" else 0.1 <= value <= 8.0
+                if not fits:
+                    expected = "from -8 to 8 sigmas" if name == "shifts" else "from 0.1 to 8"
+                    raise InputError(name, {key: value}, expected)
+        shifts, scales = self.shifts or {}, self.scales or {}
+        if not any(shifts.values()) and all(v == 1.0 for v in scales.values()):
+            raise InputError("shifts", dict(shifts), "at least one shift or scale")
+
+    def drawn(self, keys: Sequence[str], u: Array, nominal: bool) -> tuple[Array, float]:
+        """Return numbers in (0, 1) for keys (d,) that lean, and the weight of the flight.
+
+        Parameters
+        ----------
+        keys
+            Of the dispersions.
+        u
+            Even numbers in (0, 1) (d,).
+        nominal
+            Whether this flight is drawn as it is.
+        """
+        shift = np.array([(self.shifts or {}).get(key, 0.0) for key in keys])
+        scale = np.array([(self.scales or {}).get(key, 1.0) for key in keys])
+        z = ndtri(u) if nominal else shift + scale * ndtri(u)
+        log_ratio = np.sum(
+            0.5 * (z**2 - ((z - shift) / scale) ** 2) - np.log(scale)
+        )  # of the leaning density over the nominal one
+        share = self.nominal_share
+        return ndtr(z), float(1.0 / (share + (1.0 - share) * np.exp(log_ratio)))
+
+
+@dataclass(frozen=True)
 class Dispersions:
     """All that is drawn for a flight.
 
@@ -241,6 +296,8 @@ class Dispersions:
         Groups of keys; no key is in two.
     method, seed, flights
         How; root seed; number of flights, which matters to designs alone.
+    importance
+        Where draws lean to; with method importance, and with that alone.
     """
 
     distributions: Mapping[str, Distribution]
@@ -248,6 +305,7 @@ class Dispersions:
     method: str = "monte-carlo"
     seed: int = 1
     flights: int = 1
+    importance: Importance | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -258,6 +316,7 @@ class Dispersions:
             )
         if self.method == "saltelli":
             self._check_blocks()
+        self._check_importance()
         seen: set[str] = set()
         for i, group in enumerate(self.correlations):
             for key in group.keys:
@@ -269,6 +328,19 @@ class Dispersions:
                 if key in seen:
                     raise InputError(field, key, "a key of no other group")
                 seen.add(key)
+
+    def _check_importance(self) -> None:
+        if (self.method == "importance") != (self.importance is not None):
+            raise InputError(
+                "importance", self.method, "[importance] with method importance, and then alone"
+            )
+        if self.importance is not None:
+            for name in ("shifts", "scales"):
+                for key in getattr(self.importance, name) or {}:
+                    if key not in self.distributions:
+                        raise InputError(
+                            f"importance.{name}", key, suggestion(key, self.distributions)
+                        )
 
     def _check_blocks(self) -> None:
         if self.correlations:
@@ -293,15 +365,29 @@ class Dispersions:
 
     def draws(self, flight: int) -> dict[str, Any]:
         """Return the values of flight number `flight` by key."""
-        u = dict(zip(self.distributions, self._uniforms(flight), strict=True))
+        u = dict(zip(self.distributions, self._leaning(flight)[0], strict=True))
         for group in self.correlations:
             scores = group.root @ ndtri([u[key] for key in group.keys])
             u |= dict(zip(group.keys, _inside(ndtr(scores)), strict=True))
         return {key: law.at(float(u[key])) for key, law in self.distributions.items()}
 
+    def weight(self, flight: int) -> float:
+        """Return what a flight counts: 1 but for importance sampling."""
+        return self._leaning(flight)[1]
+
+    def _leaning(self, flight: int) -> tuple[Array, float]:
+        """Return a number in (0, 1) for each key (d,), and the flight's weight."""
+        u = self._uniforms(flight)
+        if self.importance is None:
+            return u, 1.0
+        rng = Streams(flight_seed(self.seed, flight)).get("importance")
+        nominal = bool(rng.random() < self.importance.nominal_share)
+        leaning, weight = self.importance.drawn(list(self.distributions), u, nominal)
+        return _inside(leaning), weight
+
     def _uniforms(self, flight: int) -> Array:
-        """Return a number in (0, 1) for each key (d,)."""
-        if self.method == "monte-carlo":
+        """Return an even number in (0, 1) for each key (d,)."""
+        if self.method in OPEN:
             streams = Streams(flight_seed(self.seed, flight))
             drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
             return _inside(np.array(drawn))

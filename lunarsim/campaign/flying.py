@@ -17,7 +17,7 @@ from lunarsim.campaign.dispersions import world_of
 from lunarsim.campaign.factors import Arm, folder_name, groups_of
 from lunarsim.campaign.grounds import SHARES, Grounds
 from lunarsim.campaign.keys import GROUND_TABLES, tables_of
-from lunarsim.campaign.plan import Group, Plan, Work, kind_of
+from lunarsim.campaign.plan import WEIGHT, Group, Plan, Work, kind_of
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.evaluation.outcome import COLUMNS, evaluate
 from lunarsim.rng import Streams, flight_seed
@@ -62,14 +62,19 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
     arms = [(arm.name, _named(arm.values)) for arm in spec.arms]
     laws = spec.dispersions.distributions
 
-    def draws(flight: int) -> dict[str, Any]:
-        return spec.dispersions.draws(flight)
+    leans = spec.dispersions.importance is not None
 
-    first = _named(draws(0)) if laws else {}
+    def draws(flight: int) -> dict[str, Any]:
+        drawn = _named(spec.dispersions.draws(flight))
+        return drawn | {WEIGHT: spec.dispersions.weight(flight)} if leans else drawn
+
+    first = _named(spec.dispersions.draws(0)) if laws else {}
     keys = dict.fromkeys(key for _, values in arms for key in values)
     inputs = {key: kind_of([v[key] for _, v in arms if key in v]) for key in keys}
     for key, law in zip(first, laws.values(), strict=True):
         inputs[key] = kind_of(law.values) if hasattr(law, "values") else "float"
+    if leans:
+        inputs[WEIGHT] = "float"
     head, block = spec.head, spec.dispersions.block
     study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block)
     return Plan(
@@ -78,7 +83,7 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
         flights=spec.head.flights,
         arms=arms,
         groups=groups_of(spec.arms),
-        draws=lambda flight: _named(draws(flight)),
+        draws=draws,
         columns=COLUMNS | dict.fromkeys(SHARES, "float"),
         inputs=inputs,
         work=Work("lunarsim.campaign.flying:fly", study),
@@ -141,7 +146,8 @@ def fly_whole(
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
     """Fly as `fly` does; return the record, what flew it, and the metrics. Nothing is written."""
     chosen = study.arms[arm]
-    scenario = with_values(chosen.scenario, group.draws, "dispersions")
+    draws = {key: value for key, value in group.draws.items() if key != WEIGHT}
+    scenario = with_values(chosen.scenario, draws, "dispersions")
     seed = flight_seed(study.seed, world_of(group.flight, study.block))
     grounds = Grounds(seed, memory, study.cache)
     world, truth = grounds.world_and_truth(scenario)

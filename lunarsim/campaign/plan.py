@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+# What a flight counts where draws lean to failure (importance sampling): a column of its own.
+WEIGHT = "weight"
 # Kinds of columns that a results table may have.
 KINDS = ("bool", "int", "float", "text")
 

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.store import TIMING, read_manifest, schema_of
 from lunarsim.errors import InputError, check_output
 
@@ -54,6 +55,19 @@ class Results:
     def wanted(self) -> int:
         """Rows of the whole campaign."""
         return int(self.manifest["flights"]) * len(self.arms)
+
+    @property
+    def is_leaning(self) -> bool:
+        """Whether flights were drawn to fail more often, and count by their weights."""
+        return WEIGHT in self.manifest["inputs"]
+
+    def check_even(self, field: str) -> None:
+        """Raise `InputError` naming `field` where flights do not count alike."""
+        if self.is_leaning:
+            raise InputError(
+                field, str(self.folder), "a campaign whose flights count alike; of importance "
+                "sampling `lunarsim campaign rare` tells the share of failures",
+            )  # fmt: skip
 
 
 def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Results:

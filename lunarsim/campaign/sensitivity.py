@@ -91,8 +91,10 @@ def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) ->
     Raises
     ------
     InputError
-        If SALib is not installed, the campaign draws nothing, or the metric is no number.
+        If SALib is not installed, the campaign draws nothing, its flights do not count alike, or
+        the metric is no number.
     """
+    found.check_even("folder")
     identity = found.manifest["identity"]
     keys = list(identity.get("dispersions", {}))
     if not keys:

@@ -32,7 +32,14 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from lunarsim.campaign.dispersions import KINDS, Correlation, Dispersions, distribution
+from lunarsim.campaign.dispersions import (
+    KINDS,
+    OPEN,
+    Correlation,
+    Dispersions,
+    Importance,
+    distribution,
+)
 from lunarsim.campaign.factors import Arm, arms_of, flattened, listed, product
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
@@ -60,7 +67,8 @@ class Head:
     seed
         Root seed.
     method
-        Of drawing the dispersions: monte-carlo, latin-hypercube, sobol or saltelli.
+        Of drawing the dispersions: monte-carlo, latin-hypercube, sobol, saltelli or
+        importance.
     time_limit
         Wall-clock time after which a flight is given up, s; None: never.
     time_budget
@@ -173,7 +181,8 @@ class CampaignSpec:
             _made(f"correlations.{i}", Correlation, table)
             for i, table in enumerate(_list(tables["correlations"]))
         )
-        dispersions = Dispersions(laws, correlations, head.method, head.seed, head.flights)
+        leaning = _importance(tables["importance"])
+        dispersions = Dispersions(laws, correlations, head.method, head.seed, head.flights, leaning)
         stop = None if tables["stop"] is None else _made("stop", Stop, tables["stop"])
         if stop is not None and head.method != "monte-carlo":
             raise InputError(
@@ -214,7 +223,7 @@ class CampaignSpec:
         data = self.to_dict()
         for key in ("time_limit_s", "time_budget_s", "figures", "records"):
             data.pop(key, None)
-        if self.head.method == "monte-carlo" and self.stop is None:
+        if self.head.method in OPEN and self.stop is None:
             data.pop("flights")
         return data
 
@@ -234,6 +243,10 @@ class CampaignSpec:
                 {"keys": list(c.keys), "matrix": [list(row) for row in c.matrix]}
                 for c in self.dispersions.correlations
             ]
+        leaning = self.dispersions.importance
+        if leaning is not None:
+            values = {f.name: _plain(getattr(leaning, f.name)) for f in fields(leaning)}
+            out["importance"] = {k: v for k, v in values.items() if v is not None}
         if self.stop is not None:
             out["stop"] = {"metric": self.stop.metric, "width": self.stop.width}
         return out
@@ -247,7 +260,7 @@ class CampaignSpec:
         return replace(self, head=replace(self.head, **values))
 
 
-_TABLES = ("scenario", "factors", "arms", "dispersions", "correlations", "stop")
+_TABLES = ("scenario", "factors", "arms", "dispersions", "correlations", "importance", "stop")
 
 
 def flattened_laws(table: Any) -> dict[str, Any]:
@@ -266,6 +279,23 @@ def flattened_laws(table: Any) -> dict[str, Any]:
             raise InputError(f"dispersions.{key}", value, "each key once")
         found[key] = distribution(key, value)
     return found
+
+
+def _importance(table: Any) -> Importance | None:
+    """Return where draws lean to; keys in its tables may be dotted or nested."""
+    if table is None:
+        return None
+    if not isinstance(table, Mapping):
+        raise InputError("importance", table, "a table")
+    flat = {
+        name: flattened(value, f"importance.{name}", (int, float)) if name in _LEAN else value
+        for name, value in table.items()
+    }
+    made: Importance = _made("importance", Importance, flat)
+    return made
+
+
+_LEAN = ("shifts", "scales")
 
 
 def _laws(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:

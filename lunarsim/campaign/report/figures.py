@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lunarsim.campaign.analysis import ArmFigures, arm_rows, column
+from lunarsim.campaign.rare import RareShare
 from lunarsim.campaign.results import Results
 from lunarsim.campaign.sensitivity import Sensitivity
 from lunarsim.evaluation.comparisons import Difference, Ellipse
@@ -173,6 +174,24 @@ def differences_plot(made: list[Difference]) -> Plot:
     }  # fmt: skip
     said = "Blue: told apart after Holm's correction; grey: not."
     return _plot("differences", "Paired differences", said, traces, layout)
+
+
+def rare_plot(made: list[RareShare]) -> Plot:
+    """Return the share of failures of each arm, weighted, with its interval."""
+    traces = [
+        {"type": "scatter", "mode": "markers", "x": [s.value], "y": [s.arm], "arm": s.arm,
+         "error_x": {"type": "data", "symmetric": False, "array": [s.high - s.value],
+                     "arrayminus": [s.value - s.low], "thickness": 2, "width": 5},
+         "marker": {"size": 10, "color": colour(i)}, "name": s.arm, "showlegend": False}
+        for i, s in enumerate(made) if s.value > 0.0
+    ]  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": "share that fails"}, "type": "log", "exponentformat": "power"},
+        "yaxis": {"autorange": "reversed", "automargin": True},
+        "height": 150 + 34 * len(traces),
+    }
+    said = "An arm of which no flight has failed is in the table alone."
+    return _plot("shares", "Share that fails", said, traces, layout)
 
 
 def sensitivity_plot(made: list[Sensitivity]) -> Plot:

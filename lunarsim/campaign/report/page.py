@@ -14,9 +14,11 @@ import pyarrow.compute as pc
 import lunarsim
 from lunarsim.campaign.analysis import ArmFigures, column, differences, figures_of
 from lunarsim.campaign.files import write_whole
+from lunarsim.campaign.rare import rare_shares
 from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
+    rare_plot,
     reliability_plot,
     sensitivity_plot,
     shares_plot,
@@ -90,6 +92,8 @@ def _in_script(text: str) -> Any:
 
 def _content(found: Results) -> dict[str, Any]:
     """Return everything that the page shows."""
+    if found.is_leaning:
+        return _rare_content(found)
     figures = figures_of(found)
     stopped = found.manifest["state"] == "stopped"
     intervals = {a.name: _interval(a, stopped) for a in figures}
@@ -101,22 +105,54 @@ def _content(found: Results) -> dict[str, Any]:
         differences_plot(made) if made else None,
         *(spread_plot(found, n, _LABELS[n]) for n in _LABELS if n in found.manifest["columns"]),
     ]
-    spec = found.folder / "spec.toml"
     sensitive, why_not = _sensitivity(found)
     if sensitive:
         plots.append(sensitivity_plot(sensitive))
-    return {
-        "m": found.manifest,
-        "done": len(found.table),
-        "wanted": found.wanted,
+    return _common(found, plots) | {
         "stopped": stopped,
-        "factors": _factors(found),
         "arms": [_row(a, *intervals[a.name]) for a in figures],
-        "plots": {p["id"]: p for p in plots if p is not None},
-        "data": _in_script(json.dumps([p for p in plots if p is not None], allow_nan=False)),
         "differences": made,
         "sensitive": sensitive,
         "no_sensitivity": why_not,
+    }
+
+
+def _rare_content(found: Results) -> dict[str, Any]:
+    """Return what the page shows of importance sampling: nothing that takes flights as alike."""
+    shares = rare_shares(found)
+    rows = [
+        {
+            "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
+            "cells": {
+                "share that fails": f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]"
+                + (" (few failed: rough)" if s.few else ""),
+                "failed of these": str(s.failures),
+                "worth so many even flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
+            },
+        }
+        for s in shares
+    ]  # fmt: skip
+    return _common(found, [rare_plot(shares)]) | {
+        "stopped": False,
+        "arms": rows,
+        "differences": [],
+        "sensitive": [],
+        "no_sensitivity": "",
+    }
+
+
+def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
+    """Return what the page shows of every campaign."""
+    spec = found.folder / "spec.toml"
+    drawn = [p for p in plots if p is not None]
+    return {
+        "m": found.manifest,
+        "leaning": found.is_leaning,
+        "done": len(found.table),
+        "wanted": found.wanted,
+        "factors": _factors(found),
+        "plots": {p["id"]: p for p in drawn},
+        "data": _in_script(json.dumps(drawn, allow_nan=False)),
         "causes": failures(found)[:_MOST_CAUSES],
         "worst": _worst(found),
         "timing": _timing(found),
