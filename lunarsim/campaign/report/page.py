@@ -179,7 +179,7 @@ def _interval(arm: ArmFigures, stopped: bool) -> tuple[float, float]:
 
 
 def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
-    """Return the cells of an arm's row of the summary."""
+    """Return the cells of an arm's rows of the summary and of what it took."""
 
     def ranged(value: float, low: float, high: float, form: str) -> str:
         if not math.isfinite(value):
@@ -191,15 +191,18 @@ def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
     if "aborted" in arm.shares:
         cells["aborted"] = str(arm.shares["aborted"].count)
         cells["navigation lost"] = str(arm.shares["navigation_lost"].count)
+    took = {}
     for name, label in _LABELS.items():
         if name in arm.means:
             form = ".1f"
-            cells[f"{label}, mean"] = ranged(*arm.means[name], form)
-            cells[f"{label}, 95 %"] = ranged(*arm.quantiles[name][1], form)
+            took[f"{label}, mean"] = ranged(*arm.means[name], form)
+            took[f"{label}, 95 %"] = ranged(*arm.quantiles[name][1], form)
     if arm.ellipse is not None:
         long, short = arm.ellipse.half_axes
         cells["landing ellipse, 95 % (m)"] = f"{long:.1f} × {short:.1f}"
-    return {"name": arm.name, "rows": arm.rows, "flown": arm.flown, "cells": cells}
+    return {
+        "name": arm.name, "rows": arm.rows, "flown": arm.flown, "cells": cells, "took": took
+    }  # fmt: skip
 
 
 def _factors(found: Results) -> dict[str, list[str]]:
