@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import click
 import numba
+from bench_parts.campaigns import campaign
 from bench_parts.closed_loop import flight
 from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
@@ -36,6 +37,7 @@ PARTS: dict[str, Callable[[], None]] = {
         lidar_inertial,
         navigation,
         guidance,
+        campaign,
     )
 }
 

@@ -148,6 +148,7 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
     return {
         "m": found.manifest,
         "leaning": found.is_leaning,
+        "blocks": found.manifest["identity"].get("method") == "saltelli",
         "done": len(found.table),
         "wanted": found.wanted,
         "factors": _factors(found),

@@ -1,0 +1,253 @@
+"""Campaigns: what the machinery costs beside the flights."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench_parts.common import ROOT
+
+# Flights that cost nothing, flights of the memory's test, rows of the report's.
+_EMPTY, _SHORT, _ROWS = 3000, 5000, 1_000_000
+# Tasks that two processes share, and turns of a loop in each: some tenths of a second.
+_TASKS, _TURNS = 24, 4_000_000
+
+
+def campaign() -> None:
+    """Overhead over bare flights, two jobs against one, memory, the report of a million rows."""
+    with tempfile.TemporaryDirectory() as folder:
+        _memory(Path(folder))
+        _jobs(Path(folder))
+        _overhead(Path(folder))
+        _report(Path(folder))
+
+
+def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+    """Fly nothing; tell this process's memory."""
+    return {"safe": group.flight % 3 > 0, "mib": _mib(), **dict.fromkeys("abcdefgh", 1.5)}
+
+
+def turns(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+    """Keep a core busy."""
+    spin(int(study))
+    return {"safe": True}
+
+
+def spin(count: int) -> None:
+    """Count."""
+    for _ in range(count):
+        pass
+
+
+def _plan(flights: int, function: str, study: Any = None) -> Any:
+    from lunarsim.campaign.plan import Plan, Work
+
+    kinds = {"safe": "bool", "mib": "float"} | dict.fromkeys("abcdefgh", "float")
+    return Plan(
+        name="bench", seed=1, flights=flights, arms=[("all", {})], groups=[(0,)],
+        draws=lambda flight: {}, columns=kinds, inputs={},
+        work=Work(f"bench_parts.campaigns:{function}", study), identity={"flights": flights},
+    )  # fmt: skip
+
+
+def _overhead(folder: Path) -> None:
+    """Print processor time of the machinery a flight, and what share of a bare flight it is."""
+    from lunarsim.campaign.cache import opened
+    from lunarsim.campaign.engines.local import LocalEngine
+    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.outcomes import function_of
+    from lunarsim.campaign.plan import Group
+    from lunarsim.campaign.run import run
+    from lunarsim.campaign.spec import CampaignSpec
+
+    took = []
+    for flights in (100, 100, 100 + _EMPTY):  # the first loads what is loaded late
+        began, wall = _processor(), time.perf_counter()
+        run(_plan(flights, "nothing"), LocalEngine(1), folder / f"empty-{len(took)}")
+        took.append((_processor() - began, time.perf_counter() - wall))
+    _, (few, few_wall), (many, many_wall) = took
+    machinery, waited = (many - few) / _EMPTY, (many_wall - few_wall) / _EMPTY
+    name = ROOT / "scenarios" / "hirise.toml"
+    spec = CampaignSpec.from_dict({"scenario": str(name), "flights": 8, "seed": 1})
+    bare = {}
+    cache = opened(folder / "cache")
+    for label, kept in (("cold", None), ("filled", cache), ("warm", cache)):
+        work = plan_of(spec, cache=kept).work
+        function_of(work)(work.study, Group(0, (0,)), 0, {})
+        times = []
+        for i in range(1, 6):
+            began = time.process_time()
+            function_of(work)(work.study, Group(i, (0,)), 0, {})
+            times.append(time.process_time() - began)
+        bare[label] = float(np.median(times))
+    print(
+        f"  machinery: {1e3 * machinery:.2f} ms of processors a flight ({1e3 * waited:.2f} ms of "
+        f"wall-clock time); a bare flight of hirise on one thread {1e3 * bare['cold']:.0f} ms, "
+        f"{1e3 * bare['warm']:.0f} ms with truth from the cache: overhead "
+        f"{100.0 * machinery / bare['cold']:.2f} and {100.0 * machinery / bare['warm']:.2f} %"
+    )
+
+
+def _jobs(folder: Path) -> None:
+    """Print how much faster two jobs are than one, and two bare processes at the same time."""
+    from lunarsim.campaign.engines.local import LocalEngine
+    from lunarsim.campaign.results import load_results
+    from lunarsim.campaign.run import run
+
+    engine, bare, busy = [], [], []
+    for turn in range(3):
+        walls = []
+        for jobs in (1, 2):
+            at: list[float] = []
+            plan = _plan(_TASKS, "turns", _TURNS)
+            # From the first flight's end on: workers take seconds to start, once.
+            run(
+                plan, LocalEngine(jobs), folder / f"jobs-{turn}-{jobs}",
+                progress=lambda n, at=at: at.append(time.perf_counter()),
+            )  # fmt: skip
+            walls.append((at[-1] - at[jobs - 1]) / (_TASKS - jobs))
+        busy.append(_busy(load_results(folder / f"jobs-{turn}-2").timing.to_pandas()))
+        engine.append(walls[0] / walls[1])
+        bare.append(_bare(1) / _bare(2))
+    ours, theirs = float(np.median(engine)), float(np.median(bare))
+    print(
+        f"  two jobs against one: {ours:.2f} times; two bare processes against one at the same "
+        f"time: {theirs:.2f} ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}): "
+        f"{100.0 * ours / theirs:.0f} % of what the machine gave; workers had a flight in the air "
+        f"{100.0 * float(np.median(busy)):.1f} % of the time"
+    )
+
+
+def _busy(timing: Any) -> float:
+    """Return the share of time, from a worker's first flight to its last, that it was flying."""
+    shares = []
+    for _, one in timing.groupby("worker"):
+        ended = one["finished_unix_s"].to_numpy()
+        flying = one["seconds"].to_numpy()[1:].sum()
+        shares.append(flying / (ended.max() - ended.min()))
+    return float(np.mean(shares))
+
+
+def _bare(processes: int) -> float:
+    """Return the time that a task takes when so many processes share them, s."""
+    each = _TASKS // processes
+    code = (
+        "import time; from bench_parts.campaigns import spin; began = time.perf_counter()\n"
+        f"for _ in range({each}): spin({_TURNS})\n"
+        "print(time.perf_counter() - began)"
+    )
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=ROOT / "scripts"
+        )
+        for _ in range(processes)
+    ]
+    return max(float(p.communicate()[0]) for p in running) / _TASKS
+
+
+def _memory(folder: Path) -> None:
+    """Print the memory of driver and worker over many short flights."""
+    from lunarsim.campaign.engines.local import LocalEngine
+    from lunarsim.campaign.results import load_results
+    from lunarsim.campaign.run import run
+
+    ours: list[float] = []
+    run(
+        _plan(_SHORT, "nothing"), LocalEngine(1), folder / "memory",
+        progress=lambda n: ours.append(_mib()),
+    )  # fmt: skip
+    theirs = load_results(folder / "memory", ["mib"]).table["mib"].to_numpy()
+    told = [
+        f"{label} {at[_SHORT // 5]:.0f} and {at[-1]:.0f} MiB"
+        for label, at in (("driver", ours), ("worker", theirs))
+    ]
+    print(f"  memory after {_SHORT // 5} and {_SHORT} flights of nothing: " + "; ".join(told))
+
+
+def _report(folder: Path) -> None:
+    """Print how long the report of a million rows takes."""
+    from lunarsim.campaign.engines.inline import InlineEngine
+    from lunarsim.campaign.report import write_report
+    from lunarsim.campaign.run import run
+
+    out = folder / "rows"
+    run(_plan(1, "nothing"), InlineEngine(), out)
+    _filled(out, _ROWS)
+    began, wall = time.process_time(), time.perf_counter()
+    write_report(out, out / "report.html")
+    print(
+        f"  report of {_ROWS:,} rows of four arms: {time.process_time() - began:.1f} s of a "
+        f"processor, {time.perf_counter() - wall:.1f} s of wall-clock time, "
+        f"{(out / 'report.html').stat().st_size / 1e6:.1f} MB"
+    )
+
+
+def _filled(out: Path, rows: int) -> None:
+    """Put so many rows, drawn, with the columns of real flights, into a campaign's folder."""
+    import json
+
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from lunarsim.campaign.flying import SHARES
+    from lunarsim.campaign.store import PART_ROWS, TIMING, schema_of
+    from lunarsim.evaluation.outcome import COLUMNS
+
+    manifest = json.loads((out / "manifest.json").read_text())
+    arms = [f"arm {i}" for i in range(4)]
+    columns = COLUMNS | dict.fromkeys(SHARES, "float")
+    manifest |= {
+        "arms": [{"name": name, "values": {"level": i}} for i, name in enumerate(arms)],
+        "flights": rows // 4, "columns": columns, "inputs": {"level": "int"}, "rows": rows,
+    }  # fmt: skip
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    rng = np.random.default_rng(1)
+    schema = schema_of(manifest["inputs"], columns)
+    for part in range(rows // PART_ROWS):
+        index = np.arange(part * PART_ROWS, (part + 1) * PART_ROWS)
+        fixed = {
+            "id": [f"{i // 4}-{i % 4}" for i in index], "flight": index // 4,
+            "arm": [arms[i % 4] for i in index], "outcome": ["flown"] * PART_ROWS,
+            "level": index % 4,
+        }  # fmt: skip
+        arrays = []
+        for field in schema:
+            if field.name in fixed:
+                arrays.append(pa.array(fixed[field.name], field.type))
+            elif field.type == pa.bool_():
+                arrays.append(pa.array(rng.random(PART_ROWS) < 0.5 + 0.1 * (index % 4)))
+            elif field.type == pa.float64():
+                arrays.append(pa.array(rng.random(PART_ROWS)))
+            elif field.type == pa.int64():
+                arrays.append(pa.array(rng.integers(100, size=PART_ROWS)))
+            else:
+                arrays.append(pa.array([""] * PART_ROWS, field.type))
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), _part(out, "results", part))
+        times = [fixed["id"], rng.random(PART_ROWS), rng.random(PART_ROWS), ["1"] * PART_ROWS,
+                 [1] * PART_ROWS]  # fmt: skip
+        table = pa.Table.from_arrays([pa.array(t) for t in times], schema=TIMING)
+        pq.write_table(table, _part(out, "timing", part))
+
+
+def _part(out: Path, kind: str, part: int) -> Path:
+    return out / kind / f"part-{part:05d}.parquet"
+
+
+def _processor() -> float:
+    """Return the processor time of this process and of its ended children, s."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in used)
+
+
+def _mib() -> float:
+    """Return the memory that this process holds now, MiB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
