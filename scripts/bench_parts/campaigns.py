@@ -15,8 +15,8 @@ import numpy as np
 
 from bench_parts.common import ROOT
 
-# Flights that cost nothing, flights of the memory's test, rows of the report's.
-_EMPTY, _SHORT, _ROWS = 3000, 5000, 1_000_000
+# Flights that cost nothing, of nothing and of hirise for memory's test, rows of the report's.
+_EMPTY, _SHORT, _REAL, _ROWS = 3000, 5000, 16, 1_000_000
 # Tasks that two processes share, and turns of a loop in each: some tenths of a second.
 _TASKS, _TURNS = 24, 4_000_000
 
@@ -33,6 +33,13 @@ def campaign() -> None:
 def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
     """Fly nothing; tell this process's memory."""
     return {"safe": group.flight % 3 > 0, "mib": _mib(), **dict.fromkeys("abcdefgh", 1.5)}
+
+
+def measured(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+    """Fly; tell this process's memory."""
+    from lunarsim.campaign.flying import fly
+
+    return {"safe": fly(study, group, arm, memory)["safe"], "mib": _mib()}
 
 
 def turns(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
@@ -156,8 +163,10 @@ def _bare(processes: int) -> float:
 def _memory(folder: Path) -> None:
     """Print the memory of driver and worker over many short flights."""
     from lunarsim.campaign.engines.local import LocalEngine
+    from lunarsim.campaign.flying import plan_of
     from lunarsim.campaign.results import load_results
     from lunarsim.campaign.run import run
+    from lunarsim.campaign.spec import CampaignSpec
 
     ours: list[float] = []
     run(
@@ -170,6 +179,15 @@ def _memory(folder: Path) -> None:
         for label, at in (("driver", ours), ("worker", theirs))
     ]
     print(f"  memory after {_SHORT // 5} and {_SHORT} flights of nothing: " + "; ".join(told))
+    name = ROOT / "scenarios" / "hirise.toml"
+    spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _REAL, "seed": 1})
+    plan = _plan(_REAL, "measured", plan_of(spec).work.study)
+    run(plan, LocalEngine(1), folder / "real")
+    real = load_results(folder / "real", ["mib"]).table["mib"].to_numpy()
+    print(
+        f"  a worker's memory after 2, {_REAL // 2} and {_REAL} flights of hirise: "
+        f"{real[1]:.0f}, {real[_REAL // 2 - 1]:.0f} and {real[-1]:.0f} MiB"
+    )
 
 
 def _report(folder: Path) -> None:

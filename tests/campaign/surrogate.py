@@ -34,6 +34,11 @@ def fly(study: dict[str, Any], group: Group, arm: int, memory: dict[Any, Any]) -
         if not mark.exists():
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
+    if "circles" in study:
+        circle = [np.ones(study["circles"] // 8)]
+        circle.append(circle)  # type: ignore[arg-type]  # nobody but the collector finds it
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return {"safe": True, "x": pages * 4096 / 1e6, "steps": 0, "name": ""}
     if "folder" in study:
         with (Path(study["folder"]) / "flown.txt").open("a") as file:
             file.write(here + "\n")

@@ -117,6 +117,13 @@ def test_more_flights_go_on_where_fewer_ended(tmp_path, whole):
     assert parts(tmp_path / "c") == whole
 
 
+def test_a_worker_does_not_keep_what_flights_leave_in_circles(tmp_path):
+    run(plan(flights=40, arms=1, circles=20_000_000), LocalEngine(1), tmp_path / "c")
+    megabytes = load_results(tmp_path / "c").table["x"].to_numpy()
+    # One flight's 20 MB at a time; all of them would be 800.
+    assert megabytes[-10:].max() < megabytes[1] + 60.0
+
+
 def test_flights_that_fail_are_rows_with_reason_and_seed(tmp_path):
     failing = plan(
         flights=6, folder=str(tmp_path), raises=["1-0"], exits=["2-1"], hangs=["3-0"],
