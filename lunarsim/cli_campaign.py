@@ -298,6 +298,8 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
     The share is that under the dispersions as declared, with its 95 % interval, and worth so many
     flights of plain Monte Carlo.
     """
+    from rich.table import Table
+
     from lunarsim.campaign.rare import rare_shares
     from lunarsim.campaign.results import load_results
 
@@ -306,7 +308,7 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
         interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" rough" if s.few else "")
         worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
         table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    wide_console(140).print(table)
 
 
 @campaign.command()
