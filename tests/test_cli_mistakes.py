@@ -108,6 +108,10 @@ OWN = {
     "campaign report": [(["gone"], ["gone", "manifest.json"])],
     "campaign rare": [(["gone"], ["gone", "manifest.json"])],
     "campaign sensitivity": [(["gone"], ["gone", "manifest.json"])],
+    "campaign rare": [
+        (["gone"], ["gone", "manifest.json"]),
+        (["gone", "--above", "x"], ["--above", "x"]),
+    ],
     "campaign diff": [
         (["gone", "folder"], ["gone", "manifest.json"]),
         (["gone", "folder", "--margin", "2"], ["--margin", "2"]),
