@@ -106,7 +106,6 @@ OWN = {
         (["folder", "--out", "x.txt"], ["x.txt", ".csv"]),
     ],
     "campaign report": [(["gone"], ["gone", "manifest.json"])],
-    "campaign rare": [(["gone"], ["gone", "manifest.json"])],
     "campaign sensitivity": [(["gone"], ["gone", "manifest.json"])],
     "campaign rare": [
         (["gone"], ["gone", "manifest.json"]),
