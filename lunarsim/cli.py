@@ -88,12 +88,14 @@ def fly(
         if forecast is not None and not forecast.can_lock:
             click.echo(f"warning: {forecast}", err=True)
         record = simulation.run()
+    if out is not None:
+        # Before anything is printed: whoever reads that may stop listening.
+        record.save(out)
+        loaded.save(out / "scenario.toml")
     _tell(record)
     if out is not None:
         from lunarsim.viz import draw_flight
 
-        record.save(out)
-        loaded.save(out / "scenario.toml")
         draw_flight(record, simulation.world, simulation.truth, out)
         click.echo(f"scenario, record and figures in {out}")
 
