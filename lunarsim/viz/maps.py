@@ -36,6 +36,8 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     """Draw path, sites and touchdown in the true frame."""
     t = flight.trajectory
     axes.plot(t["position_x"], t["position_y"], color=COLOURS[1], lw=1.5)
+    # Seen on dark and on bright ground.
+    axes.plot(*first_aim(flight), "x", color="white", ms=10, mew=4)
     axes.plot(*first_aim(flight), "x", color="black", ms=8, mew=2)
     for start, goal in _diverts(flight):
         axes.annotate(
