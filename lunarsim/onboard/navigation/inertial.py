@@ -177,6 +177,11 @@ class StrapdownState:
         return self._x[6:9], self._x[13:16]
 
     @property
+    def bias_sigma(self) -> tuple[float, float]:
+        """What the unit's figures say of both biases, 1 sigma an axis, m/s^2 and rad/s."""
+        return self._bias_sigma
+
+    @property
     def rate(self) -> Array:
         """Body rate of the last sample (3,), rad/s."""
         return np.asarray(self._held[:3] - self._x[13:16])
