@@ -59,6 +59,9 @@ _MOST_BIAS = 6.0
 # Fewer beams of a velocimeter do not tell which of them lies; and what one may have done to the
 # velocity before it was noticed, m/s.
 _FEWEST_BEAMS, _LIED = 3, 0.1
+# Readings of each beam that were believed before: of a beam that has just come into sight, and one
+# that was believed for want of others, it cannot be told which is right.
+_PROVEN = 30
 # The block of what the ground lies above or below the target, and how it grows: heights of relief
 # differ by its slope times this length after as many metres, m.
 GROUND = "ground"
@@ -361,8 +364,8 @@ class Aids:
         """Watch what came of beams' speeds, each by itself.
 
         A lander that jumped would do so along all of them: where one alone is doubted while the
-        others agree with what is believed, it is shut off, and what it may have done to the
-        velocity is let go.
+        others agree with what is believed, as it did before, it is shut off, and what it may have
+        done to the velocity is let go.
         """
         watches = {k: self._watch(sensor, _of_beam(k)) for k in found}
         before = {k: watch.lost for k, watch in watches.items()}
@@ -370,7 +373,8 @@ class Aids:
         doubted = [k for k, verdict in verdicts.items() if verdict is not Verdict.WELL]
         calm = sum(watch.calm(time) for k, watch in watches.items() if k not in doubted)
         alone = len(doubted) == 1 and calm == len(found) - 1 and not any(before.values())
-        if alone and len(found) >= _FEWEST_BEAMS:
+        proven = all(watch.degrees >= _PROVEN for watch in watches.values())
+        if alone and proven and len(found) >= _FEWEST_BEAMS:
             self._shut.add((sensor, doubted[0]))
             watches[doubted[0]].lost = False
             self.state.widen(np.arange(VELOCITY.start, VELOCITY.stop), _LIED**2 * np.eye(3))

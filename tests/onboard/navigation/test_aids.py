@@ -187,6 +187,15 @@ def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off
     assert "shut-off" not in {e.name for e in events}
 
 
+def test_a_beam_that_comes_into_sight_and_contradicts_the_others_is_lost():
+    """Which of them lies nobody can tell: what is believed came from those that were there."""
+    state, aids, events = made()
+    fly_beams(aids, state, np.array([0.0, 0.0, np.nan]))
+    fly_beams(aids, state, np.array([0.0, 0.0, 2.0]), start=8.0, seed=4)
+    assert aids.lost
+    assert "shut-off" not in {e.name for e in events}
+
+
 def test_a_second_beam_that_lies_is_lost():
     state, aids, _ = made()
     fly_beams(aids, state, np.zeros(3))

@@ -164,7 +164,7 @@ def test_a_turn_takes_scale_factors_and_misalignments_along():
     """Turned about one axis and back; what is off is drawn, and the error compared."""
     errors = TriadErrors(scale_factor=1e-3, misalignment=5e-4)
     state = StrapdownState(
-        np.zeros(3), np.zeros(3), UPRIGHT, 0.0, gyroscopes=errors, accelerometers=TriadErrors()
+        np.zeros(3), np.zeros(3), UPRIGHT, 1e-3, gyroscopes=errors, accelerometers=TriadErrors()
     )
     turn = np.zeros((100, 3))
     turn[:, 1] = 0.5 / 100
