@@ -74,17 +74,22 @@ def test_it_errs_as_it_says_and_comes_down_where_it_believes(scenario):
     assert nees.holds(0.999), (nees.ratio, nees.bounds(0.999))
 
 
-def test_a_beam_that_lies_is_called_lost(scenario):
-    simulation = Simulation(scenario, 1, "no-divert")
-    tampered(
-        simulation, DopplerReading,
-        lambda m: replace(m, speed=m.speed + np.array([0.5, 0.0, 0.0])),
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    ("off", "told"), [((0.1, 0.0, 0.0), "shut-off"), ((0.5, 0.5, 0.0), "lost")]
+)
+def test_a_beam_that_lies_alone_is_shut_off_and_two_are_called_lost(scenario, off, told):
+    # All beams meet the ground from the start on.
+    simulation = Simulation(scenario.changed(terrain={"size_m": 900.0}), 1, "no-divert")
+    tampered(simulation, DopplerReading, lambda m: replace(m, speed=m.speed + np.array(off)))
     while simulation.time < 12.0:
         assert not (simulation.computer.estimate.lost and simulation.time < 8.0)
         simulation.step()
-    assert simulation.computer.estimate.lost
-    assert "lost" in events(simulation)
+    assert {"shut-off", "lost"} & set(events(simulation)) == {told}
+    assert simulation.computer.estimate.lost == (told == "lost")
+    if told == "shut-off":
+        sigma = np.sqrt(np.diag(simulation.estimate.covariance)[3:6])
+        assert (np.abs(error_of(simulation)[3:6]) < 4.0 * sigma).all()
+        assert sigma.max() < 0.15
 
 
 def test_an_altimeter_that_jumps_is_doubted_and_taken_for_ground(scenario):
@@ -120,7 +125,7 @@ def test_sensors_may_be_called_anything_and_be_there_twice(scenario):
     while simulation.time < 25.0:
         simulation.step()
     watches = simulation.computer.navigation.watches
-    for kind in ("ground attitude", "key attitude", "second range", "third speed"):
+    for kind in ("ground attitude", "key attitude", "second range", "third speed of beam 4"):
         assert watches[kind].degrees > 15
         assert watches[kind].refused == 0
     assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1

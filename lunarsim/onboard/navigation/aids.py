@@ -44,8 +44,9 @@ _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
 # A lander cannot jump in speed or attitude, but the ground under it may in height.
 WATCHED = {
     "range": WatchSettings(),
-    "speed": WatchSettings(patience=None, drift_s=8.0),
-    "attitude": WatchSettings(patience=None, drift_s=8.0),
+    # Where one drifts against the inertial unit, which of both does cannot be told.
+    "speed": WatchSettings(patience=None, drift_s=8.0, drift_patience=0),
+    "attitude": WatchSettings(patience=None, drift_s=8.0, drift_patience=0),
     # A part of a map may be out of date, and is then refused for as long as it is looked at.
     "map": WatchSettings(least=10, most_refused=0.8, drift_s=8.0),
     # A scan's noise is in all that is compared with it: innovations are alike for its time.
@@ -53,6 +54,14 @@ WATCHED = {
 }
 # What drifts where innovations lie to one side, and how far it may: m/s^2, rad/s.
 _BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
+# A bias of the inertial unit that is found to be so many of its stated deviations is none of it.
+_MOST_BIAS = 6.0
+# Fewer beams of a velocimeter do not tell which of them lies; and what one may have done to the
+# velocity before it was noticed, m/s.
+_FEWEST_BEAMS, _LIED = 3, 0.1
+# Readings of each beam that were believed before: of a beam that has just come into sight, and one
+# that was believed for want of others, it cannot be told which is right.
+_PROVEN = 30
 # The block of what the ground lies above or below the target, and how it grows: heights of relief
 # differ by its slope times this length after as many metres, m.
 GROUND = "ground"
@@ -171,7 +180,7 @@ class Aids:
     ground
         What is known of its height.
     events
-        To which "doubted", "drift", "lost" and "believed" are added.
+        To which "doubted", "drift", "shut-off", "lost" and "believed" are added.
     """
 
     def __init__(
@@ -194,6 +203,9 @@ class Aids:
         self._place = state.inertial.position[:2].copy()
         self._foot: dict[tuple[str, int], Array] = {}
         self._time = -np.inf
+        # Beams that are no longer believed; whether the inertial unit is no such unit.
+        self._shut: set[tuple[str, int]] = set()
+        self._contradicted = False
 
     @property
     def events(self) -> list[NavigationEvent]:
@@ -203,7 +215,7 @@ class Aids:
     @property
     def lost(self) -> bool:
         """Whether what was measured cannot be explained."""
-        return any(watch.lost for watch in self._watches.values())
+        return self._contradicted or any(watch.lost for watch in self._watches.values())
 
     @property
     def watches(self) -> dict[str, Watch]:
@@ -220,6 +232,25 @@ class Aids:
         if np.isfinite(moved):
             at = [self.state.block(GROUND).start]
             self.state.widen(at, self.ground.growth * moved)
+
+    def doubt_unit(self) -> None:
+        """Be lost where a bias of the inertial unit is found that its figures do not allow.
+
+        Then it is another unit than it is said to be, or what the bias was found by drifts: the
+        one errs in velocity or attitude by nothing, the other by all of it.
+        """
+        if self._contradicted:
+            return
+        own = self.state.inertial
+        for name, place, value, stated in zip(
+            ("accelerometers", "gyroscopes"), (ACCELEROMETER, GYROSCOPE), own.biases,
+            own.bias_sigma, strict=True,
+        ):  # fmt: skip
+            variance = self.state.p[place, place].diagonal() + stated**2
+            if (value**2 > _MOST_BIAS**2 * variance).any():
+                self._contradicted = True
+                self._note(self._time, "lost", "inertial unit", name)
+                return
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool = False) -> bool:
         """Take in a measurement; return whether it is of a kind known here.
@@ -265,13 +296,14 @@ class Aids:
             shape = np.shape(getattr(reading, name))
             if shape != (len(beams),):
                 raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
-        seen = int(np.isfinite(reading.speed).sum())
-        found = take_speeds(
-            self.state, reading.speed, reading.speed_sigma, beams, gate_of(max(seen, 1))
-        )
-        columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
-        most = np.repeat([_MOST_SPEED, _MOST_TURN], 3)
-        self.judge(sensor, "speed", found, columns, most, time)
+        found = {
+            k: take_speeds(
+                self.state, reading.speed[k : k + 1], reading.speed_sigma[k : k + 1],
+                beams[k : k + 1], gate_of(1),
+            )
+            for k in range(len(beams)) if (sensor, k) not in self._shut
+        }  # fmt: skip
+        self._judge_beams(sensor, found, time)
         for k, beam in enumerate(beams):
             distance, deviation = float(reading.range[k]), float(reading.range_sigma[k])
             self._range(sensor, distance, deviation, beam, time, k)
@@ -328,6 +360,36 @@ class Aids:
         state.follow(at, np.array([at, below]), shares, self.ground.growth * away * (1.0 - keep))
         return at
 
+    def _judge_beams(self, sensor: str, found: dict[int, Outcome], time: float) -> None:
+        """Watch what came of beams' speeds, each by itself.
+
+        A lander that jumped would do so along all of them: where one alone is doubted while the
+        others agree with what is believed, as it did before, it is shut off, and what it may have
+        done to the velocity is let go.
+        """
+        watches = {k: self._watch(sensor, _of_beam(k)) for k in found}
+        before = {k: watch.lost for k, watch in watches.items()}
+        verdicts = {k: watch.note(time, found[k]) for k, watch in watches.items()}
+        doubted = [k for k, verdict in verdicts.items() if verdict is not Verdict.WELL]
+        calm = sum(watch.calm(time) for k, watch in watches.items() if k not in doubted)
+        alone = len(doubted) == 1 and calm == len(found) - 1 and not any(before.values())
+        proven = all(watch.degrees >= _PROVEN for watch in watches.values())
+        if alone and proven and len(found) >= _FEWEST_BEAMS:
+            self._shut.add((sensor, doubted[0]))
+            watches[doubted[0]].lost = False
+            self.state.widen(np.arange(VELOCITY.start, VELOCITY.stop), _LIED**2 * np.eye(3))
+            bias = np.arange(ACCELEROMETER.start, ACCELEROMETER.stop)
+            self.state.let_go(bias, self.state.inertial.bias_sigma[0])
+            self._note(time, "shut-off", sensor, _of_beam(doubted[0]))
+            return
+        columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
+        most = np.repeat([_MOST_SPEED, _MOST_TURN], 3)
+        for k in doubted:
+            self._act(sensor, _of_beam(k), verdicts[k], columns, most, time, before=before[k])
+
+    def _watch(self, sensor: str, kind: str) -> Watch:
+        return self._watches.setdefault((sensor, kind), Watch(WATCHED[kind.split(maxsplit=1)[0]]))
+
     def judge(
         self,
         sensor: str,
@@ -351,16 +413,26 @@ class Aids:
             What may be wrong where innovations lie to one side: errors (j,) and deviations (j,) to
             let them go to; left out: a bias of the inertial unit.
         """
-        watch = self._watches.setdefault((sensor, kind), Watch(WATCHED[kind]))
+        watch = self._watch(sensor, kind)
         before = watch.lost
         verdict = watch.note(time, found)
+        self._act(sensor, kind, verdict, columns, most, time, before=before, drifting=drifting)
+
+    def _act(
+        self, sensor: str, kind: str, verdict: Verdict, columns: NDArray[np.int64], most: Any,
+        time: float, *, before: bool, drifting: tuple[NDArray[np.int64], Any] | None = None,
+    ) -> None:  # fmt: skip
+        """Do what a verdict asks for; `before` tells whether navigation was lost by this kind."""
+        watch = self._watch(sensor, kind)
         if verdict is Verdict.DRIFT:
             # A bias of the inertial unit or of the sensor is what drifts: let it be found anew. It
             # has moved by itself, so what else errs must not be told from where it is found.
-            place, sigma = _BIASES.get(kind, (slice(0), 0.0))
+            place, sigma = _BIASES.get(kind.split(maxsplit=1)[0], (slice(0), 0.0))
             own = np.arange(place.start or 0, place.stop), sigma
             self.state.let_go(*(own if drifting is None else drifting))
             self._note(time, "drift", sensor, kind)
+            if watch.lost and not before:
+                self._note(time, "lost", sensor, kind)
         elif verdict is not Verdict.WELL:
             growth = float(np.clip(watch.excess, _LEAST_GROWTH, _MOST_GROWTH))
             self.state.inflate(columns, growth, most)
@@ -372,3 +444,8 @@ class Aids:
 
     def _note(self, time: float, name: str, sensor: str, kind: str) -> None:
         self._events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))
+
+
+def _of_beam(number: int) -> str:
+    """Return what the speed along a beam is called; beams count from 1."""
+    return f"speed of beam {number + 1}"

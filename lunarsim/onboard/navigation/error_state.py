@@ -284,14 +284,18 @@ class ErrorState:
         if states is None:
             # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
             w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
+            error = white @ w
+            if not np.isfinite(error).all():
+                return Outcome(np.inf, len(innovation), False)
             subtract_square(self.covariance, w)
-            self.correct(white @ w)
         else:
             gain = cho_solve((lower, True), hp[:, states], check_finite=False).T
-            subtract_rows(self.covariance, gain, hp, states)
             error = np.zeros(self.size)
             error[states] = gain @ innovation
-            self.correct(error)
+            if not np.isfinite(error).all():
+                return Outcome(np.inf, len(innovation), False)
+            subtract_rows(self.covariance, gain, hp, states)
+        self.correct(error)
         return outcome
 
     def inform(
@@ -330,6 +334,8 @@ class ErrorState:
             return Outcome(distance, degrees, False)
         w = solve_triangular(lower, hp, lower=True, check_finite=False)
         error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w
+        if not np.isfinite(error).all():
+            return Outcome(np.inf, degrees, False)
         with BLAS.limit(limits=1, user_api="blas"):
             subtract_square(p, w)
         self.correct(error)
@@ -344,7 +350,15 @@ class ErrorState:
         covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not depend
         on the estimate; had it stayed, velocities that are learnt bit by bit would pass for
         knowledge of the tilt.
+
+        Raises
+        ------
+        InputError
+            If it is not `size` finite numbers; nothing changes then.
         """
+        error = np.asarray(error, np.float64)
+        if error.shape != (self.size,) or not np.isfinite(error).all():
+            raise InputError("navigation.error", error.shape, f"{self.size} finite numbers")
         change = error[VELOCITY]
         if np.abs(change).max() > _TELLING:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
+# No lander starts farther from the middle of its terrain, or faster, m and m/s; and no ground that
+# one lands on pulls harder, m/s^2.
+_FARTHEST, _FASTEST, _HEAVIEST = 1e6, 2e4, 100.0
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,11 @@ class StrapdownState:
     limits
         What the lander can do, by which samples are judged; left out: nothing is known of it.
 
+    Raises
+    ------
+    InputError
+        If anything is not finite, the attitude is no rotation, gravity or the step is not positive,
+        or a figure is beyond what any lander has (1,000 km, 20 km/s, 100 m/s^2).
     """
 
     def __init__(
@@ -83,8 +91,18 @@ class StrapdownState:
             raise InputError("navigation.start", start.tolist(), "ten finite numbers")
         if not is_rotation(start[6:]):
             raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
-        if not np.isfinite(gravity):
-            raise InputError("navigation.gravity", gravity, "a finite acceleration")
+        if np.abs(start[:3]).max() > _FARTHEST:
+            raise InputError(
+                "navigation.position", start[:3].tolist(), f"at most {_FARTHEST:g} m either way"
+            )
+        if np.abs(start[3:6]).max() > _FASTEST:
+            raise InputError(
+                "navigation.velocity", start[3:6].tolist(), f"at most {_FASTEST:g} m/s either way"
+            )
+        if not 0.0 < gravity <= _HEAVIEST:
+            raise InputError(
+                "navigation.gravity", gravity, f"above 0 and at most {_HEAVIEST:g} m/s^2, downward"
+            )
         if not (np.isfinite(step) and step > 0.0):
             raise InputError("navigation.step", step, "a positive number of seconds")
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
@@ -177,6 +195,11 @@ class StrapdownState:
         return self._x[6:9], self._x[13:16]
 
     @property
+    def bias_sigma(self) -> tuple[float, float]:
+        """What the unit's figures say of both biases, 1 sigma an axis, m/s^2 and rad/s."""
+        return self._bias_sigma
+
+    @property
     def rate(self) -> Array:
         """Body rate of the last sample (3,), rad/s."""
         return np.asarray(self._held[:3] - self._x[13:16])
@@ -248,7 +271,16 @@ class StrapdownState:
         return told
 
     def correct(self, error: Array) -> None:
-        """Add an estimated error (15,); the attitude by Eq. 8, so that its norm stays 1."""
+        """Add an estimated error (15,); the attitude by Eq. 8, so that its norm stays 1.
+
+        Raises
+        ------
+        InputError
+            If it is not 15 finite numbers; the state stays as it was.
+        """
+        error = np.asarray(error, np.float64)
+        if error.shape != (INERTIAL,) or not np.isfinite(error).all():
+            raise InputError("navigation.error", error.tolist(), f"{INERTIAL} finite numbers")
         self._x[0:9] += error[0:9]
         gibbs = np.concatenate((0.5 * error[ATTITUDE], [1.0]))
         self._x[9:13] = normalised(quat_multiply(self._x[9:13], gibbs))

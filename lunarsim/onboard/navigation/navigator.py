@@ -204,6 +204,7 @@ class Navigator(Navigation):
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         self.state.propagate(angle, velocity)
         self._aids.travel()
+        self._aids.doubt_unit()
 
     @property
     def ground_turn(self) -> GroundTurn | None:

@@ -66,6 +66,8 @@ _LEAST_DOWN = 0.1
 # Where something is doubted variances grow fourfold to 1e4-fold, up to these deviations: height and
 # bias in m and m/s^2, velocity in m/s.
 _GROWTH = (4.0, 1e4)
+# Drifts within the watch's time that a bias may explain: its noise is rough, and drifts are common.
+_PATIENCE = 3
 _MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
 
 
@@ -392,7 +394,8 @@ class UnscentedFilter(Navigation):
 
     def _judge(self, sensor: str, kind: str, found: Outcome, time: float) -> None:
         """Watch what came of a measurement; widen what it depends on where it is doubted."""
-        watch = self._watches.setdefault((sensor, kind), Watch(WATCHED[kind]))
+        settings = replace(WATCHED[kind], drift_patience=_PATIENCE)
+        watch = self._watches.setdefault((sensor, kind), Watch(settings))
         before = watch.lost
         verdict = watch.note(time, found)
         growth = float(np.clip(watch.excess, *_GROWTH))
@@ -408,6 +411,8 @@ class UnscentedFilter(Navigation):
             self._inflate(_VELOCITY, growth, _MOST_SPEED)
         elif before and not watch.lost:
             name = "believed"
+        if verdict is Verdict.DRIFT and watch.lost and not before:
+            name = "lost"
         if name is not None and not (name == "lost" and before):
             self.events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))
 

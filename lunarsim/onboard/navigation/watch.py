@@ -21,6 +21,9 @@ from lunarsim.onboard.navigation.error_state import Outcome
 
 Array = NDArray[np.float64]
 
+# Half of what is doubted, and a little: so far a watch is calm.
+_CALM = 0.55
+
 
 class Verdict(Enum):
     """What a watch has seen."""
@@ -58,7 +61,8 @@ class WatchSettings:
         Standard deviations of that mean beyond which something drifts.
     drift_patience, drift_window_s
         Drifts within so many seconds that a bias may explain; with one more it does not, and the
-        filter is lost. A bias that jumps is found within one or two memories of the mean.
+        filter is lost. A bias that jumps is found within one or two memories of the mean. 0: a
+        drift is a contradiction, and which of two sensors drifts cannot be told.
     """
 
     window_s: float = 2.0
@@ -129,7 +133,8 @@ class Watch:
     def note(self, time: float, outcome: Outcome) -> Verdict:
         """Note what came of a measurement at a time (s), and judge.
 
-        What told nothing (a `nis` of NaN) is not counted.
+        What told nothing (a `nis` of NaN) is not counted. A drift beyond patience is judged to be
+        one, and `lost` is set besides.
         """
         if outcome.degrees == 0 or not outcome.nis >= 0.0:
             return Verdict.WELL
@@ -144,11 +149,24 @@ class Watch:
         self._drifted.append(time)
         while self._drifted[0] < time - s.drift_window_s:
             self._drifted.popleft()
-        if len(self._drifted) <= s.drift_patience:
-            return Verdict.DRIFT
-        self._drifted.clear()
-        self.lost = True
-        return Verdict.LOST
+        if len(self._drifted) > s.drift_patience:
+            self._drifted.clear()
+            self.lost = True
+        return Verdict.DRIFT
+
+    def calm(self, time: float) -> bool:
+        """Tell whether enough was measured of late, and nothing of it looks like a fault."""
+        s = self.settings
+        late = [outcome.taken for at, outcome in self._seen if at >= time - s.window_s]
+        few = len(late) >= s.least and late.count(False) <= _CALM * s.most_refused * len(late)
+        return few and bool((self._levels() <= _CALM * s.drift_level).all())
+
+    def _levels(self) -> Array:
+        """Return by how many of its deviations the mean of each part lies off 0."""
+        if self._mean is None:
+            return np.zeros(0)
+        often = self._weight >= self.settings.least
+        return np.asarray(np.abs(self._mean[often]) / np.sqrt(self._weight[often]))
 
     def _judge_window(self, time: float, outcome: Outcome) -> Verdict:
         s = self.settings
@@ -200,9 +218,7 @@ class Watch:
         seen = np.isfinite(outcome.white)
         self._mean = keep * self._mean + np.where(seen, outcome.white, 0.0)
         self._weight = keep**2 * self._weight + seen
-        often = self._weight >= s.least
-        level = np.abs(self._mean[often]) / np.sqrt(self._weight[often])
-        if not (level > s.drift_level).any():
+        if not (self._levels() > s.drift_level).any():
             return False
         self._mean = None
         return True

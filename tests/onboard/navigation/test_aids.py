@@ -133,9 +133,99 @@ def test_a_drift_lets_go_of_the_bias_behind_it(kind):
             seen = quat_multiply(state.inertial.attitude, quat_from_rotation_vector(off))
             aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.1 * k)
     after = np.diag(state.covariance)
-    assert {e.name for e in events} == {"drift"}
+    assert {e.name for e in events} == {"drift", "lost"}
+    assert [e.name for e in events][:2] == ["drift", "lost"]
     assert (after[own] > 50.0 * before[own]).all()
     assert (after[other] <= before[other] * (1.0 + 1e-9)).all()
+
+
+def fly_beams(aids, state, off, seconds=8.0, start=0.0, seed=3):
+    """Give readings of beams that are off by so much (3,), m/s, NaN for none, at 10 Hz."""
+    rng = np.random.default_rng(seed)
+    nothing = np.full(3, np.nan)
+    for k in range(round(10.0 * seconds)):
+        seen = np.array(BEAMS) @ np.array([3.0, 0.0, -2.0]) + 0.03 * rng.standard_normal(3) + off
+        reading = DopplerReading(0.0, seen, nothing, np.full(3, 0.03), nothing)
+        aids.take("doppler", reading, start + 0.1 * k)
+
+
+@pytest.mark.parametrize("beam", [0, 1, 2])
+@pytest.mark.parametrize("off", [0.1, -0.1, 2.0])
+def test_a_beam_that_lies_alone_is_shut_off(beam, off):
+    state, aids, events = made()
+    fly_beams(aids, state, np.zeros(3))
+    before = state.covariance[3:6, 3:6].copy()
+    lie = np.zeros(3)
+    lie[beam] = off
+    fly_beams(aids, state, lie, start=8.0, seed=4)
+    assert [(e.name, e.details["measurement"]) for e in events] == [
+        ("shut-off", f"speed of beam {beam + 1}")
+    ]
+    assert not aids.lost
+    after = state.covariance[3:6, 3:6]
+    assert (np.diag(after) >= 0.99 * np.diag(before)).all()
+    assert np.diag(after).max() > 2.0 * np.diag(before).max()
+    error = state.inertial.velocity - [3.0, 0.0, -2.0]
+    assert error @ np.linalg.solve(after, error) < 16.0
+    # Whatever it says from now on.
+    told = state.inertial.velocity.copy()
+    reading = np.full(3, np.nan)
+    reading[beam] = 1.0
+    nothing = np.full(3, np.nan)
+    aids.take("doppler", DopplerReading(0.0, reading, nothing, np.full(3, 0.03), nothing), 16.1)
+    assert np.array_equal(state.inertial.velocity, told)
+
+
+@pytest.mark.parametrize(
+    "off", [(0.1, 0.1, 0.0), (0.1, 0.1, 0.1), (0.1, 0.0, np.nan), (2.0, 2.0, 2.0)]
+)
+def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off):
+    state, aids, events = made()
+    fly_beams(aids, state, 0.0 * np.array(off))
+    fly_beams(aids, state, np.array(off), start=8.0, seed=4)
+    assert aids.lost
+    assert "shut-off" not in {e.name for e in events}
+
+
+def test_a_beam_that_comes_into_sight_and_contradicts_the_others_is_lost():
+    """Which of them lies nobody can tell: what is believed came from those that were there."""
+    state, aids, events = made()
+    fly_beams(aids, state, np.array([0.0, 0.0, np.nan]))
+    fly_beams(aids, state, np.array([0.0, 0.0, 2.0]), start=8.0, seed=4)
+    assert aids.lost
+    assert "shut-off" not in {e.name for e in events}
+
+
+def test_a_second_beam_that_lies_is_lost():
+    state, aids, _ = made()
+    fly_beams(aids, state, np.zeros(3))
+    fly_beams(aids, state, np.array([0.1, 0.0, 0.0]), start=8.0, seed=4)
+    assert not aids.lost
+    fly_beams(aids, state, np.array([0.1, 1.0, 0.0]), start=16.0, seed=5)
+    assert aids.lost
+
+
+@pytest.mark.parametrize(("place", "name"), [(7, "accelerometers"), (14, "gyroscopes")])
+def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
+    state, aids, events = made()
+    stated = state.inertial.bias_sigma[0 if place < 9 else 1]
+    state.p[place, place] = 0.0
+    change = np.zeros(15)
+    change[place] = -5.9 * stated
+    state.inertial.correct(change)
+    aids.doubt_unit()
+    assert not aids.lost
+    change[place] = -0.2 * stated
+    state.inertial.correct(change)
+    # Not as long as it is no better known than that.
+    state.p[place, place] = stated**2
+    aids.doubt_unit()
+    assert not aids.lost
+    state.p[place, place] = 0.0
+    for _ in range(3):
+        aids.doubt_unit()
+    assert aids.lost
+    assert [(e.name, e.details["measurement"]) for e in events] == [("lost", name)]
 
 
 def test_a_bias_that_is_let_go_takes_no_tilt_along():
@@ -166,12 +256,13 @@ def test_a_reading_that_no_likely_error_explains_is_refused(kind):
     if kind == "range":
         aids.take("down", AltimeterReading(0.0, 140.0, 0.1), 0.0)
     elif kind == "speed":
-        seen = np.array(BEAMS) @ (state.inertial.velocity + [1.0, 0.0, 0.0])
+        seen = np.array(BEAMS) @ (state.inertial.velocity + [0.5, 0.5, -2.0])
         aids.take("doppler", DopplerReading(0.0, seen, given, np.full(3, 0.03), given), 0.0)
     else:
         seen = quat_from_rotation_vector([0.01, 0.0, 0.0])
         aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
-    assert [watch.refused for watch in aids.watches.values() if watch.refused] == [1]
+    refused = [watch.refused for watch in aids.watches.values() if watch.refused]
+    assert refused == [1] * (3 if kind == "speed" else 1)
     # Where a beam meets the ground has moved, whatever it measured.
     keep = np.r_[0 : state.block("ground").stop]
     assert np.array_equal(state.covariance[np.ix_(keep, keep)], before[np.ix_(keep, keep)])

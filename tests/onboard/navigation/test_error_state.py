@@ -260,3 +260,32 @@ def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
     assert change[3, 3] == pytest.approx(3.0 * before[3, 3])
     change[3, 3] = 0.0
     assert not change.any()
+
+
+@pytest.mark.parametrize("error", [np.full(15, np.nan), np.zeros(12)])
+def test_a_correction_that_is_none_changes_nothing(error):
+    state = ErrorState(still(), StartSigmas())
+    state.listeners.append(lambda told: pytest.fail("told of it"))
+    before = state.covariance.copy()
+    with pytest.raises(InputError, match=r"navigation\.error"):
+        state.correct(error)
+    assert np.array_equal(state.covariance, before)
+
+
+@pytest.mark.parametrize("way", ["measure", "inform", "at rest"])
+def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
+    """What is measured looks well; what errs with it is not finite."""
+    state = ErrorState(still(), StartSigmas(), blocks={"spoilt": np.eye(1)}, capacity=2)
+    state.tail = 2
+    state.covariance[16:, 16:] = np.eye(2)
+    state.rest(np.array([way == "at rest"] * 2))
+    state.covariance[15, 0] = state.covariance[0, 15] = np.nan
+    before = state.covariance.copy()
+    if way == "inform":
+        found = state.inform(np.arange(3), np.eye(3), np.ones(3))
+    else:
+        found = state.measure(np.eye(3), np.arange(3), np.ones(3), np.ones(3))
+    assert not found.taken
+    assert found.nis == np.inf
+    assert np.array_equal(state.covariance, before, equal_nan=True)
+    assert np.array_equal(state.inertial.position, np.zeros(3))

@@ -116,6 +116,34 @@ def test_bad_starts_are_refused():
         StartSigmas(velocity=0.0)
 
 
+@pytest.mark.parametrize("gravity", [0.0, -1.0, 1e3, np.nan, np.inf])
+def test_no_ground_pulls_upwards_or_like_that(gravity):
+    with pytest.raises(InputError, match=r"navigation\.gravity"):
+        StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, gravity)
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "field"),
+    [
+        ([0.0, 0.0, 1e9], [0.0, 0.0, 0.0], "position"),
+        ([0.0, -2e6, 0.0], [0.0, 0.0, 0.0], "position"),
+        ([0.0, 0.0, 100.0], [1e6, 0.0, 0.0], "velocity"),
+    ],
+)
+def test_no_lander_starts_so_far_off_or_so_fast(position, velocity, field):
+    with pytest.raises(InputError, match=rf"navigation\.{field}"):
+        StrapdownState(np.array(position), np.array(velocity), UPRIGHT, 1.622)
+
+
+@pytest.mark.parametrize("error", [np.full(15, np.nan), np.r_[np.zeros(14), np.inf], np.zeros(14)])
+def test_a_correction_that_is_none_is_refused_and_changes_nothing(error):
+    state = StrapdownState(np.ones(3), np.ones(3), UPRIGHT, 1.622)
+    with pytest.raises(InputError, match=r"navigation\.error"):
+        state.correct(error)
+    assert np.array_equal(state.position, np.ones(3))
+    assert np.array_equal(state.attitude, UPRIGHT)
+
+
 @pytest.mark.parametrize("value", [1e6, -1e6, np.inf])
 @pytest.mark.parametrize("which", ["angle", "velocity"])
 def test_a_sample_that_no_lander_could_give_counts_as_missing(which, value):
@@ -136,7 +164,7 @@ def test_a_turn_takes_scale_factors_and_misalignments_along():
     """Turned about one axis and back; what is off is drawn, and the error compared."""
     errors = TriadErrors(scale_factor=1e-3, misalignment=5e-4)
     state = StrapdownState(
-        np.zeros(3), np.zeros(3), UPRIGHT, 0.0, gyroscopes=errors, accelerometers=TriadErrors()
+        np.zeros(3), np.zeros(3), UPRIGHT, 1e-3, gyroscopes=errors, accelerometers=TriadErrors()
     )
     turn = np.zeros((100, 3))
     turn[:, 1] = 0.5 / 100

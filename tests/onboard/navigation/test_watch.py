@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -115,13 +117,42 @@ def test_a_drift_that_comes_again_and_again_is_lost():
     """Something that no bias explains: found, explained, found again."""
     always = whitened(np.random.default_rng(6), 600, np.array([0.0, 0.0, 2.0]))
     watch = Watch(SPEEDS)
-    found = verdicts(watch, always)
-    told = [(k, v) for k, v in enumerate(found) if v is not Verdict.WELL]
-    assert [v for _, v in told[:4]] == [Verdict.DRIFT] * 3 + [Verdict.LOST]
-    assert 0.1 * told[3][0] < SPEEDS.drift_window_s
+    told = []
+    for k, outcome in enumerate(always):
+        if watch.note(0.1 * k, outcome) is Verdict.DRIFT:
+            told.append((0.1 * k, watch.lost))
+    assert [lost for _, lost in told[:4]] == [False, False, False, True]
+    assert told[3][0] < SPEEDS.drift_window_s
     assert watch.lost
     verdicts(watch, whitened(np.random.default_rng(7), 600))
     assert watch.lost, "what has gone along with it stays lost"
+
+
+def test_without_patience_the_first_drift_is_lost():
+    watch = Watch(replace(SPEEDS, drift_patience=0))
+    found = verdicts(watch, whitened(np.random.default_rng(6), 30, np.array([0.0, 0.0, 2.0])))
+    assert found.count(Verdict.WELL) < 30
+    assert set(found) == {Verdict.WELL, Verdict.DRIFT}
+    assert watch.lost
+
+
+def test_a_watch_is_calm_while_nothing_stands_out():
+    watch = Watch(SPEEDS)
+    assert not watch.calm(0.0), "nothing was measured"
+    verdicts(watch, whitened(np.random.default_rng(10), 60))
+    assert watch.calm(6.0)
+    assert not watch.calm(9.0), "not of late"
+    # A third refused is not yet doubted, and no longer calm.
+    for k in range(20):
+        watch.note(6.0 + 0.1 * k, Outcome(400.0 if k % 3 == 0 else 3.0, 3, k % 3 != 0, np.zeros(3)))
+    assert not watch.lost
+    assert not watch.calm(8.0)
+    drifting = Watch(SPEEDS)
+    for k, outcome in enumerate(whitened(np.random.default_rng(11), 100, np.array([0.8, 0, 0]))):
+        if drifting.note(0.1 * k, outcome) is not Verdict.WELL:
+            break
+        calm = drifting.calm(0.1 * k)
+    assert not calm, "before it is told it shows"
 
 
 def test_drifts_far_apart_are_explained_each():
