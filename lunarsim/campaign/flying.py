@@ -41,7 +41,7 @@ class Study:
     records
         Which flights' whole records are kept: none, failures or all.
     figures
-        Whether the first flight of each arm is drawn.
+        Whether the first flight of each arm is drawn, and every one that was not safe.
     cache
         Where truth is kept between campaigns; None: nowhere.
     block
@@ -133,10 +133,12 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
     flight, simulation, row = fly_whole(study, group, arm, memory)
     name = study.arms[arm].name
     _keep(study, group.flight, name, flight, row["safe"])
-    if study.out is not None and study.figures and group.flight == 0:
+    if study.out is not None and study.figures and (group.flight == 0 or not row["safe"]):
         from lunarsim.viz import draw_flight  # noqa: PLC0415  (matplotlib is slow to load)
 
         folder = study.out / "figures" / folder_name(name)
+        if group.flight:
+            folder /= f"failed-{group.flight}"
         draw_flight(flight, simulation.world, simulation.truth, folder)
     return row
 

@@ -76,7 +76,7 @@ class Head:
     records
         Which flights' whole records are kept: none, failures or all.
     figures
-        Whether the first flight of each arm is drawn.
+        Whether the first flight of each arm is drawn, and every one that was not safe.
     """
 
     name: str = quantity("campaign", help="of the campaign")
@@ -86,7 +86,7 @@ class Head:
     time_limit: float | None = quantity(None, "s", gt=0, help="a flight that takes longer is ended")
     time_budget: float | None = quantity(None, "s", gt=0, help="no flight starts later")
     records: str = quantity("none", help="none, failures or all: whole records kept")
-    figures: bool = quantity(False, help="draw the first flight of each arm")
+    figures: bool = quantity(False, help="draw the first flight of each arm, and every failed one")
 
     def __post_init__(self) -> None:
         if not self.name:

@@ -124,7 +124,9 @@ class Recorder:
             return
         points = scan.points(estimate.position, estimate.attitude)
         points = points[np.isfinite(points).all(axis=1)]
-        points = points[:: max(1, len(points) // _KEPT_RETURNS)]
+        # Every so many in the detector's order would draw lines that are not on the ground.
+        kept = np.random.default_rng(0).permutation(len(points))[:_KEPT_RETURNS]
+        points = points[np.sort(kept)]
         if len(points):
             self._scans.append(np.column_stack((points, np.full(len(points), scan.time))))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -9,50 +10,133 @@ import numpy as np
 
 from lunarsim.evaluation.statistics import summarise
 from lunarsim.scenario import Scenario
-from lunarsim.viz.style import new_figure, policy_colour, save
+from lunarsim.viz.style import COLOURS, new_figure, policy_colour, save
+
+Rows = list[dict[str, Any]]
+
+# Told apart in grey too.
+_HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++", "---")
 
 
-def draw_comparison(rows: list[dict[str, Any]], scenario: Scenario, path: Path) -> None:
-    """Draw safety, propellant, divert distance and touchdown speed of every policy."""
+def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
+    """Draw safety, causes of failure, figures against limits, differences and maps by policy.
+
+    Parameters
+    ----------
+    rows
+        One a flight and policy, see `lunarsim.evaluation.outcome`.
+    scenario
+        That was flown: its lander's limits are drawn.
+    path
+        PNG file to write.
+    """
+    names = list(dict.fromkeys(row["policy"] for row in rows))
+    lander = scenario.vehicle.make()
+    figure = new_figure(13, 7.6)
+    axes = figure.subplots(2, 4).ravel()
+    _draw_safety(axes[0], rows, names)
+    _draw_causes(axes[1], rows, names)
+    boxes = (
+        ("propellant_kg", f"propellant (kg; {lander.propellant_mass:g} carried)", None),
+        ("divert_m", "divert distance (m)", None),
+        ("vertical_speed_m_s", "touchdown speed, down (m/s)", lander.vertical_speed_limit),
+        ("horizontal_speed_m_s", "touchdown speed, aside (m/s)", lander.horizontal_speed_limit),
+    )
+    for ax, (column, label, limit) in zip(axes[2:6], boxes, strict=True):
+        _draw_boxes(ax, rows, names, column, label)
+        if limit is not None:
+            ax.axvline(limit, color="black", lw=1.2, ls="--", label="limit")
+            ax.legend(loc="best")
+    _draw_differences(axes[6], rows, names)
+    _draw_maps(axes[7], rows, names)
+    for i, ax in enumerate(axes):
+        ax.set_yticks(range(len(names)), names if i % 4 == 0 else [""] * len(names))
+        ax.set_ylim(len(names) - 0.5, -0.5)
+        ax.grid(axis="x", alpha=0.3)
+    flights = sum(row["policy"] == names[0] for row in rows)
+    figure.suptitle(f"{scenario.name}: {flights} flights a policy over the same worlds")
+    save(figure, path)
+
+
+def _draw_safety(ax: Any, rows: Rows, names: list[str]) -> None:
     summary = summarise(rows)
-    names = list(summary)
-    colours = [policy_colour(name) for name in names]
-    figure = new_figure(11, 4.4)
-    axes = figure.subplots(1, 4)
     place = np.arange(len(names))
-
     share = np.array([summary[n]["safe"].value for n in names])
     low = share - [summary[n]["safe"].interval[0] for n in names]
     high = np.array([summary[n]["safe"].interval[1] for n in names]) - share
-    axes[0].barh(place, share, color=colours)
+    ax.barh(place, share, color=[policy_colour(name) for name in names])
     spread = np.maximum(np.stack((low, high)), 0.0)
-    axes[0].errorbar(share, place, xerr=spread, fmt="none", ecolor="black", capsize=3)
-    axes[0].set_xlim(0.0, 1.0)
-    axes[0].set_xlabel("landed safe (95 % Wilson interval)")
+    ax.errorbar(share, place, xerr=spread, fmt="none", ecolor="black", capsize=3)
+    ax.set_xlim(0.0, 1.0)
+    ax.set_xlabel("landed safe (95 % Wilson interval)")
 
-    boxes = (
-        ("propellant_kg", "propellant (kg)"),
-        ("divert_m", "divert distance (m)"),
-        ("horizontal_speed_m_s", "horizontal touchdown speed (m/s)"),
+
+def _draw_causes(ax: Any, rows: Rows, names: list[str]) -> None:
+    """Draw how many flights failed by what; one that failed by several counts with the first."""
+    first = [(row["policy"], row["failed"].split(",")[0]) for row in rows if not row["safe"]]
+    causes = [cause for cause, _ in Counter(cause for _, cause in first).most_common()]
+    left = np.zeros(len(names))
+    for i, cause in enumerate(causes):
+        counts = np.array([first.count((name, cause)) for name in names], dtype=np.float64)
+        ax.barh(
+            range(len(names)), counts, left=left, color=COLOURS[i % len(COLOURS)], ec="black",
+            hatch=_HATCHES[i % len(_HATCHES)], lw=0.5, label=cause,
+        )  # fmt: skip
+        left += counts
+    ax.set_xlim(0.0, max(1.0, 1.3 * left.max()))
+    ax.set_xlabel("flights that failed, by first cause")
+    if causes:
+        ax.legend(loc="best")
+    else:
+        ax.text(0.5, 0.5, "none failed", transform=ax.transAxes, ha="center")
+
+
+def _draw_boxes(ax: Any, rows: Rows, names: list[str], column: str, label: str) -> None:
+    data = []
+    for name in names:
+        values = np.array([r[column] for r in rows if r["policy"] == name], dtype=np.float64)
+        data.append(values[np.isfinite(values)])
+    drawn = ax.boxplot(
+        data, positions=range(len(names)), orientation="horizontal", widths=0.6, patch_artist=True
     )
-    for ax, (column, label) in zip(axes[1:], boxes, strict=True):
-        data = []
-        for name in names:
-            values = np.array([r[column] for r in rows if r["policy"] == name], dtype=np.float64)
-            data.append(values[np.isfinite(values)])
-        drawn = ax.boxplot(
-            data, positions=place, orientation="horizontal", widths=0.6, patch_artist=True
-        )
-        for box, colour in zip(drawn["boxes"], colours, strict=True):
-            box.set_facecolor(colour)
-            box.set_alpha(0.75)
-        for line in drawn["medians"]:
-            line.set_color("black")
-        ax.set_xlabel(label)
-    for i, ax in enumerate(axes):
-        ax.set_yticks(place, names if i == 0 else [""] * len(names))
-        ax.set_ylim(len(names) - 0.5, -0.5)
-        ax.grid(axis="x", alpha=0.3)
-    flights = summary[names[0]]["flights"]
-    figure.suptitle(f"{scenario.name}: {flights} flights a policy over the same worlds")
-    save(figure, path)
+    for box, name in zip(drawn["boxes"], names, strict=True):
+        box.set_facecolor(policy_colour(name))
+        box.set_alpha(0.75)
+    for line in drawn["medians"]:
+        line.set_color("black")
+    ax.set_xlabel(label)
+
+
+def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
+    """Draw flights of the same world that ended otherwise than under the first policy."""
+    safe = {(row["policy"], row["flight"]): row["safe"] for row in rows}
+    flights = sorted({row["flight"] for row in rows})
+    for place, name in enumerate(names):
+        pairs = [
+            (safe[names[0], f], safe[name, f])
+            for f in flights
+            if (names[0], f) in safe and (name, f) in safe
+        ]
+        better = sum(not a and b for a, b in pairs)
+        worse = sum(a and not b for a, b in pairs)
+        ax.barh(place, better, color=COLOURS[0], label="safe here alone" if not place else None)
+        ax.barh(place, -worse, color=COLOURS[1], hatch="///", ec="black", lw=0.5,
+                label=f"safe with {names[0]} alone" if not place else None)  # fmt: skip
+        if place:
+            ax.text(0.0, place + 0.48, f" {better} better, {worse} worse", va="bottom", fontsize=7)
+    ax.axvline(0.0, color="black", lw=0.8)
+    ax.set_xlabel(f"flights that ended otherwise than under {names[0]}")
+    ax.legend(loc="best")
+
+
+def _draw_maps(ax: Any, rows: Rows, names: list[str]) -> None:
+    summary = summarise(rows)
+    for place, name in enumerate(names):
+        figures = summary[name]["precision"], summary[name]["recall"]
+        ax.plot(figures[0], place - 0.12, "o", color=COLOURS[0], mec="black", mew=0.6,
+                label="precision" if not place else None)  # fmt: skip
+        ax.plot(figures[1], place + 0.12, "D", color=COLOURS[4], mec="black", mew=0.6,
+                label="recall" if not place else None)  # fmt: skip
+    ax.set_xlim(0.0, 1.03)
+    ax.set_xlabel("of the map, cells with p > 0.5")
+    ax.legend(loc="best")

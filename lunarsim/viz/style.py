@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
+from lunarsim.scenario import Scenario
+from lunarsim.simulation.flight import Flight
 
 # Okabe and Ito's palette: told apart by colour-blind readers too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -39,6 +41,13 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
+
+
+def end_of(flight: Flight) -> str:
+    """Return scenario, policy and end of a flight as a title."""
+    name = Scenario.from_toml(flight.scenario).name
+    end = "landed safe" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
+    return f"{name}, {flight.policy}: {end}"
 
 
 def policy_colour(name: str) -> str:

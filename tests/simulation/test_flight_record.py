@@ -90,7 +90,9 @@ def test_judgement_and_figures_need_the_record_alone(flown, tmp_path):
     assert_same(row, evaluate(flight, simulation.truth))
     assert row["map_hits"] > 1000
     draw_flight(loaded, world, truth, tmp_path / "figures")
-    assert {f.name for f in (tmp_path / "figures").iterdir()} == {"descent.png", "maps.png"}
+    assert {f.name for f in (tmp_path / "figures").iterdir()} == {
+        "descent.png", "maps.png", "touchdown.png",
+    }  # fmt: skip
 
 
 def test_a_divert_in_the_first_cycle_counts(small_scenario):

@@ -1,0 +1,187 @@
+"""The figure of the maps that a flight was decided on, beside the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
+
+from lunarsim.evaluation.map_words import words_on_maps
+from lunarsim.evaluation.outcome import first_aim
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.simulation.flight import Flight
+from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
+from lunarsim.world import World
+from lunarsim.world.truth import Truth
+
+# Candidates are seen on dark and on bright ground: white with a black rim.
+_CANDIDATE: dict[str, Any] = {
+    "marker": "o",
+    "ls": "",
+    "mfc": "white",
+    "mec": "black",
+    "ms": 5,
+    "mew": 0.8,
+}
+_DIVERT = COLOURS[3]
+
+
+def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
+    """Draw path, sites and touchdown in the true frame."""
+    t = flight.trajectory
+    axes.plot(t["position_x"], t["position_y"], color=COLOURS[1], lw=1.5)
+    axes.plot(*first_aim(flight), "x", color="black", ms=8, mew=2)
+    for start, goal in _diverts(flight):
+        axes.annotate(
+            "", goal, start, zorder=6,
+            arrowprops={"arrowstyle": "-|>", "color": _DIVERT, "lw": 1.6, "shrinkA": 0,
+                        "shrinkB": 0, "mutation_scale": 11},
+        )  # fmt: skip
+    end = flight.positions[-1]
+    axes.add_patch(Circle(end[:2], radius, fill=False, ec="black", lw=2.2))
+    axes.add_patch(Circle(end[:2], radius, fill=False, ec=COLOURS[1], lw=1.2))
+
+
+def _diverts(flight: Flight) -> list[tuple[Any, Any]]:
+    """Return where each divert left from and went to (2,), true frame, m.
+
+    What is told of sites is in the frame that the computer flies in; it is moved by where the
+    lander believed to be at that time.
+    """
+    t = flight.trajectory
+    found = []
+    for decision in flight.decisions:
+        row = int(np.argmin(np.abs(t["time"] - decision["time"])))
+        error = np.array([t[f"estimated_{a}"][row] - t[f"position_{a}"][row] for a in "xy"])
+        ends = (np.asarray(decision[key], np.float64)[:2] - error for key in ("from", "to"))
+        found.append((next(ends), next(ends)))
+    return found
+
+
+def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
+    """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
+
+    All panels are in the true frame: the map is moved by the navigation error when it was drawn.
+    """
+    west, east, south, north = world.terrain.bounds
+    tall = (north - south) > 1.25 * (east - west)
+    figure = new_figure(12.5 if tall else 10.5, 7.8 if tall else 11.4)
+    panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
+    grid = truth.safety.grid
+    shade = hillshade(truth.elevation, grid.posting)
+    for panel in panels:
+        show(panel, shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
+    _draw_truth(figure, panels[0], panels[1], truth)
+    _draw_map(figure, panels[2], flight)
+    _draw_measured(figure, panels[3], flight)
+    if flight.hazard_map is not None:
+        x0, x1, y0, y1 = flight.hazard_map.grid.moved(-flight.map_error).extent
+        if max(x1 - x0, y1 - y0) < 0.5 * max(east - west, north - south):
+            # The ground reaches far beyond what is mapped: show the map and some of the way to it.
+            aside = 0.25 * (x1 - x0)
+            west, east, south, north = x0 - aside, x1 + aside, y0 - aside, y1 + aside
+    for panel in panels:
+        _path_and_sites(panel, flight, truth.lander.leg_radius)
+        panel.set_xlim(west, east)
+        panel.set_ylim(south, north)
+    if tall:
+        for panel in panels[1:]:
+            panel.set_ylabel("")
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=5)
+    figure.suptitle(end_of(flight))
+    save(figure, path)
+
+
+def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
+    grid = truth.safety.grid
+    tint = show(left, truth.elevation, grid, cmap="cividis", alpha=0.45)
+    _bar(figure, tint, left, "elevation (m)")
+    map_axes(left, "true terrain")
+    classes = np.where(truth.safety.observed, np.where(truth.safety.safe, 2.0, 1.0), 0.0)
+    palette = ListedColormap(["#bbbbbb", "#D55E00", "#56B4E9"])
+    show(right, classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
+    map_axes(right, "exact safety (truth)")
+
+
+def _draw_map(figure: Any, panel: Any, flight: Flight) -> None:
+    """Draw the map that decided, and the sites that were chosen from."""
+    if flight.hazard_map is not None:
+        shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
+        grid = flight.hazard_map.grid.moved(-flight.map_error)
+        image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
+        _bar(figure, image, panel, "probability of safety")
+        _hatch_bounds(panel, flight.hazard_map, grid)
+        sites = flight.candidates[:, :2] - flight.map_error[:2]
+        panel.plot(*sites.T, **_CANDIDATE)
+    map_axes(panel, "hazard map and candidate sites")
+    words = words_on_maps(flight).get(flight.decided_on)
+    if words is not None:
+        panel.text(
+            0.5, 0.97, f"this map {words}", transform=panel.transAxes, ha="center", va="top",
+            wrap=True, fontsize=8, bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2}, zorder=9,
+        )  # fmt: skip
+
+
+def _bar(figure: Any, drawn: Any, panel: Any, label: str) -> None:
+    """Draw a colour bar below its own panel, so that it cannot be read as the next one's axis."""
+    figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
+
+
+def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
+    """Hatch where the probability is a bound and no frequency."""
+    if hazard_map.in_domain is None:
+        return
+    bound = hazard_map.observed & ~hazard_map.in_domain
+    if bound.any():
+        hatched = panel.contourf(
+            grid.x, grid.y, bound.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"]
+        )
+        hatched.set(edgecolor="0.8", linewidth=0.0)
+
+
+def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
+    """Draw LiDAR returns, or the rocks that a mapper tracks."""
+    titles = []
+    dx, dy, dz = flight.map_error
+    points = flight.scans
+    if len(points):
+        titles.append("LiDAR returns (thinned)")
+        dots = panel.scatter(
+            points[:, 0] - dx, points[:, 1] - dy, c=points[:, 2] - dz, s=1.2, cmap="plasma", lw=0
+        )
+        _bar(figure, dots, panel, "measured elevation (m)")
+    for record in flight.maps.values():
+        rocks = record.tables.get("rocks")
+        if rocks is None:
+            continue
+        titles.append("rocks tracked by their shadows")
+        east, north, _ = record.error
+        circles = [
+            Circle((x - east, y - north), r)
+            for x, y, r in zip(rocks["x"], rocks["y"], rocks["radius"], strict=True)
+        ]
+        panel.add_collection(
+            PatchCollection(circles, facecolor="none", edgecolor=COLOURS[1], lw=0.8)
+        )
+    map_axes(panel, ", ".join(titles) or "nothing measured")
+
+
+def _legend() -> list[Any]:
+    """Return what is drawn, as it is drawn."""
+    return [
+        Line2D([], [], color=COLOURS[1], label="path over the ground"),
+        Line2D([], [], ls="", marker="x", color="black", mew=2, label="first aim"),
+        Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
+        Line2D([], [], color=_DIVERT, marker=">", label="divert"),
+        Line2D([], [], label="candidate site", **_CANDIDATE),
+        Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="no frequency, cautious"),
+        Patch(color="#56B4E9", label="truly safe at every heading"),
+        Patch(color="#D55E00", label="true hazard"),
+        Patch(color="#bbbbbb", label="edge of the terrain"),
+    ]
