@@ -71,7 +71,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     """
     west, east, south, north = world.terrain.bounds
     tall = (north - south) > 1.25 * (east - west)
-    figure = new_figure(12.5 if tall else 10.5, 7.8 if tall else 11.4)
+    figure = new_figure(12.5 if tall else 10.5, 7.4 if tall else 11.4)
     panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
     grid = truth.safety.grid
     shade = hillshade(truth.elevation, grid.posting)
@@ -105,7 +105,9 @@ def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
     map_axes(left, "true terrain")
     classes = np.where(truth.safety.observed, np.where(truth.safety.safe, 2.0, 1.0), 0.0)
     palette = ListedColormap(["#bbbbbb", "#D55E00", "#56B4E9"])
-    show(right, classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
+    drawn = show(right, classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
+    bar = _bar(figure, drawn, right, "at every heading")
+    bar.set_ticks([0.0, 1.0, 2.0], labels=["edge", "hazard", "safe"])
     map_axes(right, "exact safety (truth)")
 
 
@@ -128,9 +130,9 @@ def _draw_map(figure: Any, panel: Any, flight: Flight) -> None:
         )  # fmt: skip
 
 
-def _bar(figure: Any, drawn: Any, panel: Any, label: str) -> None:
+def _bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
     """Draw a colour bar below its own panel, so that it cannot be read as the next one's axis."""
-    figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
+    return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
 
 def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
