@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= out
 
-.PHONY: demo test slow lint bench clean
+.PHONY: demo test slow lint bench docs clean
 
 demo: $(STAMP)          ## closed-loop comparison of policies on measured terrain, with pictures
 	rm -rf $(OUT)/demo
@@ -26,6 +26,11 @@ lint: $(STAMP)          ## style, types, and the walls between rooms
 
 bench: $(STAMP)         ## speed, as ratios to references in the same run
 	$(BIN)/python scripts/bench.py
+
+docs: $(STAMP)          ## the site, in out/docs/index.html
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	$(BIN)/python -m sphinx -W -n --keep-going -b html docs $(OUT)/docs
+	@echo "Site: $(OUT)/docs/index.html"
 
 $(STAMP): pyproject.toml scripts/setup.sh
 	sh scripts/setup.sh $(VENV)

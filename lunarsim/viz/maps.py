@@ -73,7 +73,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     """
     west, east, south, north = world.terrain.bounds
     tall = (north - south) > 1.25 * (east - west)
-    figure = new_figure(12.5 if tall else 10.5, 7.8 if tall else 11.4)
+    figure = new_figure(12.5 if tall else 10.5, 7.4 if tall else 11.4)
     panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
     grid = truth.safety.grid
     shade = hillshade(truth.elevation, grid.posting)
