@@ -1,6 +1,8 @@
-"""One picture of a flight in progress."""
+"""Pictures of a flight in progress."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -11,42 +13,108 @@ from numpy.typing import NDArray
 from lunarsim.onboard.policies import Observation
 from lunarsim.simulation import Simulation
 
+# What the close-up of the landing shows, m: up, and to each side of the touchdown.
+_LOW, _ASIDE = 60.0, 60.0
+_PATH, _HERE = "#0072B2", "#D55E00"
 
-def draw_frame(simulation: Simulation, observation: Observation) -> NDArray[np.uint8]:
-    """Return the descent so far and the hazard map as an image (360, 800, 3), estimated frame."""
-    figure = Figure(figsize=(8.0, 3.6), dpi=100, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    profile, plan = figure.subplots(1, 2)
-    site = observation.site
-    here = observation.estimate.position
-    rows = simulation.recorder.trajectory() if simulation.time > 0.0 else None
-    if rows is not None:
+
+class Frames:
+    """Draws frames of one flight; axes stay as the first frame has them.
+
+    Parameters
+    ----------
+    simulation, observation
+        The flight at its first decision.
+    """
+
+    def __init__(self, simulation: Simulation, observation: Observation) -> None:
+        self.simulation = simulation
+        figure = Figure(figsize=(8.0, 3.6), dpi=100)
+        self._canvas = FigureCanvasAgg(figure)
+        high, low, plan = figure.subplots(1, 3, width_ratios=[1.0, 0.8, 1.25])
+        figure.subplots_adjust(left=0.075, right=0.93, bottom=0.14, top=0.86, wspace=0.42)
+        away, up = self._profile(observation)
+        self._paths = [ax.plot([], [], color=_PATH)[0] for ax in (high, low)]
+        self._heres = [ax.plot([], [], "o", color=_HERE)[0] for ax in (high, low)]
+        _frame(high, (0.0, 1.05 * max(away[0], 1.0)), (-10.0, 1.05 * up[0]), "descent")
+        _frame(low, (0.0, _ASIDE), (-2.0, _LOW), f"last {_LOW:g} m")
+        high.set_ylabel("altitude above the site (m)")
+        grid = observation.hazard_map.grid
+        plan.set_facecolor("0.8")
+        self._image = plan.imshow(
+            np.full(grid.shape, np.nan), origin="lower", extent=grid.extent, vmin=0.0, vmax=1.0,
+            cmap="viridis",
+        )  # fmt: skip
+        figure.colorbar(self._image, ax=plan, label="probability of safety", fraction=0.046)
+        west, east, south, north = grid.extent
+        plan.set(xlim=(west, east), ylim=(south, north), xlabel="east (m)")
+        (self._sites,) = plan.plot([], [], "o", mfc="white", mec="black", ms=4, ls="")
+        self._target = Circle((0.0, 0.0), simulation.lander.leg_radius, fill=False, ec=_HERE, lw=2)
+        plan.add_patch(self._target)
+        self._map_title = plan.text(
+            0.5, 1.03, "", transform=plan.transAxes, ha="center", fontsize=12
+        )
+        self._title = figure.text(0.5, 0.96, "", ha="center", fontsize=9)
+        # Axes are drawn once; a frame draws what moves over a copy of them.
+        self._moving = [
+            self._image, *self._paths, *self._heres, self._sites, self._target, self._map_title,
+            self._title,
+        ]  # fmt: skip
+        for artist in self._moving:
+            artist.set_animated(True)
+        self._canvas.draw()
+        self._still = self._canvas.copy_from_bbox(figure.bbox)
+        self._figure = figure
+
+    def _profile(self, observation: Observation) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return distance over the ground and height of the path so far from the site, m."""
+        rows = self.simulation.recorder.trajectory()
+        site = observation.site
         away = np.hypot(rows["estimated_x"] - site[0], rows["estimated_y"] - site[1])
-        profile.plot(away, rows["estimated_z"] - site[2], color="#0072B2")
-    profile.plot(np.hypot(*(here - site)[:2]), here[2] - site[2], "o", color="#D55E00")
-    profile.set_xlabel("distance from the site (m)")
-    profile.set_ylabel("altitude above the site (m)")
-    profile.set_ylim(bottom=-10.0)
-    profile.grid(alpha=0.3)
-    profile.set_title(f"t = {simulation.time:.1f} s")
+        return away, rows["estimated_z"] - site[2]
 
-    hazard_map = observation.hazard_map
-    shown = np.where(hazard_map.observed, hazard_map.p_safe, np.nan)
-    plan.set_facecolor("0.8")
-    image = plan.imshow(
-        shown, origin="lower", extent=hazard_map.grid.extent, vmin=0.0, vmax=1.0, cmap="viridis"
-    )
-    figure.colorbar(image, ax=plan, label="probability of safety")
-    sites = observation.candidates.position
-    plan.plot(sites[:, 0], sites[:, 1], "o", mfc="none", mec="white", ms=5)
-    radius = simulation.lander.leg_radius
-    plan.add_patch(Circle((site[0], site[1]), radius, fill=False, ec="#D55E00", lw=2))
-    plan.set_xlabel("east (m)")
-    plan.set_ylabel("north (m)")
-    title = "hazard map"
-    if simulation.verdict is not None:
-        safe = simulation.verdict.safe
-        title = "landed safe" if safe else "failed: " + ", ".join(simulation.verdict.failed)
-    plan.set_title(title)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    def draw(
+        self, observation: Observation, action: int | None, reward: float | None
+    ) -> NDArray[np.uint8]:
+        """Return a frame (360, 800, 3), estimated frame.
+
+        Parameters
+        ----------
+        observation
+            What the agent is shown now.
+        action, reward
+            The last ones; None before the first.
+        """
+        away, up = self._profile(observation)
+        for path, here in zip(self._paths, self._heres, strict=True):
+            path.set_data(away, up)
+            here.set_data(away[-1:], up[-1:])
+        m = observation.hazard_map
+        self._image.set_data(np.where(m.observed, m.p_safe, np.nan))
+        self._image.set_extent(m.grid.extent)
+        self._sites.set_data(*observation.candidates.position[:, :2].T)
+        self._target.center = tuple(observation.site[:2])
+        self._map_title.set_text("hazard map" if m.observed.any() else "the map has seen nothing")
+        self._title.set_text(self._words(action, reward))
+        self._canvas.restore_region(self._still)
+        for artist in self._moving:
+            self._figure.draw_artist(artist)
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def _words(self, action: int | None, reward: float | None) -> str:
+        """Return time, last action, its reward, and how the flight ended."""
+        words = [f"t = {self.simulation.time:.1f} s"]
+        if action is not None:
+            words.append("keep the site" if action == 0 else f"divert to candidate {action}")
+        if reward is not None:
+            words.append(f"reward {reward:+.3f}")
+        verdict = self.simulation.verdict
+        if verdict is not None:
+            words.append("landed safe" if verdict.safe else "failed: " + ", ".join(verdict.failed))
+        return ",  ".join(words)
+
+
+def _frame(axes: Any, x: tuple[float, float], y: tuple[float, float], title: str) -> None:
+    """Fix the limits of an axis and name it."""
+    axes.set(xlim=x, ylim=y, xlabel="distance from the site (m)", title=title)
+    axes.grid(alpha=0.3)

@@ -15,7 +15,7 @@ from lunarsim.onboard.policies import Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.observations import FloatArray, encode, observation_space, shrink
-from lunarsim_envs.rendering import draw_frame
+from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, reward_terms
 
 SITES = 20  # candidate sites that an agent may choose from
@@ -102,6 +102,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.observation_space = observation_space(SITES)
         self.simulation: Simulation | None = None
         self._observation: Observation | None = None
+        self._frames: Frames | None = None
+        self._last: tuple[int | None, float | None] = (None, None)
         self._shrunk: tuple[object, FloatArray] | None = None
 
     def reset(
@@ -111,6 +113,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         self.simulation = Simulation(self.scenario, int(self.np_random.integers(2**62)))
         self._to_next_decision(self.simulation)
+        self._frames, self._last = None, (None, None)
         return self._encode(self.simulation), self._info(self.simulation)
 
     def step(
@@ -144,15 +147,21 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             invalid=invalid,
         )
         info = self._info(simulation) | {"reward_terms": terms}
+        self._last = (int(action), sum(terms.values()))
         return self._encode(simulation), sum(terms.values()), simulation.done, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return the descent and the map as an image (360, 800, 3)."""
+        """Return the descent, its last 60 m and the map as an image (360, 800, 3).
+
+        Axes stay as the first frame of a flight has them.
+        """
         if self.render_mode is None:
             return None
         if self.simulation is None or self._observation is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
-        return draw_frame(self.simulation, self._observation)
+        if self._frames is None:
+            self._frames = Frames(self.simulation, self._observation)
+        return self._frames.draw(self._observation, *self._last)
 
     def _to_next_decision(self, simulation: Simulation) -> None:
         """Fly until a decision is due, or the end."""

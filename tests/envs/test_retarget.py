@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 import warnings
 
 import gymnasium
@@ -88,6 +89,26 @@ def test_rendering(env):
     assert frame.shape == (360, 800, 3)
     assert frame.dtype == np.uint8
     assert frame.std() > 10.0
+
+
+def test_frames_keep_their_axes_and_show_action_reward_and_the_last_metres(env):
+    env.reset(seed=1)
+    frames, seconds, ended = [env.render()], [], False
+    while not ended:
+        *_, ended, _, _ = env.step(0)
+        begun = time.process_time()
+        frames.append(env.render())
+        seconds.append(time.process_time() - begun)
+    first, second, last = frames[0], frames[1], frames[-1]
+    ticks = np.s_[316:, 55:240]  # numbers and name of the axis below the descent
+    assert all(np.array_equal(frame[ticks], first[ticks]) for frame in frames)
+    title = np.s_[:24]
+    assert not np.array_equal(first[title], second[title])
+    assert (second[title] < 128).sum() > (first[title] < 128).sum()
+    close = np.s_[52:300, 312:448]  # within the axes of the last 60 m: nothing before, a path then
+    assert np.array_equal(first[close], second[close])
+    assert not np.array_equal(first[close], last[close])
+    assert min(seconds) < 0.05
 
 
 def test_misuse_is_explained(small_scenario):
