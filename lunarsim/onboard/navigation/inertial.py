@@ -51,6 +51,32 @@ class StartSigmas:
                 raise InputError(f"navigation.{name}", value, "a positive number")
 
 
+def _checked_start(
+    position: Array, velocity: Array, attitude: Array, gravity: float, step: float
+) -> Array:
+    """Return position, velocity and attitude (10,) that a lander may begin with."""
+    start = np.concatenate((position, velocity, attitude)).astype(np.float64)
+    if start.shape != (10,) or not np.isfinite(start).all():
+        raise InputError("navigation.start", start.tolist(), "ten finite numbers")
+    if not is_rotation(start[6:]):
+        raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
+    if np.abs(start[:3]).max() > _FARTHEST:
+        raise InputError(
+            "navigation.position", start[:3].tolist(), f"at most {_FARTHEST:g} m either way"
+        )
+    if np.abs(start[3:6]).max() > _FASTEST:
+        raise InputError(
+            "navigation.velocity", start[3:6].tolist(), f"at most {_FASTEST:g} m/s either way"
+        )
+    if not 0.0 < gravity <= _HEAVIEST:
+        raise InputError(
+            "navigation.gravity", gravity, f"above 0 and at most {_HEAVIEST:g} m/s^2, downward"
+        )
+    if not (np.isfinite(step) and step > 0.0):
+        raise InputError("navigation.step", step, "a positive number of seconds")
+    return start
+
+
 class StrapdownState:
     """Position, velocity, attitude and biases, carried by inertial samples.
 
@@ -86,25 +112,7 @@ class StrapdownState:
         accelerometers: TriadErrors = ACCELEROMETERS,
         limits: SampleLimits | None = None,
     ) -> None:
-        start = np.concatenate((position, velocity, attitude)).astype(np.float64)
-        if start.shape != (10,) or not np.isfinite(start).all():
-            raise InputError("navigation.start", start.tolist(), "ten finite numbers")
-        if not is_rotation(start[6:]):
-            raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
-        if np.abs(start[:3]).max() > _FARTHEST:
-            raise InputError(
-                "navigation.position", start[:3].tolist(), f"at most {_FARTHEST:g} m either way"
-            )
-        if np.abs(start[3:6]).max() > _FASTEST:
-            raise InputError(
-                "navigation.velocity", start[3:6].tolist(), f"at most {_FASTEST:g} m/s either way"
-            )
-        if not 0.0 < gravity <= _HEAVIEST:
-            raise InputError(
-                "navigation.gravity", gravity, f"above 0 and at most {_HEAVIEST:g} m/s^2, downward"
-            )
-        if not (np.isfinite(step) and step > 0.0):
-            raise InputError("navigation.step", step, "a positive number of seconds")
+        start = _checked_start(position, velocity, attitude, gravity, step)
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
