@@ -164,7 +164,9 @@ def test_every_part_of_the_package_has_a_table_that_comes_back(contract, kind):
             table().make()
         return
     assert table().make() == of()
-    assert table_of(of()) == table()
+    assert table_of(of()).make() == of()
+    if contract != "vehicle":  # whose moments follow from its masses where its table says nothing
+        assert table_of(of()) == table()
     written = table().model_dump(mode="json", exclude_none=True)
     assert table.model_validate(written) == table()
     for key, info in table.model_fields.items():
