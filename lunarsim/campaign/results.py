@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.outcomes import FLOWN
@@ -60,6 +61,20 @@ class Results:
     def is_leaning(self) -> bool:
         """Whether flights were drawn to fail more often, and count by their weights."""
         return WEIGHT in self.manifest["inputs"]
+
+    @property
+    def apart(self) -> NDArray[np.bool_]:
+        """Which rows are of flights that share nothing with each other (n,).
+
+        All but in a Saltelli design, whose blocks fly two worlds again and again: there it is the
+        first and the last of each block, points A and B.
+        """
+        identity = self.manifest["identity"]
+        if identity.get("method") != "saltelli":
+            return np.ones(len(self.table), dtype=bool)
+        block = len(identity["dispersions"]) + 3
+        place = self.table["flight"].to_numpy() % block
+        return np.asarray((place == 0) | (place == block - 1))
 
     def check_even(self, field: str) -> None:
         """Raise `InputError` naming `field` where flights do not count alike."""
