@@ -237,6 +237,8 @@ def _range(text: str, values: str) -> list[Any]:
         raise InputError("--over", text, "LOW:HIGH:COUNT, two numbers and a whole one") from None
     if number < 2 or not np.isfinite(ends).all() or ends[0] >= ends[1]:
         raise InputError("--over", text, "LOW below HIGH, and a COUNT of 2 or more")
+    if number > MOST_ARMS:
+        raise InputError("--over", text, f"a COUNT of at most {MOST_ARMS}")
     return [float(v) for v in np.linspace(*ends, number)]
 
 

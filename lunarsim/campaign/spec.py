@@ -219,10 +219,10 @@ class CampaignSpec:
         for arm in self.arms:
             _check_apart(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
         set_by_arms = {key: value for arm in self.arms for key, value in arm.values.items()}
-        for law in laws:
+        for name in laws:
             for key, value in set_by_arms.items():
-                if _overlap(_steps(law, texts.get(law, [0.0])), _steps(key, [value])):
-                    raise InputError(f"dispersions.{law}", law, f"no key that arms set, as {key}")
+                if _overlap(_steps(name, texts.get(name, [0.0])), _steps(key, [value])):
+                    raise InputError(f"dispersions.{name}", name, f"no key that arms set, as {key}")
         drawn = [self.dispersions.draws(i) for i in range(min(self.head.flights, _TRIED))]
         for key in laws:
             values = [one[key] for one in drawn]

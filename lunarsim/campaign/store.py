@@ -38,6 +38,19 @@ from lunarsim.errors import InputError, check_writable
 FORMAT = 1
 # A row of results and its times.
 Row = tuple[dict[str, Any], dict[str, Any]]
+# Of a manifest, what readers need.
+_NEEDED = (
+    "format",
+    "name",
+    "seed",
+    "flights",
+    "arms",
+    "columns",
+    "inputs",
+    "state",
+    "rows",
+    "identity",
+)
 # Rows of a part, about.
 PART_ROWS = 5000
 # The journal is brought to the disk at most this often, s; until then the system keeps it.
@@ -440,8 +453,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(data, dict) or "identity" not in data:
+        if not isinstance(data, dict) or set(_NEEDED) - set(data):
             raise ValueError("no campaign's")
+        unknown = {*data["inputs"].values(), *data["columns"].values()} - set(_TYPES)
+        if unknown:
+            raise ValueError(f"columns of unknown kinds: {sorted(unknown)}")
     except ValueError as error:
         raise InputError("folder", str(folder), f"a manifest.json in order ({error})") from None
     return data
