@@ -337,10 +337,15 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 
     from lunarsim.campaign.analysis import diff as compare
     from lunarsim.campaign.results import load_results
+    from lunarsim.campaign.store import first_difference
 
     if math.isnan(margin):
         raise InputError("--margin", margin, "above 0, at most 1")
-    verdicts = compare(load_results(first), load_results(second), margin, metric)
+    a, b = load_results(first), load_results(second)
+    verdicts = compare(a, b, margin, metric)
+    other = first_difference(a.manifest["identity"], b.manifest["identity"])
+    if other is not None:
+        click.echo(f"note: their specs differ: {other[0]} is {other[1]!r}, {other[2]!r}", err=True)
     table = Table()
     for heading in ("arm", "pairs", f"{metric}: B - A [90 %]", "p", "p after Holm", "verdict"):
         table.add_column(heading, justify="left" if heading in ("arm", "verdict") else "right")

@@ -29,6 +29,8 @@ from lunarsim.rng import design_seed
 
 # All pairs of arms up to so many; each against the first beyond.
 _MOST_PAIRED = 8
+# Of a spec, what says which draws a flight's index has.
+_DRAWN = ("method", "dispersions", "correlations")
 _TOLD = ("propellant_kg", "divert_m", "duration_s")
 
 
@@ -202,7 +204,7 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
     """
     for field, found in (("A", first), ("B", second)):
         found.check_even(field)
-    for name in ("seed", "arms"):
+    for name in ("seed", "arms", *_DRAWN):
         ours, theirs = (_key(found, name) for found in (first, second))
         if ours != theirs:
             raise InputError("B", str(second.folder), f"the same {name} as A: {ours}, not {theirs}")
@@ -228,7 +230,9 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
 
 
 def _key(found: Results, name: str) -> object:
-    return found.arms if name == "arms" else found.manifest[name]
+    if name == "arms":
+        return found.arms
+    return found.manifest["identity"].get(name) if name in _DRAWN else found.manifest[name]
 
 
 def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.stats import norm
 
 from lunarsim.campaign.analysis import diff, differences, figures_of
@@ -21,6 +22,8 @@ from lunarsim.campaign.rare import rare_shares
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.campaign.stopping import WidthRule
+from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from tests.campaign.surrogate import COLUMNS, fly, plan
@@ -218,3 +221,42 @@ def test_failures_that_hardly_count_are_said_to_be_few(tmp_path, shift, rough):
         tmp_path / "c")  # fmt: skip
     (share,) = rare_shares(load_results(tmp_path / "c"))
     assert share.failures > 500 and share.few == rough
+
+
+def lands(study, group, arm, memory):
+    return {"safe": group.flight % 10 < study, "x": 0.0, "steps": 0, "name": ""}
+
+
+def test_diff_is_of_the_same_draws_and_a_gain_is_no_equivalence(tmp_path):
+    def flown(name: str, of_ten: int, **more: object):
+        work = Work("tests.campaign.test_off_nominal:lands", of_ten)
+        made = replace(plan_of(spec(flights=100, **more)), work=work, columns=COLUMNS)
+        run(made, InlineEngine(), tmp_path / name)
+        return load_results(tmp_path / name)
+
+    poor, good, drawn = flown("a", 5), flown("b", 9), flown("c", 9, dispersions={EAST: NORMAL})
+    for first, second, worse in ((poor, good, False), (good, poor, True)):
+        (verdict,) = diff(first, second, 0.05)
+        assert not verdict.equivalent and verdict.worse == worse
+    assert diff(good, good, 0.05)[0].equivalent
+    with pytest.raises(InputError, match="same dispersions"):
+        diff(good, drawn, 0.05)
+    done = CliRunner().invoke(main, ["campaign", "diff", str(tmp_path / "a"), str(tmp_path / "b")])
+    assert done.exit_code == 0 and "differ" not in done.output
+    flown("d", 9, scenario=TINY_FLIGHT | {"gravity_m_s2": 1.7})
+    done = CliRunner().invoke(main, ["campaign", "diff", str(tmp_path / "a"), str(tmp_path / "d")])
+    assert done.exit_code == 0 and "scenario.gravity_m_s2" in done.output
+
+
+def test_a_flight_without_a_verdict_counts_as_no_success_when_it_stops():
+    seen, none = WidthRule("safe", 0.9, 1), WidthRule("safe", 0.9, 1)
+    for flight in range(40):
+        none.see(flight, 0, {"safe": None})
+        seen.see(flight, 0, {"safe": False})
+    assert none.stop == seen.stop is not None
+    # Half of them without a verdict: a share about a half takes more flights than one at an end.
+    half, ends = WidthRule("safe", 0.3, 1), WidthRule("safe", 0.3, 1)
+    for flight in range(400):
+        half.see(flight, 0, {"safe": True if flight % 2 else None})
+        ends.see(flight, 0, {"safe": True})
+    assert half.stop > 2 * ends.stop
