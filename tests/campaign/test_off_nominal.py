@@ -27,11 +27,14 @@ from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from tests.campaign.surrogate import COLUMNS, fly, plan
-from tests.campaign.test_run import parts
 from tests.worlds import TINY_FLIGHT
 
 EAST = "start.position_m.0"
 NORMAL = {"kind": "normal", "mean": -600.0, "sigma": 10.0}
+
+
+def parts(folder):
+    return {p.name: p.read_bytes() for p in sorted((folder / "results").glob("*.parquet"))}
 
 
 def spec(**more: object) -> CampaignSpec:
