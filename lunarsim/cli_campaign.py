@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import sys
 from pathlib import Path
@@ -190,6 +191,8 @@ def _cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
     """Return the cache of a folder, None where nothing is kept."""
     from lunarsim.campaign.cache import opened, standard_folder
 
+    if not math.isfinite(gigabytes):
+        raise InputError("--cache-size", gigabytes, "a finite number of GiB; 0: nothing is kept")
     if gigabytes == 0.0:
         return None
     return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
@@ -334,8 +337,15 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 
     from lunarsim.campaign.analysis import diff as compare
     from lunarsim.campaign.results import load_results
+    from lunarsim.campaign.store import first_difference
 
-    verdicts = compare(load_results(first), load_results(second), margin, metric)
+    if math.isnan(margin):
+        raise InputError("--margin", margin, "above 0, at most 1")
+    a, b = load_results(first), load_results(second)
+    verdicts = compare(a, b, margin, metric)
+    other = first_difference(a.manifest["identity"], b.manifest["identity"])
+    if other is not None:
+        click.echo(f"note: their specs differ: {other[0]} is {other[1]!r}, {other[2]!r}", err=True)
     table = Table()
     for heading in ("arm", "pairs", f"{metric}: B - A [90 %]", "p", "p after Holm", "verdict"):
         table.add_column(heading, justify="left" if heading in ("arm", "verdict") else "right")

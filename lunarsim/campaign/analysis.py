@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
@@ -28,6 +29,8 @@ from lunarsim.rng import design_seed
 
 # All pairs of arms up to so many; each against the first beyond.
 _MOST_PAIRED = 8
+# Of a spec, what says which draws a flight's index has.
+_DRAWN = ("method", "dispersions", "correlations")
 _TOLD = ("propellant_kg", "divert_m", "duration_s")
 
 
@@ -92,6 +95,8 @@ def figures_of(found: Results) -> list[ArmFigures]:
     out = []
     for arm, rows in arm_rows(found).items():
         here = rows & flown
+        flown_rows = int(here.sum())
+        here = here & found.apart
         count = int(here.sum())
         shares = {
             name: Proportion(int(np.nansum(column(found, name, here))), count)
@@ -100,7 +105,7 @@ def figures_of(found: Results) -> list[ArmFigures]:
         numbers = {name: column(found, name, here) for name in told}
         out.append(
             ArmFigures(
-                arm, int(rows.sum()), count, shares,
+                arm, int(rows.sum()), flown_rows, shares,
                 {n: (_mean(v), *mean_bootstrap(v, rng)) for n, v in numbers.items()},
                 {n: (quantile_interval(v, 0.5), quantile_interval(v, 0.95))
                  for n, v in numbers.items()},
@@ -145,7 +150,8 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
     rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
     flights = int(found.table["flight"].to_numpy().max(initial=-1)) + 1
     values = {}
-    for arm, rows in arm_rows(found).items():
+    for arm, mine in arm_rows(found).items():
+        rows = mine & found.apart
         values[arm] = np.full(flights, np.nan)
         values[arm][found.table["flight"].to_numpy()[rows]] = column(found, metric, rows)
     made = []
@@ -198,7 +204,7 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
     """
     for field, found in (("A", first), ("B", second)):
         found.check_even(field)
-    for name in ("seed", "arms"):
+    for name in ("seed", "arms", *_DRAWN):
         ours, theirs = (_key(found, name) for found in (first, second))
         if ours != theirs:
             raise InputError("B", str(second.folder), f"the same {name} as A: {ours}, not {theirs}")
@@ -224,11 +230,14 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
 
 
 def _key(found: Results, name: str) -> object:
-    return found.arms if name == "arms" else found.manifest[name]
+    if name == "arms":
+        return found.arms
+    return found.manifest["identity"].get(name) if name in _DRAWN else found.manifest[name]
 
 
 def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:
     """Return the metric by flight; a flight without a verdict is no success."""
-    rows = found.table.filter(pc.equal(found.table["arm"], arm))
+    mine = pc.equal(found.table["arm"], arm).to_numpy(zero_copy_only=False)
+    rows = found.table.filter(pa.array(mine & found.apart))
     values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)
     return {flight: bool(value) for flight, value in values}

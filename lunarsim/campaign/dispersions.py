@@ -137,8 +137,9 @@ class Choice:
         if self.weights is not None:
             if len(self.weights) != len(self.values):
                 raise InputError("weights", self.weights, f"{len(self.values)}, one a value")
-            if sum(self.weights) <= 0.0:
-                raise InputError("weights", self.weights, "at least one above 0")
+            if not 0.0 < sum(self.weights) < np.inf:
+                expected = "at least one above 0, and a finite sum"
+                raise InputError("weights", self.weights, expected)
 
     def at(self, u: float) -> Any:
         """Return the value at `u` of the cumulated weights."""

@@ -19,6 +19,8 @@ from lunarsim.scenario.changes import with_values
 
 # More are a mistake in a spec rather than a study.
 MOST_ARMS = 1000
+# Of the name of a folder, bytes: file systems take no more than 255.
+_LONGEST = 240
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,8 @@ def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, A
     for key, levels in factors.items():
         if not isinstance(levels, list | tuple) or not levels:
             raise InputError(f"factors.{key}", levels, "a list of at least one value")
+        for level in levels:
+            check_plain(f"factors.{key}", level)
         words = [word(level) for level in levels]
         if len(set(words)) < len(words):
             raise InputError(f"factors.{key}", list(levels), "each value once")
@@ -102,6 +106,23 @@ def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, A
     combinations = itertools.product(*factors.values())
     return [(_name(values), values) for c in combinations
             for values in [dict(zip(factors, c, strict=True))]]  # fmt: skip
+
+
+def check_plain(field: str, value: Any) -> None:
+    """Refuse what no key of a scenario is: dates and times, which TOML has too, and huge numbers.
+
+    Raises
+    ------
+    InputError
+        Naming `field`.
+    """
+    try:
+        json.dumps(value)
+    except TypeError:
+        expected = "a number, text, true or false, list or table"
+        raise InputError(field, str(value), expected) from None
+    if isinstance(value, int) and abs(value) >= 2**63:
+        raise InputError(field, value, "a whole number of at most 64 bits")
 
 
 def _name(values: Mapping[str, Any]) -> str:
@@ -161,6 +182,11 @@ def arms_of(
     """
     folders = Counter(folder_name(name) for name, _ in combinations)
     for name, _ in combinations:
+        if len(folder_name(name).encode()) > _LONGEST:
+            raise InputError(
+                where, name, f"a name of at most {_LONGEST} bytes, as folders have: [[arms]] names "
+                "combinations",
+            )  # fmt: skip
         if folders[folder_name(name)] > 1:
             raise InputError(where, name, "each combination once, under a name of its own")
     if len(combinations) > MOST_ARMS:
@@ -211,6 +237,8 @@ def _range(text: str, values: str) -> list[Any]:
         raise InputError("--over", text, "LOW:HIGH:COUNT, two numbers and a whole one") from None
     if number < 2 or not np.isfinite(ends).all() or ends[0] >= ends[1]:
         raise InputError("--over", text, "LOW below HIGH, and a COUNT of 2 or more")
+    if number > MOST_ARMS:
+        raise InputError("--over", text, f"a COUNT of at most {MOST_ARMS}")
     return [float(v) for v in np.linspace(*ends, number)]
 
 

@@ -70,6 +70,26 @@ def file_digests(data: Any) -> dict[str, str]:
     return found
 
 
+def part_digests(data: Any) -> dict[str, str]:
+    """Return the digest of every source file that tables name by "module:Class" in a ``kind``."""
+    found: dict[str, str] = {}
+    items = data.items() if isinstance(data, Mapping) else enumerate(data)
+    for key, value in items:
+        if isinstance(value, Mapping | list | tuple):
+            found |= part_digests(value)
+        elif key == "kind" and isinstance(value, str) and ":" in value:
+            found |= module_digest(value.partition(":")[0])
+    return found
+
+
+def module_digest(name: str) -> dict[str, str]:
+    """Return the digest of a loaded module's source file; of the package's own and others none."""
+    source = getattr(sys.modules.get(name), "__file__", None)
+    if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
+        return {}
+    return {name: hashlib.sha256(Path(source).read_bytes()).hexdigest()[:16]}
+
+
 def environment() -> dict[str, str]:
     """Return the interpreter, the machine's kind and the versions that may matter."""
     packages = {}

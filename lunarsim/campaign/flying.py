@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsim.campaign.cache import DiskCache
-from lunarsim.campaign.dispersions import world_of
+from lunarsim.campaign.dispersions import Choice, world_of
 from lunarsim.campaign.factors import Arm, folder_name, groups_of
 from lunarsim.campaign.grounds import SHARES, Grounds
 from lunarsim.campaign.keys import GROUND_TABLES, tables_of
@@ -68,11 +68,9 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
         drawn = _named(spec.dispersions.draws(flight))
         return drawn | {WEIGHT: spec.dispersions.weight(flight)} if leans else drawn
 
-    first = _named(spec.dispersions.draws(0)) if laws else {}
     keys = dict.fromkeys(key for _, values in arms for key in values)
     inputs = {key: kind_of([v[key] for _, v in arms if key in v]) for key in keys}
-    for key, law in zip(first, laws.values(), strict=True):
-        inputs[key] = kind_of(law.values) if hasattr(law, "values") else "float"
+    inputs |= _kinds(laws)
     if leans:
         inputs[WEIGHT] = "float"
     head, block = spec.head, spec.dispersions.block
@@ -89,6 +87,16 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
         work=Work("lunarsim.campaign.flying:fly", study),
         identity=spec.identity,
     )
+
+
+def _kinds(laws: Mapping[str, Any]) -> dict[str, str]:
+    """Return the kind of each column of draws; a choice of tables has a column for each key."""
+    found: dict[str, list[Any]] = {}
+    for key, law in laws.items():
+        for value in law.values if isinstance(law, Choice) else (0.0,):
+            for name, one in _named({key: value}).items():
+                found.setdefault(name, []).append(one)
+    return {name: kind_of(values) for name, values in found.items()}
 
 
 def check_flyable(spec: CampaignSpec) -> None:

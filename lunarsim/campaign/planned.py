@@ -9,7 +9,7 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.plan import Plan
-from lunarsim.campaign.store import schema_of
+from lunarsim.campaign.store import plain, schema_of
 
 
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:
@@ -24,5 +24,9 @@ def write_plan(plan: Plan, path: Path, suffix: str) -> None:
     """
     whole = schema_of(plan.inputs, {})
     schema = pa.schema([whole.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)])
-    table = pa.Table.from_pylist(list(plan.rows()), schema)
+    rows = [
+        row | {key: plain(row.get(key), kind) for key, kind in plan.inputs.items()}
+        for row in plan.rows()
+    ]
+    table = pa.Table.from_pylist(rows, schema)
     (pcsv.write_csv if suffix == ".csv" else pq.write_table)(table, path)

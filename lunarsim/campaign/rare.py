@@ -23,7 +23,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.comparisons import greatest_share
 
 Array = NDArray[np.float64]
-# Failures below which the interval is said to be rough.
+# Even failures that weighted ones must be worth, or the interval is said to be rough.
 _FEW = 20
 
 
@@ -41,6 +41,8 @@ class RareShare:
         Share of failures under the dispersions as declared, and its 95 % interval.
     worth
         Flights of plain Monte Carlo that would give the same standard error; NaN without failures.
+    told_by
+        Failures of equal weight that theirs are worth (Kish): 1 where a single one outweighs all.
     """
 
     arm: str
@@ -51,11 +53,12 @@ class RareShare:
     low: float
     high: float
     worth: float
+    told_by: float
 
     @property
     def few(self) -> bool:
         """Whether so few have failed that the interval is rough."""
-        return self.failures < _FEW
+        return not self.told_by >= _FEW
 
 
 def rare_shares(
@@ -101,12 +104,15 @@ def rare_shares(
         here = rows & good
         value, low, high, worth = weighted_share(failed[here], weights[here], most)
         left_out = int(rows.sum() - here.sum())
-        out.append(
-            RareShare(
-                arm, int(here.sum()), int(failed[here].sum()), left_out, value, low, high, worth
-            )
-        )
+        flights, failures = int(here.sum()), int(failed[here].sum())
+        told_by = _told_by(weights[here & failed])
+        out.append(RareShare(arm, flights, failures, left_out, value, low, high, worth, told_by))
     return out
+
+
+def _told_by(weights: Array) -> float:
+    """Return how many equal weights say as much as these (Kish 1965); 0 for none."""
+    return float(weights.sum() ** 2 / (weights**2).sum()) if len(weights) else 0.0
 
 
 def weighted_share(

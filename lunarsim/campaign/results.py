@@ -16,11 +16,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
-from lunarsim.campaign.store import TIMING, read_manifest, schema_of
+from lunarsim.campaign.store import FORMAT, TIMING, read_manifest, schema_of
 from lunarsim.errors import InputError, check_output
 
 # Rows whose times the rate is taken from.
@@ -61,6 +62,20 @@ class Results:
         """Whether flights were drawn to fail more often, and count by their weights."""
         return WEIGHT in self.manifest["inputs"]
 
+    @property
+    def apart(self) -> NDArray[np.bool_]:
+        """Which rows are of flights that share nothing with each other (n,).
+
+        All but in a Saltelli design, whose blocks fly two worlds again and again: there it is the
+        first and the last of each block, points A and B.
+        """
+        identity = self.manifest["identity"]
+        if identity.get("method") != "saltelli":
+            return np.ones(len(self.table), dtype=bool)
+        block = len(identity["dispersions"]) + 3
+        place = self.table["flight"].to_numpy() % block
+        return np.asarray((place == 0) | (place == block - 1))
+
     def check_even(self, field: str) -> None:
         """Raise `InputError` naming `field` where flights do not count alike."""
         if self.is_leaning:
@@ -87,6 +102,9 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
+    if manifest["format"] != FORMAT:
+        expected = f"a campaign of format {FORMAT}, not {manifest['format']}"
+        raise InputError("folder", str(folder), expected)
     schema = schema_of(manifest["inputs"], manifest["columns"])
     # The journal first: a row that moves on meanwhile is then read twice rather than never.
     journal = _journal(folder)
@@ -100,6 +118,16 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
         table = pa.concat_tables([table, rows.select(table.column_names)])
         timing = pa.concat_tables([timing, pa.Table.from_pylist([t for _, t in new], TIMING)])
     place = {arm["name"]: i for i, arm in enumerate(manifest["arms"])}
+    unknown = set(table["arm"].unique().to_pylist()) - set(place)
+    if unknown:
+        expected = f"rows of the arms that its manifest names, not of {sorted(unknown)}"
+        raise InputError("folder", str(folder), expected)
+    if manifest["state"] in ("complete", "stopped") and len(table) < int(manifest["rows"]):
+        raise InputError(
+            "folder", str(folder),
+            f"the {manifest['rows']} rows that it was complete with, not {len(table)}; `lunarsim "
+            "campaign run` with the same spec flies what is missing",
+        )  # fmt: skip
     arm = np.array([place[name] for name in table["arm"].to_pylist()], dtype=np.int64)
     order = np.lexsort((arm, table["flight"].to_numpy()))
     if not np.array_equal(order, np.arange(len(order))):
@@ -143,9 +171,9 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     for line in lines:
         try:
             row, timing = json.loads(line)
-        except ValueError:
+            found[row["id"]] = row, timing
+        except (ValueError, KeyError, TypeError):
             continue
-        found[row["id"]] = row, timing
     return found
 
 

@@ -23,7 +23,8 @@ width = 0.1
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,12 +36,14 @@ from pydantic import ValidationError
 from lunarsim.campaign.dispersions import (
     KINDS,
     OPEN,
+    Choice,
     Correlation,
     Dispersions,
     Importance,
     distribution,
 )
-from lunarsim.campaign.factors import Arm, arms_of, flattened, listed, product
+from lunarsim.campaign.factors import Arm, arms_of, check_plain, flattened, listed, product
+from lunarsim.campaign.files import file_digests, module_digest, part_digests
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import quantity, settings_of
@@ -48,6 +51,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
+from lunarsim.scenario.layout import CHOSEN
 
 # Draws whose extremes are tried on the scenario before anything is flown.
 _TRIED = 1000
@@ -205,11 +209,20 @@ class CampaignSpec:
             If an arm sets a key that is drawn, or the scenario refuses a draw.
         """
         laws = self.dispersions.distributions
-        for law in laws:
-            for key in {key: None for arm in self.arms for key in arm.values}:
-                shorter, longer = sorted((path_of(law), path_of(key)), key=len)
-                if longer[: len(shorter)] == shorter:
-                    raise InputError(f"dispersions.{law}", law, f"no key that arms set, as {key}")
+        for key, law in laws.items():
+            for value in law.values if isinstance(law, Choice) else ():
+                check_plain(f"dispersions.{key}.values", value)
+        texts: dict[str, list[Any]] = {
+            key: list(law.values) for key, law in laws.items() if isinstance(law, Choice)
+        }
+        _check_apart(laws, texts, "dispersions")
+        for arm in self.arms:
+            _check_apart(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
+        set_by_arms = {key: value for arm in self.arms for key, value in arm.values.items()}
+        for name in laws:
+            for key, value in set_by_arms.items():
+                if _overlap(_steps(name, texts.get(name, [0.0])), _steps(key, [value])):
+                    raise InputError(f"dispersions.{name}", name, f"no key that arms set, as {key}")
         drawn = [self.dispersions.draws(i) for i in range(min(self.head.flights, _TRIED))]
         for key in laws:
             values = [one[key] for one in drawn]
@@ -225,7 +238,21 @@ class CampaignSpec:
             data.pop(key, None)
         if self.head.method in OPEN and self.stop is None:
             data.pop("flights")
-        return data
+        return data | self._made_from()
+
+    def _made_from(self) -> dict[str, Any]:
+        """Return digests of the files and of the code from elsewhere that flights are made from."""
+        found: dict[str, str] = {}
+        for arm in self.arms:
+            tables = arm.scenario.to_dict()
+            found |= file_digests(tables) | part_digests(tables)
+            if arm.policy is not None:
+                found |= module_digest(type(arm.policy).__module__)
+        for key, law in self.dispersions.distributions.items():
+            for value in law.values if isinstance(law, Choice) else ():
+                tables = {"kind" if key in CHOSEN else key.rpartition(".")[2]: value}
+                found |= file_digests(tables) | part_digests(tables)
+        return {"made from": dict(sorted(found.items()))} if found else {}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain tables; the scenario is whole, so that nothing else is needed."""
@@ -313,7 +340,8 @@ def _arms(
     scenario: Scenario, factors: Any, arms: Any
 ) -> tuple[dict[str, list[Any]], tuple[Arm, ...]]:
     if factors is not None and arms is not None:
-        raise InputError("arms", len(arms), "either [factors] or [[arms]], not both")
+        given = len(arms) if isinstance(arms, list) else arms
+        raise InputError("arms", given, "either [factors] or [[arms]], not both")
     if arms is not None:
         return {}, arms_of(scenario, listed(arms), "arms")
     levels = flattened(factors or {}, "factors", list)
@@ -376,6 +404,24 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {k: _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _steps(key: str, values: Sequence[Any]) -> tuple[str, ...]:
+    """Return the steps of a key; the name of a part's table alone with texts means its kind."""
+    texts = all(isinstance(value, str) for value in values)
+    return path_of(key, "" if texts else values)
+
+
+def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
+    shorter, longer = sorted((a, b), key=len)
+    return longer[: len(shorter)] == shorter
+
+
+def _check_apart(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
+    """Refuse two keys of which one is, or holds, the other: the order would say which one wins."""
+    for a, b in itertools.combinations(keys, 2):
+        if _overlap(_steps(a, values.get(a, [0.0])), _steps(b, values.get(b, [0.0]))):
+            raise InputError(f"{where}.{b}", b, f"no key that {a} sets too")
 
 
 def _extremes(values: list[Any]) -> list[Any]:

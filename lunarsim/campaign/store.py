@@ -38,6 +38,19 @@ from lunarsim.errors import InputError, check_writable
 FORMAT = 1
 # A row of results and its times.
 Row = tuple[dict[str, Any], dict[str, Any]]
+# Of a manifest, what readers need.
+_NEEDED = (
+    "format",
+    "name",
+    "seed",
+    "flights",
+    "arms",
+    "columns",
+    "inputs",
+    "state",
+    "rows",
+    "identity",
+)
 # Rows of a part, about.
 PART_ROWS = 5000
 # The journal is brought to the disk at most this often, s; until then the system keeps it.
@@ -79,11 +92,11 @@ def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
         "flight": done.flight,
         "arm": plan.arms[done.arm][0],
         "seed": plan.seed,
-        **{key: _plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
+        **{key: plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
         "outcome": done.outcome,
         **{key: _typed(metrics.get(key), kind) for key, kind in plan.columns.items()},
-        "error": done.error,
-        "traceback": done.traceback,
+        "error": _writable(done.error),
+        "traceback": _writable(done.traceback),
         "campaign": plan.name,
         "version": lunarsim.__version__,
         "code": code_digest(),
@@ -95,7 +108,13 @@ def _typed(value: Any, kind: str) -> Any:
     return None if value is None else _OF[kind](value)
 
 
-def _plain(value: Any, kind: str) -> Any:
+def _writable(text: str) -> str:
+    """Return a text that UTF-8 can hold: names of files may have bytes in them that it cannot."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def plain(value: Any, kind: str) -> Any:
+    """Return an input as a cell of a column of its kind: lists and mixtures are texts."""
     return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value
 
 
@@ -390,6 +409,13 @@ def check_folder(folder: Path, plan: Plan) -> dict[str, Any] | None:
                 "--out", str(folder),
                 f"a new folder: this one was flown with {key} {manifest.get(key)}, this is {ours}",
             )  # fmt: skip
+    if plan.flights < int(manifest["flights"]):
+        last = _last_flight(folder)
+        if last >= plan.flights:
+            raise InputError(
+                "flights", plan.flights,
+                f"at least {last + 1}, as {folder} has so many already, or a new folder",
+            )  # fmt: skip
     difference = first_difference(manifest["identity"], json.loads(json.dumps(plan.identity)))
     if difference is not None:
         key, old, new = difference
@@ -398,6 +424,20 @@ def check_folder(folder: Path, plan: Plan) -> dict[str, Any] | None:
             f"a new folder, or the spec it was begun with: {key} was {old!r} there, is {new!r} now",
         )  # fmt: skip
     return manifest
+
+
+def _last_flight(folder: Path) -> int:
+    """Return the greatest index that a folder has a row of; -1 for none."""
+    last = -1
+    for path in (folder / "results").glob("part-*.parquet"):
+        with contextlib.suppress(pa.ArrowException, OSError):
+            flights = pq.read_table(path, columns=["flight"])["flight"].to_numpy()
+            last = max(last, int(flights.max(initial=-1)))
+    journal = folder / "journal.jsonl"
+    for line in journal.read_bytes().split(b"\n") if journal.exists() else []:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            last = max(last, int(json.loads(line)[0]["flight"]))
+    return last
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -413,8 +453,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(data, dict) or "identity" not in data:
+        if not isinstance(data, dict) or set(_NEEDED) - set(data):
             raise ValueError("no campaign's")
+        unknown = {*data["inputs"].values(), *data["columns"].values()} - set(_TYPES)
+        if unknown:
+            raise ValueError(f"columns of unknown kinds: {sorted(unknown)}")
     except ValueError as error:
         raise InputError("folder", str(folder), f"a manifest.json in order ({error})") from None
     return data

@@ -89,6 +89,8 @@ def test_other_seeds_grounds_and_targets_are_other_entries(tmp_path, made):
     wide = tiny.changed(target={"scatter_m": [9.0, 9.0]})
     there = Grounds(flight_seed(1, 0), {}, cache).shares(wide, truth)
     assert here != there
+    turned = tiny.changed(start={"heading_deg": 45.0})
+    assert Grounds(flight_seed(1, 0), {}, cache).shares(turned, truth) != here
     assert Grounds(flight_seed(1, 0), {}, cache).shares(tiny, truth) == here
 
 

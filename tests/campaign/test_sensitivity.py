@@ -142,3 +142,22 @@ def test_bad_saltelli_designs_are_refused(more, field, says):
     with pytest.raises(InputError, match=says) as refused:
         spec("saltelli", **({"flights": 96} | more))
     assert refused.value.field == field
+
+
+def test_what_chance_gives_is_the_quantile_that_is_said(tmp_path):
+    """PAWN of columns drawn for nothing, worked out plainly: 95 % of them lie below."""
+    found = flown(tmp_path, "monte-carlo", 200)
+    (made,) = sensitivities(found, "y", 60)
+    y = np.sort(found.table["y"].to_numpy())
+    rng = np.random.default_rng(2)
+    medians = []
+    for _ in range(400):
+        tenths = rng.permutation(200).reshape(10, 20)
+        shares = np.arange(1, 201) / 200.0
+        distances = [
+            np.max(np.abs(np.searchsorted(np.sort(y[tenth]), y, "right") / 20.0 - shares))
+            for tenth in tenths
+        ]
+        medians.append(np.median(distances))
+    low, high = np.quantile(medians, (0.8, 1.0))
+    assert low < made.chance < 1.1 * high
