@@ -17,6 +17,7 @@ from lunarsim.campaign.dispersions import Choice, world_of
 from lunarsim.campaign.factors import Arm, folder_name, groups_of
 from lunarsim.campaign.grounds import SHARES, Grounds
 from lunarsim.campaign.keys import GROUND_TABLES, tables_of
+from lunarsim.campaign.outcomes import NotKeptError
 from lunarsim.campaign.plan import WEIGHT, Group, Plan, Work, kind_of
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.evaluation.outcome import COLUMNS, evaluate
@@ -137,17 +138,25 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
         Which flight.
     memory
         Grounds and truth of the group so far.
+
+    Raises
+    ------
+    NotKeptError
+        With the metrics, if record or figures cannot be written.
     """
     flight, simulation, row = fly_whole(study, group, arm, memory)
     name = study.arms[arm].name
-    _keep(study, group.flight, name, flight, row["safe"])
-    if study.out is not None and study.figures and (group.flight == 0 or not row["safe"]):
-        from lunarsim.viz import draw_flight  # noqa: PLC0415  (matplotlib is slow to load)
+    try:
+        _keep(study, group.flight, name, flight, row["safe"])
+        if study.out is not None and study.figures and (group.flight == 0 or not row["safe"]):
+            from lunarsim.viz import draw_flight  # noqa: PLC0415  (matplotlib is slow to load)
 
-        folder = study.out / "figures" / folder_name(name)
-        if group.flight:
-            folder /= f"failed-{group.flight}"
-        draw_flight(flight, simulation.world, simulation.truth, folder)
+            folder = study.out / "figures" / folder_name(name)
+            if group.flight:
+                folder /= f"failed-{group.flight}"
+            draw_flight(flight, simulation.world, simulation.truth, folder)
+    except OSError as error:
+        raise NotKeptError(row, f"record or figures not kept: {error}") from error
     return row
 
 

@@ -15,6 +15,22 @@ from lunarsim.campaign.plan import Group, Work, row_id
 FLOWN, ERROR, TIMEOUT, KILLED = "flown", "error", "timeout", "killed"
 
 
+class NotKeptError(Exception):
+    """A flight has its metrics, but what else of it was to be kept could not be written.
+
+    Parameters
+    ----------
+    metrics
+        By name.
+    why
+        In words.
+    """
+
+    def __init__(self, metrics: Mapping[str, Any], why: str) -> None:
+        super().__init__(why)
+        self.metrics = metrics
+
+
 @dataclass(frozen=True)
 class Finished:
     """One flight that has ended, in whatever way.
@@ -29,7 +45,8 @@ class Finished:
     metrics
         By name, or None.
     error, traceback
-        What was raised, in a line and whole; "" for nothing.
+        What was raised, in a line and whole; "" for nothing. A flight that was flown and has an
+        error has its metrics, and no record.
     seconds
         Wall-clock time.
     finished
@@ -79,10 +96,13 @@ def attempt(function: Any, work: Work, group: Group, arm: int, memory: dict[Any,
         metrics = function(work.study, group, arm, memory)
     except KeyboardInterrupt:
         raise
+    except NotKeptError as raised:
+        # A full disk must not make a landing that failed one that nobody counts.
+        metrics, error, trace = raised.metrics, str(raised), traceback.format_exc()
     except BaseException as raised:  # an exit included: one flight is no reason to end the others
         error = "".join(traceback.format_exception_only(raised)).strip().splitlines()[-1]
         trace = traceback.format_exc()
     return Finished(
-        group.flight, arm, ERROR if error else FLOWN, metrics, error, trace,
+        group.flight, arm, ERROR if metrics is None else FLOWN, metrics, error, trace,
         time.perf_counter() - began, time.time(), str(os.getpid()),
     )  # fmt: skip

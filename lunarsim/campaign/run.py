@@ -172,6 +172,8 @@ def _fly(
                 row = store.add(done)
                 flown += 1
                 failed += done.outcome != FLOWN
+                if done.outcome == FLOWN and done.error and done.error not in store.notes:
+                    store.notes.append(done.error)
                 if rule is not None:
                     rule.see(done.flight, done.arm, row)
                 if progress is not None:

@@ -26,6 +26,7 @@ from lunarsim.campaign.stopping import WidthRule
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
+from lunarsim.simulation import Flight
 from tests.campaign.surrogate import COLUMNS, fly, plan
 from tests.worlds import TINY_FLIGHT
 
@@ -93,6 +94,24 @@ def test_an_error_that_utf_8_cannot_hold_is_a_row(tmp_path):
     ran = run(replace(made, work=work), InlineEngine(), tmp_path / "c")
     assert (ran.state, ran.failed) == ("complete", 2)
     assert "no file \\udcff" in load_results(tmp_path / "c").table["error"][2].as_py()
+
+
+def test_a_landing_counts_whether_or_not_its_record_could_be_written(tmp_path, monkeypatch):
+    whole = spec(flights=2, records="all")
+    run(plan_of(whole, tmp_path / "kept"), InlineEngine(), tmp_path / "kept")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Flight, "save", full)
+    ran = run(plan_of(whole, tmp_path / "full"), InlineEngine(), tmp_path / "full")
+    assert (ran.flown, ran.failed) == (2, 0)
+    assert "No space left on device" in ran.notes[0]
+    kept, lost = (load_results(tmp_path / name).table for name in ("kept", "full"))
+    told = ["id", "outcome", "safe", "propellant_kg", "divert_m"]
+    assert lost.select(told).equals(kept.select(told))
+    assert all("not kept" in error for error in lost["error"].to_pylist())
+    assert not list((tmp_path / "full" / "flights").glob("*/0*"))
 
 
 def test_no_damage_of_a_cache_entry_is_taken_for_it(tmp_path):
