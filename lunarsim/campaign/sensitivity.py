@@ -165,6 +165,7 @@ def _pawn(
     if len(y) > _MOST:
         some = np.sort(rng.choice(len(y), _MOST, replace=False))
         inputs, y = inputs[some], y[some]
+    inputs = _ranks(inputs, rng)
     value = _pawn_medians(inputs, y)
     drawn = np.empty((resamples, len(keys) + 1))
     for i in range(resamples):
@@ -179,6 +180,17 @@ def _pawn(
     ]
     chance = float(np.quantile(drawn[:, -1], 0.95))
     return replace(told, indices={"PAWN": intervals}, chance=chance)
+
+
+def _ranks(inputs: Array, rng: np.random.Generator) -> Array:
+    """Return the ranks of each column (n, keys), equal values in an order that is drawn.
+
+    Tenths are then tenths of the flights, also where a key has few values.
+    """
+    out = np.empty(inputs.shape)
+    for column_of, values in zip(out.T, inputs.T, strict=True):
+        column_of[np.lexsort((rng.random(len(values)), values))] = np.arange(len(values))
+    return out
 
 
 def _pawn_medians(inputs: Array, values: Array) -> Array:

@@ -110,6 +110,28 @@ def test_pawn_tells_what_matters_from_chance(tmp_path):
     assert values[2, 0] < 0.5 * values[1, 0]
 
 
+def first_key(study, group, arm, memory):
+    """A number that the first key moves, in noise of the flight's own seed."""
+    noise = np.random.default_rng(flight_seed(3, group.flight)).normal()
+    return {"y": float(group.draws[KEYS[0]] + 600.0 + 0.3 * noise), "safe": noise > 0.0}
+
+
+def test_pawn_of_a_choice_and_of_its_mirror_are_the_same(tmp_path):
+    """Whether the rare value is the greater or the lesser one: it fills one tenth of ten."""
+    found = []
+    for name, weights in (("a", [0.5, 0.5]), ("b", [0.9, 0.1]), ("c", [0.1, 0.9])):
+        laws = {KEYS[0]: {"kind": "choice", "values": [-601.0, -599.0], "weights": weights}}
+        made = spec("monte-carlo", 400, dispersions=laws)
+        work = Work("tests.campaign.test_sensitivity:first_key", None)
+        plan = replace(plan_of(made), work=work, columns={"y": "float", "safe": "bool"})
+        run(plan, InlineEngine(), tmp_path / name)
+        (told,) = sensitivities(load_results(tmp_path / name), "y", resamples=20)
+        found.append(told.indices["PAWN"][0][0])
+    # Held at one of two values half of the flights are missed; at the common one a tenth.
+    assert found[0] == pytest.approx(0.5, abs=0.06)
+    assert found[1] == pytest.approx(0.1, abs=0.06) and found[2] == pytest.approx(0.1, abs=0.06)
+
+
 def test_what_cannot_be_told_is_said(tmp_path, monkeypatch):
     found = flown(tmp_path, "monte-carlo", 20)
     (made,) = sensitivities(found, "y")
