@@ -33,7 +33,7 @@ def compilation_told() -> Iterator[None]:
             self.begun = time.perf_counter()
             if not self.count:
                 self.last = self.begun
-                click.echo("compiling kernels, once on this machine: a minute or so", err=True)
+                click.echo("compiling kernels, once on this machine: a minute or two", err=True)
 
         def on_end(self, event: Any) -> None:
             """Tell how far it is."""
