@@ -8,8 +8,8 @@ project = "lunarsim"
 author = "the lunarsim authors"
 release = version = lunarsim.__version__
 extensions = [
-    "myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "sphinx-mathjax-offline",
-    "numpydoc",
+    "myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline", "numpydoc",
 ]  # fmt: skip
 exclude_patterns = ["_build", "**/.ipynb_checkpoints"]
 html_theme = "pydata_sphinx_theme"
