@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from lunarsim.evaluation.statistics import summarise
 from lunarsim.scenario import Scenario
@@ -85,6 +86,7 @@ def _draw_causes(ax: Any, rows: Rows, names: list[str]) -> None:
         left += counts
     ax.set_xlim(0.0, max(1.0, 1.3 * left.max()))
     ax.set_xlabel("flights that failed, by first cause")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     if causes:
         ax.legend(loc="best")
     else:
@@ -119,12 +121,17 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
         ]
         better = sum(not a and b for a, b in pairs)
         worse = sum(a and not b for a, b in pairs)
-        ax.barh(place, better, color=COLOURS[0], label="safe here alone" if not place else None)
-        ax.barh(place, -worse, color=COLOURS[1], hatch="///", ec="black", lw=0.5,
+        ax.barh(
+            place, better, height=0.5, color=COLOURS[0],
+            label="safe here alone" if not place else None,
+        )  # fmt: skip
+        ax.barh(place, -worse, height=0.5, color=COLOURS[1], hatch="///", ec="black", lw=0.5,
                 label=f"safe with {names[0]} alone" if not place else None)  # fmt: skip
         if place:
-            ax.text(0.0, place + 0.48, f" {better} better, {worse} worse", va="bottom", fontsize=7)
+            # Above the bar: the first policy is at the top.
+            ax.text(0.0, place - 0.28, f" {better} better, {worse} worse", va="bottom", fontsize=7)
     ax.axvline(0.0, color="black", lw=0.8)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel(f"flights that ended otherwise than under {names[0]}")
     ax.legend(loc="best")
 
