@@ -336,8 +336,8 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
     from rich.table import Table
 
     from lunarsim.campaign.analysis import diff as compare
+    from lunarsim.campaign.manifest import first_difference
     from lunarsim.campaign.results import load_results
-    from lunarsim.campaign.store import first_difference
 
     if math.isnan(margin):
         raise InputError("--margin", margin, "above 0, at most 1")
@@ -374,6 +374,9 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     if out is not None:
         check_folder(out)
     found = fly(folder, flight)
+    if out is not None:
+        # Before anything is printed: whoever reads that may stop listening.
+        found.flight.save(out)
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():
         table.add_row(name, _word(value))
@@ -389,7 +392,6 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     if out is not None:
         from lunarsim.viz import draw_flight
 
-        found.flight.save(out)
         draw_flight(found.flight, found.simulation.world, found.simulation.truth, out)
         click.echo(f"record and figures in {out}")
     if found.differences:

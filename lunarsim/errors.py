@@ -35,10 +35,17 @@ class RenderingError(RuntimeError):
     """The machine cannot render; the message says what to install."""
 
 
-def check_folder(out: Path) -> None:
+def check_folder(out: Path, *, hidden: bool = True) -> None:
     """Refuse a folder for results that is a file, holds something, or cannot be written to.
 
     It is tried where it will be made, and left as it was.
+
+    Parameters
+    ----------
+    out
+        The folder.
+    hidden
+        Whether files whose names begin with a dot count.
 
     Raises
     ------
@@ -47,7 +54,7 @@ def check_folder(out: Path) -> None:
     """
     if out.exists() and not out.is_dir():
         raise InputError("--out", str(out), "a folder, not a file")
-    if out.exists() and any(out.iterdir()):
+    if out.exists() and any(hidden or not p.name.startswith(".") for p in out.iterdir()):
         raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
     check_writable(out)
 

@@ -8,7 +8,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,26 +60,31 @@ def code_digest() -> str:
 
 def file_digests(data: Any) -> dict[str, str]:
     """Return the digest of every existing file that tables name in a key that ends in ``path``."""
-    found: dict[str, str] = {}
-    items = data.items() if isinstance(data, Mapping) else enumerate(data)
-    for key, value in items:
-        if isinstance(value, Mapping | list | tuple):
-            found |= file_digests(value)
-        elif isinstance(value, str) and str(key).endswith("path") and Path(value).is_file():
-            found[value] = hashlib.sha256(Path(value).read_bytes()).hexdigest()[:16]
-    return found
+    named = [text for key, text in _texts(data) if key.endswith("path") and Path(text).is_file()]
+    return {text: _digest(Path(text)) for text in named}
 
 
 def part_digests(data: Any) -> dict[str, str]:
     """Return the digest of every source file that tables name by "module:Class" in a ``kind``."""
     found: dict[str, str] = {}
+    for key, text in _texts(data):
+        if key == "kind" and ":" in text:
+            found |= module_digest(text.partition(":")[0])
+    return found
+
+
+def _texts(data: Any) -> Iterator[tuple[str, str]]:
+    """Yield the texts of nested tables and lists, each with the key that it has in its own."""
     items = data.items() if isinstance(data, Mapping) else enumerate(data)
     for key, value in items:
         if isinstance(value, Mapping | list | tuple):
-            found |= part_digests(value)
-        elif key == "kind" and isinstance(value, str) and ":" in value:
-            found |= module_digest(value.partition(":")[0])
-    return found
+            yield from _texts(value)
+        elif isinstance(value, str):
+            yield str(key), value
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def module_digest(name: str) -> dict[str, str]:
@@ -87,7 +92,7 @@ def module_digest(name: str) -> dict[str, str]:
     source = getattr(sys.modules.get(name), "__file__", None)
     if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
         return {}
-    return {name: hashlib.sha256(Path(source).read_bytes()).hexdigest()[:16]}
+    return {name: _digest(Path(source))}
 
 
 def environment() -> dict[str, str]:

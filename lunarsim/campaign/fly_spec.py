@@ -9,10 +9,10 @@ from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.flying import check_flyable, plan_of
+from lunarsim.campaign.manifest import manifest_of
 from lunarsim.campaign.run import Ran, run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.stopping import WidthRule
-from lunarsim.campaign.store import check_folder
 from lunarsim.campaign.warming import warm
 
 
@@ -47,7 +47,7 @@ def fly_spec(
         written then.
     """
     plan = plan_of(spec, out, cache)
-    if check_folder(out, plan) is None:
+    if manifest_of(out, plan) is None:
         check_flyable(spec)
     if cache is not None and say is not None and engine.name == "local":
         warm(spec, plan, cache, say)

@@ -9,7 +9,7 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.plan import Plan
-from lunarsim.campaign.store import plain, schema_of
+from lunarsim.campaign.rows import plain, schema_of
 
 
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:

@@ -19,9 +19,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lunarsim.campaign.files import write_whole
+from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
-from lunarsim.campaign.store import FORMAT, TIMING, read_manifest, schema_of
+from lunarsim.campaign.rows import TIMING, schema_of
 from lunarsim.errors import InputError, check_output
 
 # Rows whose times the rate is taken from.

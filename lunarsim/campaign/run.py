@@ -153,6 +153,7 @@ def _fly(
 ) -> tuple[int, int, bool]:
     """Fly; return rows, rows without a verdict, and whether time sufficed."""
     flown = failed = 0
+    not_kept: list[str] = []
     began = time.monotonic()
     in_time = True
 
@@ -172,14 +173,16 @@ def _fly(
                 row = store.add(done)
                 flown += 1
                 failed += done.outcome != FLOWN
-                if done.outcome == FLOWN and done.error and done.error not in store.notes:
-                    store.notes.append(done.error)
+                if done.outcome == FLOWN and done.error:
+                    not_kept.append(done.error)
                 if rule is not None:
                     rule.see(done.flight, done.arm, row)
                 if progress is not None:
                     progress(1)
                 if rule is not None and rule.stop is not None:
                     break
+    if not_kept:
+        store.notes.append(f"{len(not_kept)} flights have their rows alone: {not_kept[0]}")
     return flown, failed, in_time
 
 

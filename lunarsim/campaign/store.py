@@ -22,100 +22,24 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-import lunarsim
-from lunarsim.campaign.files import code_digest, environment, write_json, write_whole
+from lunarsim.campaign.files import write_json, write_whole
+from lunarsim.campaign.manifest import manifest_of, new_manifest
 from lunarsim.campaign.outcomes import FLOWN, Finished
-from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.errors import InputError, check_writable
+from lunarsim.campaign.plan import Plan
+from lunarsim.campaign.rows import TIMING, Row, row_of, schema_of
+from lunarsim.errors import InputError
 
-FORMAT = 1
-# A row of results and its times.
-Row = tuple[dict[str, Any], dict[str, Any]]
-# Of a manifest, what readers need.
-_NEEDED = (
-    "format",
-    "name",
-    "seed",
-    "flights",
-    "arms",
-    "columns",
-    "inputs",
-    "state",
-    "rows",
-    "identity",
-)
 # Rows of a part, about.
 PART_ROWS = 5000
 # The journal is brought to the disk at most this often, s; until then the system keeps it.
 _SYNC = 1.0
-_TYPES = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
-_OF = {"bool": bool, "int": int, "float": float, "text": str}
-TIMING = pa.schema(
-    [("id", pa.string()), ("seconds", pa.float64()), ("finished_unix_s", pa.float64()),
-     ("worker", pa.string()), ("tries", pa.int64())]
-)  # fmt: skip
-
-
-def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schema:
-    """Return the columns of results with these inputs and metrics, by name and kind."""
-    return pa.schema(
-        [
-            ("id", pa.string()),
-            ("flight", pa.int64()),
-            ("arm", pa.string()),
-            ("seed", pa.int64()),
-            *((key, _TYPES[kind]) for key, kind in inputs.items()),
-            ("outcome", pa.string()),
-            *((key, _TYPES[kind]) for key, kind in columns.items()),
-            ("error", pa.string()),
-            ("traceback", pa.string()),
-            ("campaign", pa.string()),
-            ("version", pa.string()),
-            ("code", pa.string()),
-        ]
-    )
-
-
-def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
-    """Return the row of results of a finished flight; what it has no value for is None."""
-    metrics = done.metrics or {}
-    inputs = plan.inputs_of(done.flight, done.arm)
-    return {
-        "id": row_id(done.flight, done.arm),
-        "flight": done.flight,
-        "arm": plan.arms[done.arm][0],
-        "seed": plan.seed,
-        **{key: plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
-        "outcome": done.outcome,
-        **{key: _typed(metrics.get(key), kind) for key, kind in plan.columns.items()},
-        "error": _writable(done.error),
-        "traceback": _writable(done.traceback),
-        "campaign": plan.name,
-        "version": lunarsim.__version__,
-        "code": code_digest(),
-    }
-
-
-def _typed(value: Any, kind: str) -> Any:
-    """Return a metric as a plain value, whatever kind of number it was."""
-    return None if value is None else _OF[kind](value)
-
-
-def _writable(text: str) -> str:
-    """Return a text that UTF-8 can hold: names of files may have bytes in them that it cannot."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
-
-
-def plain(value: Any, kind: str) -> Any:
-    """Return an input as a cell of a column of its kind: lists and mixtures are texts."""
-    return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value
 
 
 class Store:
@@ -130,7 +54,7 @@ class Store:
     plan
         What is flown.
     notes
-        What was found wrong when the folder was opened, in words.
+        What was found wrong when the folder was opened, and what could not be kept, in words.
     """
 
     def __init__(self, folder: Path, plan: Plan, lock: IO[str], manifest: dict[str, Any]) -> None:
@@ -164,9 +88,9 @@ class Store:
             If the folder holds anything else, another campaign, or results of other code; or
             another process is writing there. Nothing has been changed then.
         """
-        manifest = check_folder(folder, plan)
+        manifest = manifest_of(folder, plan)
         folder.mkdir(parents=True, exist_ok=True)
-        store = cls(folder, plan, _locked(folder), manifest or _new_manifest(plan))
+        store = cls(folder, plan, _locked(folder), manifest or new_manifest(plan))
         try:
             store.manifest["flights"] = plan.flights
             store._take(retry)
@@ -381,115 +305,6 @@ def _write_table(table: pa.Table, path: Path) -> None:
 
 def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
-
-
-def check_folder(folder: Path, plan: Plan) -> dict[str, Any] | None:
-    """Return the manifest of a folder of the same campaign; None for a new or empty folder.
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", str(folder), "a folder, not a file")
-    if not (folder / "manifest.json").exists():
-        # A writer that was killed before its manifest leaves its lock and a part of a file.
-        if folder.exists() and any(not p.name.startswith(".") for p in folder.iterdir()):
-            raise InputError(
-                "--out", str(folder), "an empty or new folder: this one holds other files"
-            )
-        check_writable(folder)
-        return None
-    manifest = read_manifest(folder)
-    for key, ours in (("format", FORMAT), ("version", lunarsim.__version__),
-                      ("code", code_digest())):  # fmt: skip
-        if manifest.get(key) != ours:
-            raise InputError(
-                "--out", str(folder),
-                f"a new folder: this one was flown with {key} {manifest.get(key)}, this is {ours}",
-            )  # fmt: skip
-    if plan.flights < int(manifest["flights"]):
-        last = _last_flight(folder)
-        if last >= plan.flights:
-            raise InputError(
-                "flights", plan.flights,
-                f"at least {last + 1}, as {folder} has so many already, or a new folder",
-            )  # fmt: skip
-    difference = first_difference(manifest["identity"], json.loads(json.dumps(plan.identity)))
-    if difference is not None:
-        key, old, new = difference
-        raise InputError(
-            "--out", str(folder),
-            f"a new folder, or the spec it was begun with: {key} was {old!r} there, is {new!r} now",
-        )  # fmt: skip
-    return manifest
-
-
-def _last_flight(folder: Path) -> int:
-    """Return the greatest index that a folder has a row of; -1 for none."""
-    last = -1
-    for path in (folder / "results").glob("part-*.parquet"):
-        with contextlib.suppress(pa.ArrowException, OSError):
-            flights = pq.read_table(path, columns=["flight"])["flight"].to_numpy()
-            last = max(last, int(flights.max(initial=-1)))
-    journal = folder / "journal.jsonl"
-    for line in journal.read_bytes().split(b"\n") if journal.exists() else []:
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            last = max(last, int(json.loads(line)[0]["flight"]))
-    return last
-
-
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest of a campaign's folder.
-
-    Raises
-    ------
-    InputError
-        If there is none, or it cannot be read.
-    """
-    path = folder / "manifest.json"
-    if not path.is_file():
-        raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(data, dict) or set(_NEEDED) - set(data):
-            raise ValueError("no campaign's")
-        unknown = {*data["inputs"].values(), *data["columns"].values()} - set(_TYPES)
-        if unknown:
-            raise ValueError(f"columns of unknown kinds: {sorted(unknown)}")
-    except ValueError as error:
-        raise InputError("folder", str(folder), f"a manifest.json in order ({error})") from None
-    return data
-
-
-def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return key and both values of the first difference of two tables, None if they are equal."""
-    if isinstance(a, Mapping) and isinstance(b, Mapping):
-        for key in dict.fromkeys([*a, *b]):
-            found = first_difference(a.get(key), b.get(key), f"{path}.{key}" if path else str(key))
-            if found is not None:
-                return found
-        return None
-    return None if a == b else (path, a, b)
-
-
-def _new_manifest(plan: Plan) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "version": lunarsim.__version__,
-        "code": code_digest(),
-        "name": plan.name,
-        "seed": plan.seed,
-        "flights": plan.flights,
-        "arms": [{"name": name, "values": dict(values)} for name, values in plan.arms],
-        "columns": dict(plan.columns),
-        "inputs": dict(plan.inputs),
-        "state": "running",
-        "rows": 0,
-        "environment": environment(),
-        "identity": json.loads(json.dumps(plan.identity)),
-    }
 
 
 def _locked(folder: Path) -> IO[str]:

@@ -216,7 +216,8 @@ def _filled(out: Path, rows: int) -> None:
     import pyarrow.parquet as pq
 
     from lunarsim.campaign.flying import SHARES
-    from lunarsim.campaign.store import PART_ROWS, TIMING, schema_of
+    from lunarsim.campaign.rows import TIMING, schema_of
+    from lunarsim.campaign.store import PART_ROWS
     from lunarsim.evaluation.outcome import COLUMNS
 
     manifest = json.loads((out / "manifest.json").read_text())

@@ -1,0 +1,79 @@
+"""Rows of a campaign's results and times: their columns, and a finished flight as a row."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import pyarrow as pa
+
+import lunarsim
+from lunarsim.campaign.files import code_digest
+from lunarsim.campaign.outcomes import Finished
+from lunarsim.campaign.plan import Plan, row_id
+
+# A row of results and its times.
+Row = tuple[dict[str, Any], dict[str, Any]]
+# Kinds of columns, as a file has them and as plain values.
+KINDS = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
+_OF = {"bool": bool, "int": int, "float": float, "text": str}
+TIMING = pa.schema(
+    [("id", pa.string()), ("seconds", pa.float64()), ("finished_unix_s", pa.float64()),
+     ("worker", pa.string()), ("tries", pa.int64())]
+)  # fmt: skip
+
+
+def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schema:
+    """Return the columns of results with these inputs and metrics, by name and kind."""
+    return pa.schema(
+        [
+            ("id", pa.string()),
+            ("flight", pa.int64()),
+            ("arm", pa.string()),
+            ("seed", pa.int64()),
+            *((key, KINDS[kind]) for key, kind in inputs.items()),
+            ("outcome", pa.string()),
+            *((key, KINDS[kind]) for key, kind in columns.items()),
+            ("error", pa.string()),
+            ("traceback", pa.string()),
+            ("campaign", pa.string()),
+            ("version", pa.string()),
+            ("code", pa.string()),
+        ]
+    )
+
+
+def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
+    """Return the row of results of a finished flight; what it has no value for is None."""
+    metrics = done.metrics or {}
+    inputs = plan.inputs_of(done.flight, done.arm)
+    return {
+        "id": row_id(done.flight, done.arm),
+        "flight": done.flight,
+        "arm": plan.arms[done.arm][0],
+        "seed": plan.seed,
+        **{key: plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
+        "outcome": done.outcome,
+        **{key: _typed(metrics.get(key), kind) for key, kind in plan.columns.items()},
+        "error": _writable(done.error),
+        "traceback": _writable(done.traceback),
+        "campaign": plan.name,
+        "version": lunarsim.__version__,
+        "code": code_digest(),
+    }
+
+
+def _typed(value: Any, kind: str) -> Any:
+    """Return a metric as a plain value, whatever kind of number it was."""
+    return None if value is None else _OF[kind](value)
+
+
+def _writable(text: str) -> str:
+    """Return a text that UTF-8 can hold: names of files may have bytes in them that it cannot."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def plain(value: Any, kind: str) -> Any:
+    """Return an input as a cell of a column of its kind: lists and mixtures are texts."""
+    return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value
