@@ -58,7 +58,9 @@ class Odds:
     low: Array
     high: Array
 
-    def verdict(self, most: Array, hopeless: float = HOPELESS) -> Verdict:
+    def verdict(
+        self, most: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
+    ) -> Verdict:
         """Return what is told of the sites (n,).
 
         Parameters
@@ -67,9 +69,12 @@ class Odds:
             None is safer than this (n,).
         hopeless
             Sites are surely not safe up to this probability.
+        doomed
+            Where they may be called so at all (n,); left out: anywhere.
         """
         p = told(self.low, most)
-        return Verdict(p, (p >= SURE) | (expit(self.high) <= hopeless))
+        never = expit(self.high) <= hopeless
+        return Verdict(p, (p >= SURE) | (never if doomed is None else never & doomed))
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,7 @@ def judge(scene: Scene) -> Judged:
         ceiling(evidence)[where],
         bound(evidence)[where],
         evidence.slope[where],
+        np.ones(np.count_nonzero(where), bool),
         float(evidence.curve.at(lander.roughness_limit)),
         truth.safe[where],
     )
@@ -75,6 +76,7 @@ class Sites:
     ceiling: np.ndarray
     bound: np.ndarray
     slope: np.ndarray
+    doomed: np.ndarray
     cover: np.ndarray
     safe: np.ndarray
 
@@ -83,7 +85,7 @@ class Sites:
         """Put scenes end to end."""
         columns = [
             np.concatenate([getattr(j, name) for j in judged])
-            for name in ("features", "known", "ceiling", "bound", "slope")
+            for name in ("features", "known", "ceiling", "bound", "slope", "doomed")
         ]
         cover = np.concatenate([np.full(len(j.safe), j.cover) for j in judged])
         return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
@@ -114,7 +116,7 @@ def probability(
     """
     odds = model.of_features(sites.features)
     p = cautious(odds.low, sites.ceiling, sites.bound, sites.known, farther)
-    return p, sites.known & odds.verdict(sites.ceiling, hopeless).agreed
+    return p, sites.known & odds.verdict(sites.ceiling, hopeless, sites.doomed).agreed
 
 
 def nearest_range(scene: Scene) -> str:

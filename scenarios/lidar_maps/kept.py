@@ -24,7 +24,8 @@ from lunarsim.campaign.pool import gathered
 class Judged:
     """Sites of one scene (n, ...); `features` float32, `cover` and `slope` choose the stratum.
 
-    `ceiling` holds everywhere, `bound` outside the domain.
+    `ceiling` holds everywhere, `bound` outside the domain; where `doomed` they may be called surely
+    unsafe.
     """
 
     scene: Scene
@@ -33,11 +34,12 @@ class Judged:
     ceiling: np.ndarray
     bound: np.ndarray
     slope: np.ndarray
+    doomed: np.ndarray
     cover: float
     safe: np.ndarray
 
 
-ARRAYS = ("features", "known", "ceiling", "bound", "slope", "safe")
+ARRAYS = ("features", "known", "ceiling", "bound", "slope", "doomed", "safe")
 
 
 def judged_scenes(

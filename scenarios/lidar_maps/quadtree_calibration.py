@@ -70,6 +70,7 @@ def judge(scene: Scene) -> Judged:
         ceiling(evidence)[where],
         bound(evidence)[where],
         evidence.slope[where],
+        evidence.doomed[where],
         float(evidence.curve.at(lander.roughness_limit)),
         truth.safe[row, col][where],
     )

@@ -181,3 +181,30 @@ def surface(cells, centres, posting):
         inside = (np.abs(centres - (x, y)) < 0.5 * size).all(axis=-1)
         out[inside] = z if size < 1.5 * posting else z + trend[inside] - np.mean(trend[inside])
     return out
+
+
+def without_holes(height: np.ndarray, reach: int) -> np.ndarray:
+    """Return a raster (rows, cols) raised, cell by cell, to the lowest of the highest about it.
+
+    Squares reach so many cells to each side; what is NaN counts as lowest and stays NaN. Beside
+    the raster its edge goes on.
+    """
+    rows, cols = height.shape
+
+    def about(z: np.ndarray, i: int, j: int) -> list[float]:
+        return [
+            z[min(max(i + a, 0), rows - 1), min(max(j + b, 0), cols - 1)]
+            for a in range(-reach, reach + 1)
+            for b in range(-reach, reach + 1)
+        ]
+
+    low = np.where(np.isnan(height), -np.inf, height)
+    high, out = np.empty_like(height), np.full_like(height, np.nan)
+    for i in range(rows):
+        for j in range(cols):
+            high[i, j] = max(about(low, i, j))
+    for i in range(rows):
+        for j in range(cols):
+            if not np.isnan(height[i, j]):
+                out[i, j] = min(about(high, i, j))
+    return out

@@ -70,7 +70,8 @@ def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
         n = int(rng.integers(2, 6))
         return kept.Judged(
             scene, rng.random((n, 3), np.float32), rng.random(n) < 0.5, rng.random(n) + add,
-            rng.random(n), rng.random(n), float(rng.random()), rng.random(n) < 0.5,
+            rng.random(n), rng.random(n), rng.random(n) < 0.5, float(rng.random()),
+            rng.random(n) < 0.5,
         )  # fmt: skip
 
     deck, other = ([kept.Scene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4))
@@ -101,7 +102,8 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
         x[:, 0] = 1.0
         safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, FREE] - 4.0)))
         ones = np.ones(60)
-        return study.Judged(scene, x, rng.random(60) < 0.8, ones, ones, ones, 0.005, safe)
+        known, doomed = rng.random(60) < 0.8, rng.random(60) < 0.5
+        return study.Judged(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
 
     scenes = [judged(s) for s in deck]
     rows = list(study.left_out(scenes))
@@ -120,6 +122,11 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
     assert (p <= plain).all()
     assert np.array_equal(p[claimed & (p >= SURE)], plain[claimed & (plain >= SURE)])
     assert not claimed[~sites.known].any()
+    # Sites that may not be called surely unsafe are claimed where they are surely safe alone.
+    assert not claimed[~sites.doomed & (p < SURE)].any()
+    assert study.probability(model, replace(sites, doomed=~sites.doomed))[1][
+        claimed & (p >= SURE)
+    ].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no error of calibration, and no skill.
     flat = study.figures(np.full(len(p), sites.safe.mean()), sites.safe)

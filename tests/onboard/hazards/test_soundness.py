@@ -173,6 +173,7 @@ def site_among(
 ) -> SiteEvidence:
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
     own = {"density": np.array([30.0]), "thinnest": np.array([30.0])} | own
+    own["doomed"] = np.maximum(own["slope"], own["roughness"]) >= 1.0
     return SiteEvidence(**own, curve=curve, holes=holes, lander=Lander(), noise=noise)
 
 
@@ -236,6 +237,14 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     p, known = site_safety(far, fits_of(2.8, 2.8))
     assert p == pytest.approx(SURE * nothing)
     assert not known.any()
+
+
+def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
+    for odds, doomed, claims in ((-6.0, True, True), (-6.0, False, False), (-3.0, True, False)):
+        bad = replace(site(0.02, slope=1.2), doomed=np.array([doomed]))
+        p, known = site_safety(bad, fits_of(odds, odds))
+        assert p[0] <= 0.95 * expit(odds)
+        assert known[0] == claims
 
 
 @pytest.mark.parametrize("name", [*SITE, "density", "thinnest"])

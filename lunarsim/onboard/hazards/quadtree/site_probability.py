@@ -20,7 +20,13 @@ from scipy import ndimage
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree.sites import Selection
-from lunarsim.onboard.hazards.quadtree.surface import Sampling, rises, sampling, surface
+from lunarsim.onboard.hazards.quadtree.surface import (
+    Sampling,
+    rises,
+    sampling,
+    surface,
+    without_holes,
+)
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
@@ -112,6 +118,9 @@ class SiteEvidence:
         How high the ground stands, from the points and the mission's rock law.
     holes
         How deep it lies.
+    doomed
+        Where the mean ground is over a limit with its holes filled too: whether legs stand in a
+        hole, beside it or over it, a decimetre decides, and ground above it does not hang on that.
     lander
         Geometry and limits.
     noise
@@ -132,6 +141,7 @@ class SiteEvidence:
     thinnest: Array
     curve: HeightCurve
     holes: HeightCurve
+    doomed: BoolArray
     lander: Lander
     noise: float
 
@@ -238,7 +248,10 @@ def evidence_of(
     steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
     seen = sampling(quadtree)
     height, grid = surface(quadtree, *_GROUND_BAND, seen)
-    slope, roughness = _worst_about(bounded_safety(height, grid, lander), s.position[:, :2])
+    xy = s.position[:, :2]
+    slope, roughness = _worst_about(bounded_safety(height, grid, lander), xy)
+    solid = without_holes(height, grid.posting, lander.leg_radius)
+    own_slope, own_roughness = _worst_about(bounded_safety(solid, grid, lander), xy)
     mesh_slope = np.tan(s.slope) / steepest
     # The standard error of the slope over a square tells the spread about the plane. Points that
     # span no plane have the mesh's.
@@ -257,9 +270,10 @@ def evidence_of(
         s.relief / limit,
         s.top / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
-        _thinnest(seen, s.position[:, :2], lander),
+        _thinnest(seen, xy, lander),
         height_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
         depth_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
+        (own_slope >= lander.slope_limit) | (own_roughness >= limit),
         lander,
         noise,
     )
@@ -347,7 +361,7 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
         seen, most = e.judged, ceiling(e)[e.judged]
         odds = (model or measured()).judge(_free(e, seen), _terms(e, seen))
         p[seen] = cautious(odds.low, most, bound(e)[seen], known[seen])
-        claimed[seen] &= odds.verdict(most, HOPELESS).agreed
+        claimed[seen] &= odds.verdict(most, HOPELESS, e.doomed[seen]).agreed
     return p, claimed
 
 

@@ -87,6 +87,19 @@ def surface(
     return out, grid
 
 
+def without_holes(height: Array, posting: float, width: float) -> Array:
+    """Return ground (rows, cols) with what lies deeper than its surroundings filled.
+
+    Holes are filled that are no wider than `width`, m, along rows or columns: a grey closing. It
+    leaves planes and tops as they are, and raises nothing above the highest ground that near. NaN
+    stays.
+    """
+    cells = 2 * int(np.ceil(0.5 * width / posting)) + 1
+    known = ~np.isnan(height)
+    filled = ndimage.grey_closing(np.where(known, height, -np.inf), cells, mode="nearest")
+    return np.where(known, filled, np.nan)
+
+
 @dataclass(frozen=True)
 class Sampling:
     """How densely a map was seen.

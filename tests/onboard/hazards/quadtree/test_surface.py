@@ -10,7 +10,7 @@ import pytest
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of
-from lunarsim.onboard.hazards.quadtree.surface import rises, sampling, surface
+from lunarsim.onboard.hazards.quadtree.surface import rises, sampling, surface, without_holes
 from lunarsim.rocks.population import RockExpectation
 from tests.reference import quadtree as reference
 
@@ -75,6 +75,35 @@ def test_rises_are_the_heights_above_the_ground_about():
     # A box met by one point is taken for a bird.
     assert tall.mean() - 0.003 < (found > 0.3).mean() <= tall.mean()
     assert (np.abs(found) < 0.1).mean() > 0.97
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_holes_are_filled_as_by_a_plain_search(seed):
+    rng = np.random.default_rng(seed)
+    height = rng.normal(0.0, 1.0, (14, 17))
+    height[rng.random(height.shape) < 0.1] = np.nan
+    for width in (0.3, 0.9, 1.3):
+        filled = without_holes(height + 1e7, 0.4, width) - 1e7
+        expected = reference.without_holes(height, int(np.ceil(width / 0.8)))
+        assert filled == pytest.approx(expected, abs=1e-8, nan_ok=True)
+
+
+def test_a_filled_plane_keeps_its_slope_and_its_rocks_and_loses_narrow_holes():
+    row, col = np.mgrid[0:30, 0:30]
+    plane = 0.05 * row - 0.03 * col
+    rocks, holes = plane.copy(), plane.copy()
+    rocks[10:12, 10:12] += 0.5
+    holes[10:12, 10:12] -= 0.5
+    inside = np.s_[4:-4, 4:-4]
+    assert without_holes(plane, 0.4, 1.5)[inside] == pytest.approx(plane[inside])
+    assert without_holes(rocks - plane, 0.4, 1.5) == pytest.approx(rocks - plane)
+    # What is lower between a rock and ground that rises behind it is a hole.
+    assert (without_holes(rocks, 0.4, 1.5) <= rocks.max()).all()
+    assert without_holes(rocks, 0.4, 1.5)[10:12, 10:12] == pytest.approx(rocks[10:12, 10:12])
+    assert np.abs(without_holes(holes, 0.4, 1.5) - plane)[inside].max() < 0.17
+    # One wider than that stays.
+    holes[10:20, 10:20] -= 0.5
+    assert without_holes(holes, 0.4, 1.5)[15, 15] == pytest.approx(holes[15, 15], abs=0.2)
 
 
 def test_a_map_without_points_has_no_ground():
@@ -198,6 +227,24 @@ def test_the_lander_stands_on_the_ground_under_the_site():
         assert np.nanmax(found.slope) > 0.3
         assert found.slope[mine] == pytest.approx(other.slope[its], abs=1e-3, nan_ok=True)
         assert found.roughness[mine] == pytest.approx(other.roughness[its], abs=1e-3, nan_ok=True)
+
+
+def test_a_rock_and_a_slope_doom_a_site_and_a_hole_does_not():
+    rng = np.random.default_rng(14)
+    xy = scattered(rng, 30_000)[:, :2]
+    # A square under the western leg of a site in the middle.
+    bad = (np.abs(xy - [-0.8, 0.0]) < 0.4).all(axis=1)
+    grounds = {
+        "level": (0.0, False), "rock": (np.where(bad, 0.6, 0.0), True),
+        "hole": (np.where(bad, -0.6, 0.0), False), "slope": (0.4 * xy[:, 0], True),
+    }  # fmt: skip
+    for name, (height, doomed) in grounds.items():
+        found, place = evidence(np.column_stack((xy, 100.0 + height + np.zeros(len(xy)))))
+        middle = np.argmin(np.abs(place).sum(axis=1))
+        assert found.judged[middle]
+        over = max(found.slope[middle], found.roughness[middle]) > 1.0
+        assert over == (name != "level"), name
+        assert found.doomed[middle] == doomed, name
 
 
 def test_one_return_low_above_the_ground_may_be_a_rock_and_a_high_one_is_not():
