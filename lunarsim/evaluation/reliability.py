@@ -58,3 +58,23 @@ def calibration_error(table: Array) -> float:
     """Return the mean distance of the two, weighted by number (ECE); NaN of an empty table."""
     count = table[:, 0].sum()
     return float(np.abs(table[:, 1] - table[:, 2]).sum() / count) if count else float("nan")
+
+
+def calibration_error_by_chance(
+    probability: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    quantile: float = 0.95,
+    draws: int = 400,
+    edges: ArrayLike = EDGES,
+) -> float:
+    """Return the error that frequencies told rightly stay under this often; NaN of none.
+
+    Few sites leave a calibration error by chance alone: what happens is drawn with the
+    probabilities (n,) themselves, so often, each independent of all others.
+    """
+    p = np.asarray(probability, dtype=np.float64).ravel()
+    if not len(p):
+        return float("nan")
+    found = [calibration_error(reliability(p, rng.random(len(p)) < p, edges)) for _ in range(draws)]
+    return float(np.quantile(found, quantile))

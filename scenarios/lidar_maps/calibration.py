@@ -24,7 +24,12 @@ from rich.table import Table
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
 
 from lunarsim.campaign.pool import gathered
-from lunarsim.evaluation.reliability import brier_skill, calibration_error, reliability
+from lunarsim.evaluation.reliability import (
+    brier_skill,
+    calibration_error,
+    calibration_error_by_chance,
+    reliability,
+)
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
@@ -150,6 +155,7 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     return {
         "base": base,
         "ece": calibration_error(reliability(p, safe)),
+        "chance": calibration_error_by_chance(p, np.random.default_rng(0)),
         "skill": brier_skill(p, safe),
         "share": sure.mean(),
         "gap": p[sure].mean() - safe[sure].mean() if sure.any() else np.nan,
@@ -195,9 +201,9 @@ class Row:
 def table_of(rows: list[Row]) -> Table:
     """Return the figures of rows of the matrix."""
     table = Table(title="Sites in the domain; each row judged by the fit without it")
-    for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE", "Brier\nskill",
-                    "p > 0.95", "mean p less\nshare safe", "p > 0.99", "share\nsafe",
-                    "not claimed,\np > 0.5", "mean p", "share\nsafe",
+    for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE",
+                    "by chance\n(95 %)", "Brier\nskill", "p > 0.95", "mean p less\nshare safe",
+                    "p > 0.99", "share\nsafe", "not claimed,\np > 0.5", "mean p", "share\nsafe",
                     "least skill\nof a stratum", "where"):  # fmt: skip
         table.add_column(heading, justify="right")
     for row in rows:
@@ -208,8 +214,8 @@ def table_of(rows: list[Row]) -> Table:
         least, where = worst_stratum(p, k, sites)
         table.add_row(
             row.name, f"{k.size}", f"{k.mean():.2f}", f"{f['base']:.3f}", f"{f['ece']:.4f}",
-            f"{f['skill']:+.3f}", f"{f['share']:.2f}", f"{f['gap']:+.4f}", f"{f['surer']:.2f}",
-            f"{f['right']:.4f}", f"{out.sum()}", *own, f"{least:+.2f}", where,
+            f"{f['chance']:.4f}", f"{f['skill']:+.3f}", f"{f['share']:.2f}", f"{f['gap']:+.4f}",
+            f"{f['surer']:.2f}", f"{f['right']:.4f}", f"{out.sum()}", *own, f"{least:+.2f}", where,
         )  # fmt: skip
     return table
 

@@ -3,7 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
+from lunarsim.evaluation.reliability import (
+    calibration_error,
+    calibration_error_by_chance,
+    frequencies,
+    reliability,
+)
 
 
 def test_reliability_counts_by_bin():
@@ -18,3 +23,18 @@ def test_reliability_counts_by_bin():
     assert np.isnan(share[3])
     expected = (2 * abs(0.005 - 0.5) + 2 * abs(0.55 - 0.5) + 2 * abs(0.995 - 1.0)) / 6
     assert calibration_error(table) == pytest.approx(expected)
+
+
+def test_what_is_told_rightly_stays_under_the_error_by_chance_as_often_as_stated():
+    rng = np.random.default_rng(2)
+    for count in (8, 60, 400):
+        p = rng.uniform(0.6, 1.0, count)
+        bound = calibration_error_by_chance(p, rng, quantile=0.9)
+        found = [calibration_error(reliability(p, rng.random(count) < p)) for _ in range(400)]
+        assert np.mean(np.array(found) <= bound) == pytest.approx(0.9, abs=0.06)
+    # Eight sites told to be safe at 0.964, and safe: nothing is known against that.
+    few = np.full(8, 0.964)
+    error = calibration_error(reliability(few, np.ones(8)))
+    assert error == pytest.approx(0.036)
+    assert error < calibration_error_by_chance(few, rng)
+    assert np.isnan(calibration_error_by_chance([], rng))
