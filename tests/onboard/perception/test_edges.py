@@ -74,9 +74,11 @@ def test_slopes_equal_plain_loops():
     rng = np.random.default_rng(1)
     image = rng.random((40, 50)).astype(np.float32)
     patch = np.zeros((40, 50), np.uint16)
-    patch[8:15, 9:20], patch[20:33, 30:41], patch[1:3, 1:3] = 1, 2, 3
-    found = kernels.edge_slopes(image, patch, 3, 1, 0.3)
-    expected = np.zeros((4, 5))
+    patch[8:15, 9:20], patch[20:33, 30:41] = 1, 2
+    # Too near the border, on each side.
+    patch[1:3, 1:3], patch[10:20, 47:49], patch[37:39, 20:30] = 3, 4, 5
+    found = kernels.edge_slopes(image, patch, 5, 1, 0.3)
+    expected = np.zeros((6, 5))
     for i in range(4, 36):
         for j in range(4, 46):
             around = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
@@ -99,9 +101,9 @@ def test_slopes_equal_plain_loops():
                 slopes = [abs(gu), abs(gu + gv) / np.sqrt(2), abs(gv), abs(gv - gu) / np.sqrt(2)]
                 expected[k] = np.maximum(expected[k], np.array([*slopes, np.hypot(gu, gv)]) / size)
     assert found == pytest.approx(expected, rel=1e-5)
-    assert (found[1:3] > 0.0).all() and (found[3] == 0.0).all()
-    some = kernels.edge_slopes(image, patch, 3, 2, 0.3)
-    assert np.array_equal(some[2], found[2]) and not some[[0, 1, 3]].any()
+    assert (found[1:3] > 0.0).all() and (found[3:] == 0.0).all()
+    some = kernels.edge_slopes(image, patch, 5, 2, 0.3)
+    assert np.array_equal(some[2], found[2]) and not some[[0, 1, 3, 4, 5]].any()
 
 
 def test_sides_equal_plain_sums():
