@@ -76,7 +76,9 @@ def test_slopes_equal_plain_loops():
     patch = np.zeros((40, 50), np.uint16)
     patch[8:15, 9:20], patch[20:33, 30:41] = 1, 2
     # Too near the border, on each side.
-    patch[1:3, 1:3], patch[10:20, 47:49], patch[37:39, 20:30] = 3, 4, 5
+    patch[1:3, 1:3], patch[20:30, 47:49], patch[37:39, 5:15] = 3, 3, 3
+    # With one row or column that is just not.
+    patch[8:14, 45:49], patch[35:39, 30:40] = 4, 5
     found = kernels.edge_slopes(image, patch, 5, 1, 0.3)
     expected = np.zeros((6, 5))
     for i in range(4, 36):
@@ -101,9 +103,9 @@ def test_slopes_equal_plain_loops():
                 slopes = [abs(gu), abs(gu + gv) / np.sqrt(2), abs(gv), abs(gv - gu) / np.sqrt(2)]
                 expected[k] = np.maximum(expected[k], np.array([*slopes, np.hypot(gu, gv)]) / size)
     assert found == pytest.approx(expected, rel=1e-5)
-    assert (found[1:3] > 0.0).all() and (found[3:] == 0.0).all()
+    assert (found[[1, 2, 4, 5]] > 0.0).all() and (found[3] == 0.0).all()
     some = kernels.edge_slopes(image, patch, 5, 2, 0.3)
-    assert np.array_equal(some[2], found[2]) and not some[[0, 1, 3, 4, 5]].any()
+    assert np.array_equal(some[2::2], found[2::2]) and not some[[0, 1, 3, 5]].any()
 
 
 def test_sides_equal_plain_sums():
