@@ -87,9 +87,12 @@ class FixedBeams:
     ----------
     directions
         Unit vectors (n, 3), body axes.
+    speed_bias
+        Standard deviation of what the speeds of each beam err by over a whole flight, m/s.
     """
 
     directions: tuple[tuple[float, float, float], ...]
+    speed_bias: float = 0.0
 
 
 @dataclass(frozen=True)

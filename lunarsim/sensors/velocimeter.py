@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -34,6 +34,9 @@ class DopplerVelocimeter:
         Angle of each from straight down, rad.
     speed_noise
         Standard deviation of a speed, m/s.
+    speed_bias
+        Standard deviation of what each beam's speeds are off by over a whole flight, m/s: drawn for
+        every flight, and stated in the calibration.
     range_noise
         Standard deviation of a range, m.
     max_range
@@ -45,6 +48,9 @@ class DopplerVelocimeter:
     beams: int = quantity(3, ge=3, le=8, help="evenly in azimuth, the first towards body x")
     cone: float = quantity(22.5, "deg", gt=0, lt=80, help="of each beam from straight down")
     speed_noise: float = quantity(0.03, "m/s", gt=0, help="1 sigma a beam")
+    speed_bias: float = quantity(
+        0.02, "m/s", ge=0, lt=10, help="constant of a beam's speeds, 1 sigma, drawn and stated"
+    )
     range_noise: float = quantity(2.0, "m", gt=0, help="1 sigma a beam")
     max_range: float = quantity(5000.0, "m", gt=0, help="no return beyond")
     max_incidence: float = quantity(75.0, "deg", gt=0, le=90, help="no return beyond")
@@ -54,6 +60,10 @@ class DopplerVelocimeter:
 
     def __post_init__(self) -> None:
         check_bounds(self, "velocimeter")
+
+    def build(self, rng: np.random.Generator, step: float) -> BiasedVelocimeter:
+        """Return the velocimeter of one flight."""
+        return BiasedVelocimeter(self, rng)
 
     def directions(self) -> Array:
         """Return the beams' unit vectors (n, 3), body axes."""
@@ -65,7 +75,8 @@ class DopplerVelocimeter:
 
     def calibration(self) -> FixedBeams:
         """Return what the onboard computer may know of it."""
-        return FixedBeams(tuple((float(x), float(y), float(z)) for x, y, z in self.directions()))
+        beams = tuple((float(x), float(y), float(z)) for x, y, z in self.directions())
+        return FixedBeams(beams, self.speed_bias)
 
     def measure(
         self,
@@ -90,3 +101,36 @@ class DopplerVelocimeter:
             np.where(seen, self.speed_noise, np.nan),
             np.where(seen, self.range_noise, np.nan),
         )
+
+
+class BiasedVelocimeter:
+    """A velocimeter with what its beams' speeds are off by over one flight.
+
+    Parameters
+    ----------
+    figures
+        Of the velocimeter.
+    rng
+        Source of its errors.
+
+    Attributes
+    ----------
+    bias
+        Added to the speeds of each beam (n,), m/s.
+    """
+
+    def __init__(self, figures: DopplerVelocimeter, rng: np.random.Generator) -> None:
+        self.figures = figures
+        self.bias = figures.speed_bias * rng.standard_normal(figures.beams)
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> DopplerReading:
+        """Return one reading."""
+        reading = self.figures.measure(world, state, time, rng, mount)
+        return replace(reading, speed=reading.speed + self.bias)

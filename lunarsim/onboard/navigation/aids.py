@@ -54,11 +54,14 @@ WATCHED = {
 }
 # What drifts where innovations lie to one side, and how far it may: m/s^2, rad/s.
 _BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
-# A bias of the inertial unit that is found to be so many of its stated deviations is none of it.
+# A bias of a unit that is found to be so many of its stated deviations is none of that unit.
 _MOST_BIAS = 6.0
 # Fewer beams of a velocimeter do not tell which of them lies; and what one may have done to the
 # velocity before it was noticed, m/s.
 _FEWEST_BEAMS, _LIED = 3, 0.1
+# No beam's speeds are known to be off by less over a flight, m/s: of a beam that is off by a little
+# all measurements say the same, and together they would move the velocity by that.
+_LEAST_SPEED_BIAS = 0.02
 # Readings of each beam that were believed before: of a beam that has just come into sight, and one
 # that was believed for want of others, it cannot be told which is right.
 _PROVEN = 30
@@ -139,6 +142,8 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
         beams = {FixedBeam: 1, FixedBeams: len(getattr(instrument, "directions", ()))}
         if ground.sigma is not None and type(instrument) in beams:
             out[_feet(name)] = ground.sigma**2 * np.eye(beams[type(instrument)])
+        if isinstance(instrument, FixedBeams):
+            out[_speeds(name)] = _bias_of(instrument) ** 2 * np.eye(len(instrument.directions))
         if isinstance(instrument, StarInstrument):
             out[_mount(name)] = instrument.misalignment**2 * np.eye(3)
     return out
@@ -152,6 +157,16 @@ def _mount(sensor: str) -> str:
 def _feet(sensor: str) -> str:
     """Return the name of the block of how high the ground lies where a sensor's beams meet it."""
     return f"ground under {sensor}"
+
+
+def _speeds(sensor: str) -> str:
+    """Return the name of the block of what the speeds along a sensor's beams are off by."""
+    return f"speeds of {sensor}"
+
+
+def _bias_of(velocimeter: FixedBeams) -> float:
+    """Return the standard deviation of what the speeds of a beam are off by, m/s."""
+    return max(velocimeter.speed_bias, _LEAST_SPEED_BIAS)
 
 
 def one_each(sensor: str, reading: AltimeterReading) -> None:
@@ -198,6 +213,9 @@ class Aids:
             n: np.array(i.directions)
             for n, i in instruments.items() if isinstance(i, FixedBeams)
         }  # fmt: skip
+        self._speed_bias = {
+            n: _bias_of(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
+        }
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
         self._place = state.inertial.position[:2].copy()
@@ -233,8 +251,8 @@ class Aids:
             at = [self.state.block(GROUND).start]
             self.state.widen(at, self.ground.growth * moved)
 
-    def doubt_unit(self) -> None:
-        """Be lost where a bias of the inertial unit is found that its figures do not allow.
+    def doubt_units(self) -> None:
+        """Be lost where a bias of inertial unit or beams is found that figures do not allow.
 
         Then it is another unit than it is said to be, or what the bias was found by drifts: the
         one errs in velocity or attitude by nothing, the other by all of it.
@@ -242,14 +260,23 @@ class Aids:
         if self._contradicted:
             return
         own = self.state.inertial
-        for name, place, value, stated in zip(
-            ("accelerometers", "gyroscopes"), (ACCELEROMETER, GYROSCOPE), own.biases,
-            own.bias_sigma, strict=True,
-        ):  # fmt: skip
+        found = [
+            ("inertial unit", name, place, value, stated)
+            for name, place, value, stated in zip(
+                ("accelerometers", "gyroscopes"), (ACCELEROMETER, GYROSCOPE), own.biases,
+                own.bias_sigma, strict=True,
+            )
+        ]  # fmt: skip
+        for sensor, stated in self._speed_bias.items():
+            block = _speeds(sensor)
+            if self.state.has(block):
+                place, value = self.state.block(block), self.state.value(block)
+                found.append((sensor, "speeds", place, value, stated))
+        for sensor, name, place, value, stated in found:
             variance = self.state.p[place, place].diagonal() + stated**2
             if (value**2 > _MOST_BIAS**2 * variance).any():
                 self._contradicted = True
-                self._note(self._time, "lost", "inertial unit", name)
+                self._note(self._time, "lost", sensor, name)
                 return
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool = False) -> bool:
@@ -297,16 +324,23 @@ class Aids:
             if shape != (len(beams),):
                 raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
         found = {
-            k: take_speeds(
-                self.state, reading.speed[k : k + 1], reading.speed_sigma[k : k + 1],
-                beams[k : k + 1], gate_of(1),
-            )
+            k: self._speed(sensor, k, reading, beams)
             for k in range(len(beams)) if (sensor, k) not in self._shut
         }  # fmt: skip
         self._judge_beams(sensor, found, time)
         for k, beam in enumerate(beams):
             distance, deviation = float(reading.range[k]), float(reading.range_sigma[k])
             self._range(sensor, distance, deviation, beam, time, k)
+
+    def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> Outcome:
+        one, block = slice(k, k + 1), _speeds(sensor)
+        own: dict[str, Any] = {}
+        if self.state.has(block):
+            place, value = self.state.block(block).start + k, self.state.value(block)[one]
+            own = {"biases": [place], "known": value}
+        return take_speeds(
+            self.state, reading.speed[one], reading.speed_sigma[one], beams[one], gate_of(1), **own
+        )
 
     def _range(
         self, sensor: str, distance: float, sigma: float, beam: Any, time: float, number: int = 0

@@ -204,7 +204,7 @@ class Navigator(Navigation):
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         self.state.propagate(angle, velocity)
         self._aids.travel()
-        self._aids.doubt_unit()
+        self._aids.doubt_units()
 
     @property
     def ground_turn(self) -> GroundTurn | None:

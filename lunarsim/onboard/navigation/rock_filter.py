@@ -138,7 +138,7 @@ class RockFilter(RockStates):
         """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
         self.state.propagate(angle, velocity)
         self._aids.travel()
-        self._aids.doubt_unit()
+        self._aids.doubt_units()
 
     # --- rocks ----------------------------------------------------------------------------
 

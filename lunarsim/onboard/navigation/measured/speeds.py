@@ -19,6 +19,9 @@ def take_speeds(
     sigma: ArrayLike,
     beams: ArrayLike,
     gate: float = np.inf,
+    *,
+    biases: ArrayLike | None = None,
+    known: ArrayLike | float = 0.0,
 ) -> Outcome:
     """Take in speeds over the ground.
 
@@ -36,6 +39,10 @@ def take_speeds(
         Unit vectors (n, 3), body axes.
     gate
         See `ErrorState.measure`.
+    biases
+        Places (n,) in the error state of what the beams are off by; left out: by nothing.
+    known
+        What they are thought to be off by now (n,), m/s.
 
     Returns
     -------
@@ -49,8 +56,13 @@ def take_speeds(
     b = np.asarray(beams, np.float64)[seen]
     rotation = quat_to_matrix(state.inertial.attitude)
     own = rotation.T @ state.inertial.velocity
-    jacobian = np.hstack((b @ rotation.T, np.cross(b, own)))
-    found = state.measure(jacobian, _COLUMNS, measured[seen] - b @ own, noise[seen] ** 2, gate)
+    jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, own))), _COLUMNS
+    innovation = measured[seen] - b @ own
+    if biases is not None:
+        jacobian = np.hstack((jacobian, np.eye(len(b))))
+        columns = np.append(columns, np.asarray(biases)[seen])
+        innovation = innovation - np.broadcast_to(known, len(seen))[seen]
+    found = state.measure(jacobian, columns, innovation, noise[seen] ** 2, gate)
     if not found.taken:
         return found
     white = np.full(len(seen), np.nan)
