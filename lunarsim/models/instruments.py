@@ -88,11 +88,14 @@ class FixedBeams:
     directions
         Unit vectors (n, 3), body axes.
     speed_bias
-        Standard deviation of what the speeds of each beam err by over a whole flight, m/s.
+        Standard deviation of what the speeds of each beam are off by at the start, m/s.
+    speed_wander
+        And by how much that has wandered a second later, m/s.
     """
 
     directions: tuple[tuple[float, float, float], ...]
     speed_bias: float = 0.0
+    speed_wander: float = 0.0
 
 
 @dataclass(frozen=True)

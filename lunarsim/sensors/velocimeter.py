@@ -34,9 +34,9 @@ class DopplerVelocimeter:
         Angle of each from straight down, rad.
     speed_noise
         Standard deviation of a speed, m/s.
-    speed_bias
-        Standard deviation of what each beam's speeds are off by over a whole flight, m/s: drawn for
-        every flight, and stated in the calibration.
+    speed_bias, speed_wander
+        Standard deviation of what each beam's speeds are off by at the start, m/s, and by how much
+        that wanders in a second, m/s: drawn for every flight, and stated in the calibration.
     range_noise
         Standard deviation of a range, m.
     max_range
@@ -49,7 +49,10 @@ class DopplerVelocimeter:
     cone: float = quantity(22.5, "deg", gt=0, lt=80, help="of each beam from straight down")
     speed_noise: float = quantity(0.03, "m/s", gt=0, help="1 sigma a beam")
     speed_bias: float = quantity(
-        0.02, "m/s", ge=0, lt=10, help="constant of a beam's speeds, 1 sigma, drawn and stated"
+        0.02, "m/s", ge=0, lt=10, help="of a beam at the start, 1 sigma, drawn and stated"
+    )
+    speed_wander: float = quantity(
+        0.005, "m/s", ge=0, lt=10, help="of that in a second, 1 sigma, drawn and stated"
     )
     range_noise: float = quantity(2.0, "m", gt=0, help="1 sigma a beam")
     max_range: float = quantity(5000.0, "m", gt=0, help="no return beyond")
@@ -76,7 +79,7 @@ class DopplerVelocimeter:
     def calibration(self) -> FixedBeams:
         """Return what the onboard computer may know of it."""
         beams = tuple((float(x), float(y), float(z)) for x, y, z in self.directions())
-        return FixedBeams(beams, self.speed_bias)
+        return FixedBeams(beams, self.speed_bias, self.speed_wander)
 
     def measure(
         self,
@@ -116,12 +119,13 @@ class BiasedVelocimeter:
     Attributes
     ----------
     bias
-        Added to the speeds of each beam (n,), m/s.
+        Added to the speeds of each beam (n,) at the last reading, m/s; it goes a random walk.
     """
 
     def __init__(self, figures: DopplerVelocimeter, rng: np.random.Generator) -> None:
         self.figures = figures
         self.bias = figures.speed_bias * rng.standard_normal(figures.beams)
+        self._time: float | None = None
 
     def measure(
         self,
@@ -133,4 +137,8 @@ class BiasedVelocimeter:
     ) -> DopplerReading:
         """Return one reading."""
         reading = self.figures.measure(world, state, time, rng, mount)
+        past = 0.0 if self._time is None else time - self._time
+        self._time = time
+        step = self.figures.speed_wander * np.sqrt(past)
+        self.bias = self.bias + step * rng.standard_normal(self.figures.beams)
         return replace(reading, speed=reading.speed + self.bias)

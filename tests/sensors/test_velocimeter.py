@@ -49,6 +49,28 @@ def test_beams_see_their_share_of_the_velocity():
         assert slant.std() == pytest.approx(2.0, rel=0.05)
 
 
+def test_what_beams_are_off_by_is_drawn_for_a_flight_and_wanders():
+    noiseless = DopplerVelocimeter(speed_noise=1e-9)
+    said = noiseless.calibration()
+    assert (said.speed_bias, said.speed_wander) == (0.02, 0.005)
+    here, rng = state(), np.random.default_rng(5)
+    truth = noiseless.measure(LEVEL, here, 0.0, rng).speed
+    off = np.empty((400, 3, 3))
+    for flight in range(len(off)):
+        sensor = noiseless.build(rng, 0.01)
+        for n, time in enumerate((0.0, 0.1, 40.0)):
+            off[flight, n] = sensor.measure(LEVEL, here, time, rng).speed - truth
+    assert off[:, 0].std() == pytest.approx(0.02, rel=0.08)
+    assert (off[:, 1] - off[:, 0]).std() == pytest.approx(0.005 * np.sqrt(0.1), rel=0.08)
+    assert (off[:, 2] - off[:, 1]).std() == pytest.approx(0.005 * np.sqrt(39.9), rel=0.08)
+    # Each beam by itself.
+    assert np.abs(np.corrcoef(off[:, 0].T)[np.triu_indices(3, 1)]).max() < 0.2
+    perfect = DopplerVelocimeter(speed_bias=0.0, speed_wander=0.0).build(rng, 0.01)
+    for time in (0.0, 5.0):
+        perfect.measure(LEVEL, here, time, rng)
+        assert not perfect.bias.any()
+
+
 def test_beams_without_a_return_are_nan():
     rng = np.random.default_rng(1)
     far = DopplerVelocimeter(max_range=50.0).measure(LEVEL, state(), 0.0, rng)

@@ -62,6 +62,8 @@ _FEWEST_BEAMS, _LIED = 3, 0.1
 # No beam's speeds are known to be off by less over a flight, m/s: of a beam that is off by a little
 # all measurements say the same, and together they would move the velocity by that.
 _LEAST_SPEED_BIAS = 0.02
+# Nor does that wander by less in a second, m/s.
+_LEAST_SPEED_WANDER = 0.005
 # Readings of each beam that were believed before: of a beam that has just come into sight, and one
 # that was believed for want of others, it cannot be told which is right.
 _PROVEN = 30
@@ -216,10 +218,15 @@ class Aids:
         self._speed_bias = {
             n: _bias_of(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
         }
+        self._wanders = {
+            n: max(i.speed_wander, _LEAST_SPEED_WANDER)
+            for n, i in instruments.items() if isinstance(i, FixedBeams)
+        }  # fmt: skip
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
         self._place = state.inertial.position[:2].copy()
         self._foot: dict[tuple[str, int], Array] = {}
+        self._spoke: dict[str, float] = {}
         self._time = -np.inf
         # Beams that are no longer believed; whether the inertial unit is no such unit.
         self._shut: set[tuple[str, int]] = set()
@@ -323,6 +330,7 @@ class Aids:
             shape = np.shape(getattr(reading, name))
             if shape != (len(beams),):
                 raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
+        self._wander(sensor, time)
         found = {
             k: self._speed(sensor, k, reading, beams)
             for k in range(len(beams)) if (sensor, k) not in self._shut
@@ -331,6 +339,14 @@ class Aids:
         for k, beam in enumerate(beams):
             distance, deviation = float(reading.range[k]), float(reading.range_sigma[k])
             self._range(sensor, distance, deviation, beam, time, k)
+
+    def _wander(self, sensor: str, time: float) -> None:
+        """Let what the beams are off by wander since the last reading."""
+        block, last = _speeds(sensor), self._spoke.get(sensor, time)
+        self._spoke[sensor] = time
+        if self.state.has(block):
+            own = np.arange(self.state.block(block).start, self.state.block(block).stop)
+            self.state.widen(own, self._wanders[sensor] ** 2 * (time - last) * np.eye(len(own)))
 
     def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> Outcome:
         one, block = slice(k, k + 1), _speeds(sensor)

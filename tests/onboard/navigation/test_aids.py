@@ -124,6 +124,7 @@ def test_a_drift_lets_go_of_the_bias_behind_it(kind):
         # Always a little more than is believed, however the filter follows.
         if kind == "speed":
             seen = np.array(BEAMS) @ (state.inertial.velocity + [0.05, 0.0, 0.0])
+            seen = seen + state.value("speeds of doppler")
             reading = DopplerReading(
                 0.0, seen, np.full(3, np.nan), np.full(3, 0.03), np.full(3, np.nan)
             )
@@ -205,6 +206,43 @@ def test_a_second_beam_that_lies_is_lost():
     assert aids.lost
 
 
+@pytest.mark.parametrize("stated", [0.0, 0.1])
+def test_beams_that_are_all_off_do_not_pass_for_velocity(stated):
+    """Nobody told of it; what each may be off by is known no better than the filter allows."""
+    instruments = INSTRUMENTS | {"doppler": FixedBeams(BEAMS, stated)}
+    state, aids, events = made(instruments=instruments)
+    truth, rng = state.inertial.velocity.copy(), np.random.default_rng(6)
+    for k in range(300):
+        seen = np.array(BEAMS) @ truth + 0.03 + 0.03 * rng.normal(size=3)
+        reading = DopplerReading(
+            0.1 * k, seen, np.full(3, np.nan), np.full(3, 0.03), np.full(3, np.nan)
+        )
+        aids.take("doppler", reading, 0.1 * k)
+    sigma = np.sqrt(np.diag(state.covariance)[3:6])
+    assert not events
+    # Along body z all three tell the same: of 0.1 m/s at the start 0.02 / 0.8 / sqrt(3) is left.
+    assert sigma[2] > (0.012 if stated == 0.0 else 0.05)
+    assert (np.abs(state.inertial.velocity - truth) < 3.0 * sigma).all()
+    # What they are off by has wandered since, by no less than is thought likely.
+    own = state.block("speeds of doppler")
+    wandered = np.diag(state.covariance)[own] - 0.005**2 * 30.0
+    assert (wandered < max(stated, 0.02) ** 2).all()
+
+
+@pytest.mark.parametrize(("beam", "far"), [(0, True), (2, True), (2, False)])
+def test_a_bias_that_beams_cannot_have_is_lost(beam, far):
+    state, aids, events = made()
+    place = state.block("speeds of doppler").start + beam
+    state.p[place, place] = 0.0
+    change = np.zeros(state.size)
+    change[place] = 0.121 if far else 0.119
+    state.correct(change)
+    aids.doubt_units()
+    assert aids.lost == far
+    lost = [("lost", "doppler", "speeds")] if far else []
+    assert [(e.name, e.details["sensor"], e.details["measurement"]) for e in events] == lost
+
+
 @pytest.mark.parametrize(("place", "name"), [(7, "accelerometers"), (14, "gyroscopes")])
 def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
     state, aids, events = made()
@@ -213,17 +251,17 @@ def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
     change = np.zeros(15)
     change[place] = -5.9 * stated
     state.inertial.correct(change)
-    aids.doubt_unit()
+    aids.doubt_units()
     assert not aids.lost
     change[place] = -0.2 * stated
     state.inertial.correct(change)
     # Not as long as it is no better known than that.
     state.p[place, place] = stated**2
-    aids.doubt_unit()
+    aids.doubt_units()
     assert not aids.lost
     state.p[place, place] = 0.0
     for _ in range(3):
-        aids.doubt_unit()
+        aids.doubt_units()
     assert aids.lost
     assert [(e.name, e.details["measurement"]) for e in events] == [("lost", name)]
 
@@ -236,6 +274,7 @@ def test_a_bias_that_is_let_go_takes_no_tilt_along():
     for k in range(100):
         before = state.covariance.copy()
         seen = np.array(BEAMS) @ (state.inertial.velocity + [0.05, 0.0, 0.0])
+        seen = seen + state.value("speeds of doppler")
         nothing = np.full(3, np.nan)
         reading = DopplerReading(0.0, seen, nothing, np.full(3, 0.03), nothing)
         aids.take("doppler", reading, 0.1 * k)

@@ -19,7 +19,7 @@ from lunarsim.onboard.navigation.measured import take_attitude, take_range, take
 BEAMS = np.array([[0.38, 0.0, -0.925], [-0.19, 0.33, -0.925], [-0.19, -0.33, -0.925]])
 BEAMS /= np.linalg.norm(BEAMS, axis=1)[:, None]
 ERRORS = StartSigmas(2.0, 0.2, 4e-3)
-BLOCKS = {"ground": [[1.0]], "stars": 1e-6 * np.eye(3)}
+BLOCKS = {"ground": [[1.0]], "stars": 1e-6 * np.eye(3), "beams": 4e-4 * np.eye(3)}
 
 
 class Truth:
@@ -31,6 +31,7 @@ class Truth:
         self.position = np.array([5.0, -3.0, 120.0]) + rng.normal(size=3)
         self.velocity = np.array([6.0, 1.0, -8.0]) + rng.normal(size=3)
         self.ground, self.mounted = rng.normal(), 1e-3 * rng.normal(size=3)
+        self.off = 0.02 * rng.normal(size=3)
         drawn = rng.normal(size=(3, 3))
         turn = quat_from_rotation_vector(-ERRORS.attitude * drawn[2])
         self.state = ErrorState(
@@ -49,12 +50,19 @@ class Truth:
         own = quat_rotate(quat_conjugate(self.attitude), self.velocity)
         return BEAMS @ own + sigma * self.rng.normal(size=3)
 
+    def biased(self, sigma):
+        beams = self.state.block("beams")
+        return take_speeds(
+            self.state, self.speeds(sigma) + self.off, np.full(3, sigma), BEAMS,
+            biases=np.arange(beams.start, beams.stop), known=self.state.value("beams"),
+        )  # fmt: skip
+
     def stars(self, sigma=0.0):
         turn = self.mounted + sigma * self.rng.normal(size=3)
         return quat_multiply(self.attitude, quat_from_rotation_vector(turn))
 
     def error(self):
-        """Of position, velocity, attitude and blocks (13,), and its covariance."""
+        """Of position, velocity, attitude and blocks (16,), and its covariance."""
         s = self.state
         turn = quat_to_rotation_vector(
             quat_multiply(quat_conjugate(s.inertial.attitude), self.attitude)
@@ -62,8 +70,9 @@ class Truth:
         error = np.concatenate((
             self.position - s.inertial.position, self.velocity - s.inertial.velocity, turn,
             self.ground - s.value("ground"), self.mounted - s.value("stars"),
+            self.off - s.value("beams"),
         ))  # fmt: skip
-        keep = np.r_[0:6, 9:12, 15:19]
+        keep = np.r_[0:6, 9:12, 15:22]
         return error, s.covariance[np.ix_(keep, keep)]
 
 
@@ -71,9 +80,10 @@ TAKE = {
     "range": lambda t, s: take_range(t.state, t.range(BEAMS[0], s), s, BEAMS[0], 0.0,
                                      block="ground"),
     "speeds": lambda t, s: take_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
+    "biased speeds": lambda t, s: t.biased(s),
     "attitude": lambda t, s: take_attitude(t.state, t.stars(s), s**2 * np.eye(3), block="stars"),
 }  # fmt: skip
-SIGMA = {"range": 0.5, "speeds": 0.05, "attitude": 1e-3}
+SIGMA = {"range": 0.5, "speeds": 0.05, "biased speeds": 0.01, "attitude": 1e-3}
 
 
 @pytest.mark.parametrize("kind", list(TAKE))
@@ -90,9 +100,9 @@ def test_errors_after_a_measurement_are_as_it_says(kind):
             nis, degrees = nis + outcome.nis, degrees + outcome.degrees
         e, p = t.error()
         nees += e @ np.linalg.solve(p, e)
-    # Of 5200 squares one standard deviation is 2 %.
-    assert before / (13 * flights) == pytest.approx(1.0, abs=0.08)
-    assert nees / (13 * flights) == pytest.approx(1.0, abs=0.08)
+    # Of 6400 squares one standard deviation is 2 %.
+    assert before / (16 * flights) == pytest.approx(1.0, abs=0.08)
+    assert nees / (16 * flights) == pytest.approx(1.0, abs=0.08)
     assert nis / degrees == pytest.approx(1.0, abs=0.15)
 
 
