@@ -106,7 +106,7 @@ def stochastic_safety(
     observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
     k.stochastic(
-        height.z,
+        height.double,
         height.middle,
         spread,
         footprint.cells,

@@ -113,7 +113,7 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
 def differences(height: Ground, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
     """Return max over L, and max over U, less min over L (Eq. 10), m; FAR where unknown."""
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
-    k.extremes(height.z, height.middle, footprint.cells, span, rise)
+    k.extremes(height.double, height.middle, footprint.cells, span, rise)
     return span, rise
 
 
