@@ -7,14 +7,15 @@ import re
 from collections.abc import Iterator
 
 import gymnasium
-import lunarsim_envs
 from gymnasium.envs.registration import EnvSpec, load_env_creator
+
+import lunarsim_envs
 
 HEAD = """# Environments
 
-Made by `python scripts/environment_pages.py > docs/environments.md` from what each environment says of
-itself. `lunarsim_envs` registers them in [Gymnasium](https://gymnasium.farama.org) when it is imported, and
-`make` imports what stands before the colon:
+Made by `python scripts/environment_pages.py > docs/environments.md` from what each environment says
+of itself. `lunarsim_envs` registers them in [Gymnasium](https://gymnasium.farama.org) when it is
+imported, and `make` imports what stands before the colon:
 
 ```python
 import gymnasium
