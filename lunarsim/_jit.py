@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, overload
 
 import numba
 from numba.core.registry import CPUDispatcher
@@ -29,6 +29,23 @@ class _Inner(CPUDispatcher):  # type: ignore[misc]
         raise TypeError(f"{self.py_func.__name__}: only kernels call it; see kernel(inner=False)")
 
 
+@overload
+def kernel(
+    *, shared: Literal[True], allocates: bool = True
+) -> Callable[[Callable[..., Any]], Callable[..., None]]: ...
+
+
+@overload
+def kernel(
+    *,
+    parallel: bool = False,
+    fast: bool = False,
+    finite: bool = False,
+    inline: bool = False,
+    inner: bool | None = None,
+) -> Callable[[F], F]: ...
+
+
 def kernel(
     *,
     parallel: bool = False,
@@ -38,7 +55,7 @@ def kernel(
     inline: bool = False,
     inner: bool | None = None,
     allocates: bool = True,
-) -> Callable[[F], F]:
+) -> Callable[[Any], Any]:
     """Return a decorator that compiles a function with Numba.
 
     Parameters
@@ -67,7 +84,7 @@ def kernel(
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
-    def decorate(function: F) -> F:
+    def decorate(function: Any) -> Any:
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
             cache=True,
@@ -82,7 +99,7 @@ def kernel(
         )(function)
         if closed:
             compiled.__class__ = _Inner
-        return cast(F, Shared(compiled) if shared else compiled)
+        return Shared(compiled) if shared else compiled
 
     return decorate
 
