@@ -6,6 +6,7 @@ import gc
 import os
 import subprocess
 import sys
+from typing import ClassVar
 
 import numba
 import numpy as np
@@ -17,7 +18,7 @@ from lunarsim.safety.warming import warm
 
 
 class Beside:
-    started: list[list[str]] = []
+    started: ClassVar[list] = []
     ended = 0
 
     def __init__(self, command, **streams):
@@ -91,7 +92,7 @@ def test_warming_compiles_what_maps_call(monkeypatch):
         inner = getattr(module, name)
 
         def seen(*args, inner=inner, name=name):
-            called.append((name, [a.dtype for a in args if isinstance(a, np.ndarray)][0]))
+            called.append((name, next(a.dtype for a in args if isinstance(a, np.ndarray))))
             return inner(*args)
 
         monkeypatch.setattr(module, name, seen)
