@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import time
 
 import numba
 import numpy as np
@@ -56,6 +57,7 @@ def test_shares_are_handed_out_as_many_as_there_are_threads(threads):
     seen = []
 
     def spy(share, fail):
+        time.sleep(0.05 if share[0] else 0.0)  # the caller is the first to end
         seen.append(share)
         if fail == share[0]:
             raise ValueError("a share failed")
