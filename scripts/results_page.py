@@ -116,12 +116,24 @@ def quadtree(found: dict[str, Any]) -> list[Figure]:
     ]
 
 
+# Of the map at 50 m: what it is called, the paper's for either path, which side is better.
+_RATES = {
+    "clear_recall": ("clear ground called clear", (0.11, 0.29), "higher"),
+    "clear_false": ("of the ground called clear, hazard", (0.0, 0.0), "lower"),
+    "occupied_correct": ("of the ground called occupied, hazard", (0.85, 0.85), "higher"),
+}
+
+
 def shadows(found: dict[str, Any]) -> list[Figure]:
-    """Return propellant and duration of both descents, and what the lofted one costs."""
+    """Return the maps at 50 m of both descents, and what the lofted one costs."""
     out = []
-    flown: dict[str, list[dict[str, Any]]] = {}
+    flown: dict[str, list[dict[str, Any]]] = {"nominal": [], "modified": []}
     for flight in found["flights"]:
-        flown.setdefault(flight["path"], []).append(flight)
+        flown[flight["path"]].append(flight)
+    for rate, (label, papers, better) in _RATES.items():
+        for (path, flights), paper in zip(flown.items(), papers, strict=True):
+            values = _finite([f["levels"]["50.0"]["rates"][rate] for f in flights])
+            out.append(Figure(f"{label}, {path}", "", values, paper, better))
     for name, unit, paper in (("propellant", "kg", 1.0), ("duration", "s", 2.0)):
         for path, flights in flown.items():
             out.append(Figure(f"{name}, {path}", unit, [f[name] for f in flights]))

@@ -76,30 +76,32 @@ def test_what_is_taken_of_the_tables_is_by_seed(results):
     assert by["Table 6, proposed slope, least recall of nine scans"].values == [0.5, 0.4]
 
 
+def _descent(path, fuel, recall=0.2):
+    rates = {"clear_recall": recall, "clear_false": 0.0, "occupied_correct": 0.9}
+    return {"path": path, "propellant": fuel, "duration": 60.0,
+            "levels": {"50.0": {"rates": rates}}}  # fmt: skip
+
+
 def test_what_is_taken_of_two_descents_is_paired(results):
     flights = [
-        {"path": path, "propellant": fuel, "duration": 60.0}
-        for path, fuel in (
-            ("nominal", 40.0),
-            ("modified", 41.0),
-            ("nominal", 50.0),
-            ("modified", 53.0),
-        )
-    ]
+        _descent("nominal", 40.0, 0.1), _descent("modified", 41.0),
+        _descent("nominal", 50.0, 0.3), _descent("modified", 53.0),
+    ]  # fmt: skip
     report = results.take("shadows", {"flights": flights}, "")
     by = {f.label: f for f in report.figures}
     assert by["propellant, modified less nominal"].values == [1.0, 3.0]
     assert by["propellant, modified less nominal"].falls_short
     assert by["duration, modified less nominal"].values == [0.0, 0.0]
+    assert by["clear ground called clear, nominal"].values == [0.1, 0.3]
+    assert not by["clear ground called clear, nominal"].falls_short
+    assert by["clear ground called clear, modified"].falls_short  # 0.2 for 0.29
 
 
 def test_a_report_is_kept_whole(results, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "KEPT", tmp_path)
-    flights = [{"path": p, "propellant": 1.0, "duration": 2.0} for p in ("nominal", "modified")]
+    found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
     written = tmp_path / "raw"
-    written.write_text(json.dumps({"flights": flights}))
+    written.write_text(json.dumps(found))
     results.main(["--take", "shadows", str(written), "--command", "c"], standalone_mode=False)
-    assert results.load(tmp_path / "shadows.json") == results.take(
-        "shadows", {"flights": flights}, "c"
-    )
+    assert results.load(tmp_path / "shadows.json") == results.take("shadows", found, "c")
     assert "## Rocks by their shadows" in results.page()
