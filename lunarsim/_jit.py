@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, overload
 
 import numba
+from numba.core.registry import CPUDispatcher
+
+from lunarsim._shares import Shared
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -18,9 +21,41 @@ _FAST_FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 _FINITE_FLAGS = _FAST_FLAGS | {"nnan", "ninf"}
 
 
+class _Inner(CPUDispatcher):  # type: ignore[misc]
+    """A kernel without a wrapper for Python: calling it from there would end the process."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Refuse."""
+        raise TypeError(f"{self.py_func.__name__}: only kernels call it; see kernel(inner=False)")
+
+
+@overload
 def kernel(
-    *, parallel: bool = False, fast: bool = False, finite: bool = False, inline: bool = False
-) -> Callable[[F], F]:
+    *, shared: Literal[True], allocates: bool = True
+) -> Callable[[Callable[..., Any]], Callable[..., None]]: ...
+
+
+@overload
+def kernel(
+    *,
+    parallel: bool = False,
+    fast: bool = False,
+    finite: bool = False,
+    inline: bool = False,
+    inner: bool | None = None,
+) -> Callable[[F], F]: ...
+
+
+def kernel(
+    *,
+    parallel: bool = False,
+    shared: bool = False,
+    fast: bool = False,
+    finite: bool = False,
+    inline: bool = False,
+    inner: bool | None = None,
+    allocates: bool = True,
+) -> Callable[[Any], Any]:
     """Return a decorator that compiles a function with Numba.
 
     Parameters
@@ -28,6 +63,10 @@ def kernel(
     parallel
         Spread `numba.prange` loops over threads. Kernels write each output element from one
         iteration alone, so the bits do not depend on the number of threads.
+    shared
+        The same for a kernel with one such loop, and four times sooner compiled: its first
+        parameter is a share (first turn, step) of that loop, which callers from Python leave out.
+        It writes into arrays that it is given.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which it needs to vectorise.
     finite
@@ -35,21 +74,32 @@ def kernel(
         running minimum or maximum.
     inline
         For scalar helpers in the innermost loops, which allocate nothing: compile them into
-        their callers, fuse multiply-adds, and do not count references to their array arguments
-        (atomic operations that would cost more than the helper).
+        their callers, fuse multiply-adds.
+    inner
+        For kernels that only kernels call: without the wrapper that takes arguments from Python,
+        they are sooner compiled. Left out, those are it whose names begin with an underscore.
+    allocates
+        Without it references to arrays are not counted: each view of a row counts by an atomic
+        operation, for which threads wait on each other. `inline` implies it.
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
-    def decorate(function: F) -> F:
+    def decorate(function: Any) -> Any:
+        closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
             cache=True,
             nogil=True,
             error_model="numpy",
+            no_cfunc_wrapper=True,
+            no_cpython_wrapper=closed,
             parallel=parallel,
             fastmath=flags,
-            **({"forceinline": True, "_nrt": False} if inline else {}),
+            **({"forceinline": True} if inline else {}),
+            **({} if allocates and not inline else {"_nrt": False}),
         )(function)
-        return cast(F, compiled)
+        if closed:
+            compiled.__class__ = _Inner
+        return Shared(compiled) if shared else compiled
 
     return decorate
 

@@ -82,12 +82,17 @@ def fly(
     loaded = _with_part(_with_part(loaded, "policy", policy), "guidance", guidance)
     if out is not None:
         check_folder(out)
-    with compilation_told():
+    maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
+    beside = ["lunarsim.safety.warming"] + ["--exact"] * (out is not None)
+    with compilation_told(beside if maps else []):
         simulation = Simulation(loaded, flight_seed(seed, flight), loaded.policy.kind)
         forecast = lock_forecast(simulation.briefing)
         if forecast is not None and not forecast.can_lock:
             click.echo(f"warning: {forecast}", err=True)
         record = simulation.run()
+        if out is not None:
+            # Pictures show it; what it compiles is told as well.
+            _ = simulation.truth
     if out is not None:
         # Before anything is printed: whoever reads that may stop listening.
         record.save(out)

@@ -19,6 +19,11 @@ class InputError(ValueError):
         What was given.
     expected
         What would be right.
+
+    Examples
+    --------
+    >>> print(InputError("rocks.cover", 0.5, "at most 0.2"))
+    rocks.cover = 0.5: at most 0.2
     """
 
     def __init__(self, field: str, value: object, expected: str) -> None:
@@ -101,7 +106,13 @@ def check_output(field: str, path: Path, suffix: str) -> None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return a sentence naming the known names closest to `name`."""
+    """Return a sentence naming the known names closest to `name`.
+
+    Examples
+    --------
+    >>> suggestion("hemisphare", ["cube", "hemisphere"])
+    "did you mean 'hemisphere'?"
+    """
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if close:

@@ -34,7 +34,13 @@ Array = NDArray[np.float64]
 
 
 def turned_about_up(angle: float) -> Array:
-    """Return the rotation (3, 3) by an angle about up, rad."""
+    """Return the rotation (3, 3) by an angle about up, rad.
+
+    Examples
+    --------
+    >>> np.round(turned_about_up(np.pi / 2) @ [1.0, 0.0, 0.0], 6)
+    array([0., 1., 0.])
+    """
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -50,6 +56,14 @@ class Shift:
     turn
         Angle about up by which what points east in the site frame points north of east in the
         local one, rad.
+
+    Examples
+    --------
+    >>> shift = Shift(np.array([10.0, -5.0, 1.0]))
+    >>> shift.to_local([[0.0, 0.0, 0.0]])
+    array([[10., -5.,  1.]])
+    >>> shift.to_site(shift.to_local([[3.0, 4.0, 5.0]]))
+    array([[3., 4., 5.]])
     """
 
     offset: Array = field(default_factory=lambda: np.zeros(3))
@@ -75,6 +89,11 @@ def normalised(v: ArrayLike) -> Array:
     ------
     ValueError
         If a vector has zero length.
+
+    Examples
+    --------
+    >>> normalised([3.0, 0.0, 4.0])
+    array([0.6, 0. , 0.8])
     """
     v = np.asarray(v, dtype=np.float64)
     length = np.linalg.norm(v, axis=-1, keepdims=True)
@@ -84,14 +103,27 @@ def normalised(v: ArrayLike) -> Array:
 
 
 def is_rotation(q: ArrayLike) -> bool:
-    """Tell whether numbers are a rotation: a quaternion (4,), as long as 1 to a thousandth."""
+    """Tell whether numbers are a rotation: a quaternion (4,), as long as 1 to a thousandth.
+
+    Examples
+    --------
+    >>> is_rotation([0.0, 0.0, 0.0, 1.0]), is_rotation([0.0, 0.0, 0.0, 2.0])
+    (True, False)
+    """
     q = np.asarray(q, dtype=np.float64)
     good = q.shape == (4,) and np.isfinite(q).all()
     return bool(good and abs(np.linalg.norm(q) - 1.0) <= 1e-3)
 
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
-    """Return the product ``p q`` (rotate by q, then by p), each (..., 4) scalar last."""
+    """Return the product ``p q`` (rotate by q, then by p), each (..., 4) scalar last.
+
+    Examples
+    --------
+    >>> half = quat_from_rotation_vector([0.0, 0.0, np.pi / 4])
+    >>> np.round(quat_multiply(half, half), 4)
+    array([0.    , 0.    , 0.7071, 0.7071])
+    """
     p = np.asarray(p, dtype=np.float64)
     q = np.asarray(q, dtype=np.float64)
     # One attitude at a time is what onboard software asks for, thousands of times a second.
@@ -113,7 +145,15 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 
 def quat_to_matrix(q: ArrayLike) -> Array:
-    """Return the direction cosine matrix (..., 3, 3), body to ENU, of unit quaternions."""
+    """Return the direction cosine matrix (..., 3, 3), body to ENU, of unit quaternions.
+
+    Examples
+    --------
+    >>> quat_to_matrix([0.0, 0.0, 0.0, 1.0])
+    array([[1., 0., 0.],
+           [0., 1., 0.],
+           [0., 0., 1.]])
+    """
     q = np.asarray(q, dtype=np.float64)
     one = q.shape == (4,)
     x, y, z, w = q.tolist() if one else np.moveaxis(q, -1, 0)
@@ -126,13 +166,26 @@ def quat_to_matrix(q: ArrayLike) -> Array:
 
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
-    """Rotate body vectors `v` (..., 3) into ENU by unit quaternions `q` (..., 4)."""
+    """Rotate body vectors `v` (..., 3) into ENU by unit quaternions `q` (..., 4).
+
+    Examples
+    --------
+    >>> quarter = quat_from_rotation_vector([0.0, 0.0, np.pi / 2])  # about up
+    >>> np.round(quat_rotate(quarter, [1.0, 0.0, 0.0]), 6)
+    array([0., 1., 0.])
+    """
     rotation = quat_to_matrix(q)
     return np.asarray(np.einsum("...ij,...j->...i", rotation, np.asarray(v, dtype=np.float64)))
 
 
 def quat_from_rotation_vector(phi: ArrayLike) -> Array:
-    """Return the unit quaternion of a rotation vector (..., 3), rad."""
+    """Return the unit quaternion of a rotation vector (..., 3), rad.
+
+    Examples
+    --------
+    >>> quat_from_rotation_vector([0.0, 0.0, 0.0])
+    array([0., 0., 0., 1.])
+    """
     phi = np.asarray(phi, dtype=np.float64)
     angle = np.linalg.norm(phi, axis=-1, keepdims=True)
     # sinc keeps the small-angle limit exact.
@@ -141,7 +194,13 @@ def quat_from_rotation_vector(phi: ArrayLike) -> Array:
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> Array:
-    """Return the shortest rotation vector (..., 3), rad, of unit quaternions."""
+    """Return the shortest rotation vector (..., 3), rad, of unit quaternions.
+
+    Examples
+    --------
+    >>> quat_to_rotation_vector(quat_from_rotation_vector([0.1, 0.2, 0.3]))
+    array([0.1, 0.2, 0.3])
+    """
     q = np.asarray(q, dtype=np.float64)
     q = np.where(q[..., 3:] < 0.0, -q, q)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
@@ -151,7 +210,14 @@ def quat_to_rotation_vector(q: ArrayLike) -> Array:
 
 
 def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
-    """Return the angle (rad) of the rotation between attitudes `p` and `q` (..., 4)."""
+    """Return the angle (rad) of the rotation between attitudes `p` and `q` (..., 4).
+
+    Examples
+    --------
+    >>> turned = quat_from_rotation_vector([0.2, 0.0, 0.0])
+    >>> round(float(quat_angle(turned, [0.0, 0.0, 0.0, 1.0])), 6)
+    0.2
+    """
     between = quat_multiply(quat_conjugate(p), q)
     return np.asarray(np.linalg.norm(quat_to_rotation_vector(between), axis=-1))
 
@@ -170,6 +236,12 @@ def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
     ------
     ValueError
         If the direction has zero length.
+
+    Examples
+    --------
+    >>> upright = attitude_from_thrust([0.0, 0.0, 1.0], heading=0.0)  # body x to the north
+    >>> np.round(quat_rotate(upright, [1.0, 0.0, 0.0]), 6)
+    array([0., 1., 0.])
     """
     vector = np.ascontiguousarray(direction, dtype=np.float64)
     if not vector.any():
@@ -196,13 +268,25 @@ def matrix_to_quat(m: ArrayLike) -> Array:
 
 
 def heading_of(q: ArrayLike) -> float:
-    """Return the azimuth (rad, clockwise from north) of body x projected on the ground."""
+    """Return the azimuth (rad, clockwise from north) of body x projected on the ground.
+
+    Examples
+    --------
+    >>> round(heading_of(attitude_from_thrust([0.0, 0.0, 1.0], 0.3)), 6)
+    0.3
+    """
     x = quat_rotate(q, [1.0, 0.0, 0.0])
     return float(np.arctan2(x[0], x[1]))
 
 
 def direction_from_angles(azimuth: float, elevation: float) -> Array:
-    """Return the ENU unit vector (3,) at an azimuth from north and elevation (rad)."""
+    """Return the ENU unit vector (3,) at an azimuth from north and elevation (rad).
+
+    Examples
+    --------
+    >>> np.round(direction_from_angles(np.pi / 2, 0.0), 6)  # in the east, on the horizon
+    array([1., 0., 0.])
+    """
     c = np.cos(elevation)
     return np.array([c * np.sin(azimuth), c * np.cos(azimuth), np.sin(elevation)])
 
@@ -211,6 +295,11 @@ def sensor_axes(boresight: ArrayLike) -> Array:
     """Return the rotation (3, 3), sensor to ENU, of a sensor that looks along `boresight`.
 
     Image x stays level; for a boresight straight down image x is east and image y south.
+
+    Examples
+    --------
+    >>> float(sensor_axes([0.0, 0.0, -1.0])[2] @ [0.0, 0.0, -1.0])  # the third axis looks out
+    1.0
     """
     z = normalised(boresight)
     up = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])

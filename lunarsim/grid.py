@@ -13,7 +13,13 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
 
 
 def bytes_in_words(count: float) -> str:
-    """Return a number of bytes in words, such as 4.61 TiB."""
+    """Return a number of bytes in words, such as 4.61 TiB.
+
+    Examples
+    --------
+    >>> bytes_in_words(5e9)
+    '4.66 GiB'
+    """
     power = 0
     while count >= 1024.0 and power < len(_UNITS) - 1:
         count, power = count / 1024.0, power + 1
@@ -81,7 +87,16 @@ class Grid:
     def centred(
         cls, centre: ArrayLike, width: float, posting: float, height: float | None = None
     ) -> Grid:
-        """Return a grid whose outer edges are `width` (east) by `height` (north) metres."""
+        """Return a grid whose outer edges are `width` (east) by `height` (north) metres.
+
+        Examples
+        --------
+        >>> grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+        >>> grid.shape, grid.extent
+        ((4, 4), (-2.0, 2.0, -2.0, 2.0))
+        >>> grid.x
+        array([-1.5, -0.5,  0.5,  1.5])
+        """
         cx, cy = np.asarray(centre, dtype=np.float64)[:2]
         cols = max(1, round(width / posting))
         rows = max(1, round((width if height is None else height) / posting))
@@ -140,19 +155,38 @@ class Grid:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
     def cell(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return row and column of the cells that hold points (..., 2); may lie outside."""
+        """Return row and column of the cells that hold points (..., 2); may lie outside.
+
+        Examples
+        --------
+        >>> row, col = Grid.centred((0.0, 0.0), 4.0, 1.0).cell([1.2, -1.6])
+        >>> int(row), int(col)
+        (0, 3)
+        """
         xy = np.asarray(xy, dtype=np.float64)
         col = np.floor((xy[..., 0] - self.x0) / self.posting + 0.5).astype(np.int64)
         row = np.floor((xy[..., 1] - self.y0) / self.posting + 0.5).astype(np.int64)
         return row, col
 
     def contains(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which points (..., 2) lie in a cell of the grid."""
+        """Tell which points (..., 2) lie in a cell of the grid.
+
+        Examples
+        --------
+        >>> Grid.centred((0.0, 0.0), 4.0, 1.0).contains([[0.0, 0.0], [2.5, 0.0]])
+        array([ True, False])
+        """
         row, col = self.cell(xy)
         return (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.cols)
 
     def centre_of(self, row: ArrayLike, col: ArrayLike) -> NDArray[np.float64]:
-        """Return the centres (..., 2) of cells, m."""
+        """Return the centres (..., 2) of cells, m.
+
+        Examples
+        --------
+        >>> Grid.centred((0.0, 0.0), 4.0, 1.0).centre_of(0, 3)
+        array([ 1.5, -1.5])
+        """
         x = self.x0 + self.posting * np.asarray(col, dtype=np.float64)
         y = self.y0 + self.posting * np.asarray(row, dtype=np.float64)
         return np.stack(np.broadcast_arrays(x, y), axis=-1)

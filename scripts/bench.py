@@ -15,7 +15,7 @@ from collections.abc import Callable
 import click
 import numba
 from bench_parts.campaigns import campaign
-from bench_parts.closed_loop import flight
+from bench_parts.closed_loop import flight, frames
 from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
@@ -28,6 +28,7 @@ PARTS: dict[str, Callable[[], None]] = {
     part.__name__: part
     for part in (
         flight,
+        frames,
         gaussian_dem,
         render,
         lidar,

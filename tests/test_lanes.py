@@ -25,7 +25,7 @@ A, B = RNG.normal(size=(2, 100)).astype(np.float32)
 AT = 7
 
 
-@kernel()
+@kernel(inner=False)
 def _all(a, b, at, out):
     x = load(a, at)
     y = load(b, at)
@@ -53,7 +53,7 @@ def test_operations_are_those_of_numpy():
     assert (out[:, [0, -1]] == 9.0).all()
 
 
-@kernel()
+@kernel(inner=False)
 def _any(a, b):
     return any_above(load(a, 0), load(b, 0))
 
@@ -67,7 +67,7 @@ def test_any_lane_counts():
         assert _any(high, low)
 
 
-@kernel()
+@kernel(inner=False)
 def _items(a, marks, numbers):
     return item(a, 3), item(marks, 1), item(numbers, 2)
 
@@ -77,7 +77,7 @@ def test_items_of_any_kind():
     assert _items(A, marks, numbers) == (A[3], True, -7)
 
 
-@kernel()
+@kernel(inner=False)
 def _wrong(a):
     return load(a, 0) > load(a, 0)
 

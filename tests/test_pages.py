@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 
 import click
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from lunarsim.cli import main
+from scripts import environment_pages
 from scripts.command_pages import page
 from tests.worlds import ROOT, SCENARIOS
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.md"))
 
 
 def _blocks(path, *languages):
     text = path.read_text(encoding="utf-8")
-    found = re.findall(r"^```(\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    found = re.findall(r"^```(\S+).*?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     return [block for language, block in found if language in languages]
 
 
@@ -76,6 +82,17 @@ def test_what_is_shown_is_a_command(name, words, monkeypatch):
         assert rest[1] in {"pip", "pytest", "sphinx", "lunarsim.cli"}
     else:
         assert (ROOT / rest[0]).is_file()
+        source = _with_neighbours(ROOT / rest[0])
+        for word in rest[1:]:
+            assert not word.startswith("--") or re.search(rf'["/]{word}\b', source), word
+
+
+def _with_neighbours(path):
+    """Return the source of a script, and of the files beside it that it imports."""
+    source = path.read_text(encoding="utf-8")
+    named = re.findall(r"^(?:from|import) (\w+)", source, re.MULTILINE)
+    beside = [path.with_name(f"{name}.py") for name in named]
+    return source + "".join(p.read_text(encoding="utf-8") for p in beside if p.is_file())
 
 
 def _every(group):
@@ -87,30 +104,138 @@ def _every(group):
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [(p, i) for p in ("README.md", "docs/first-flight.md")
-     for i in range(len(_blocks(ROOT / p, "python")))],
+    [(p.relative_to(ROOT).as_posix(), i) for p in PAGES if p.name != "CONTRIBUTING.md"
+     for i in range(len(_blocks(p, "python")))],
 )  # fmt: skip
 def test_python_that_is_shown_runs(name, number, tmp_path, monkeypatch):
+    """Those of CONTRIBUTING are files of a package that `tests/outside` flies."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scenarios").symlink_to(SCENARIOS)
+    results = tmp_path / "DIR" / "results"
+    results.mkdir(parents=True)
+    pq.write_table(pa.table({"arm": ["a", "b"], "safe": [True, False]}), results / "part-0.parquet")
     block = _blocks(ROOT / name, "python")[number]
     exec(compile(block, f"{name}, Python block {number}", "exec"), {"__name__": "shown"})
 
 
-def test_the_page_of_commands_is_what_the_commands_say():
+def test_pages_that_are_made_say_what_their_subjects_say():
     assert (ROOT / "docs" / "commands.md").read_text(encoding="utf-8") == page()
+    environments = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
+    assert environments == environment_pages.page()
+    assert "## lunarsim/Retarget-v0" in environments
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebooks_hold_python_and_pictures(path):
+    """The build of the site runs them: see the slow test below."""
+    cells = _blocks(path, "{code-cell}")
+    assert len(cells) >= 5
+    assert "plt.subplots" in "".join(cells)
+    for cell in cells:
+        ast.parse(cell)
+
+
+def test_every_page_is_on_the_site():
+    listed = {"index"}
+    for path in (ROOT / "docs").rglob("*.md"):
+        for block in _blocks(path, "{toctree}"):
+            folder = path.parent.relative_to(ROOT / "docs")
+            names = [line for line in block.splitlines() if line and not line.startswith(":")]
+            listed |= {(folder / name).as_posix() for name in names}
+    docs = ROOT / "docs"
+    pages = {p.relative_to(docs).with_suffix("").as_posix() for p in docs.rglob("*.md")}
+    assert pages == listed
+
+
+def _site(folder, *options):
+    command = [sys.executable, "-m", "sphinx", "-W", "-n", "-q", "-b", "html", *options]
+    return subprocess.run(
+        [*command, str(ROOT / "docs"), str(folder)], check=False, capture_output=True, text=True
+    )
+
+
+def test_the_site_without_its_notebooks_is_built_without_a_warning(tmp_path):
+    quiet = "suppress_warnings=myst-nb.lexer"  # known once a kernel has run
+    done = _site(tmp_path, "-D", "nb_execution_mode=off", "-D", quiet)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "first-flight.html").is_file()
+
+
+def _run(line, folder):
+    words = shlex.split(line, comments=True)
+    assert words[0].endswith("lunarsim"), line
+    command = [sys.executable, "-m", "lunarsim.cli", *words[1:]]
+    done = subprocess.run(command, cwd=folder, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, (line, done.stderr)
+
+
+# Of commands whose studies take longer than a test may: in their stead fewer flights.
+SMALLER = {"calibrate": " --flights 2", "sweep": " --flights 1"}
+
+
+@pytest.mark.slow
+def test_commands_of_the_readme_do_their_work(tmp_path):
+    shutil.copytree(SCENARIOS, tmp_path / "scenarios")
+    spec = tmp_path / "scenarios" / "campaigns" / "hard.toml"
+    spec.write_text(spec.read_text().replace("flights = 300", "flights = 2"))
+    lines = [line for block in _blocks(ROOT / "README.md", "sh") for line in block.splitlines()]
+    ours = [line for line in lines if line.startswith(".venv/bin/lunarsim")]
+    assert len(ours) > 12
+    for line in ours:
+        shown = line.partition("#")[0].rstrip()
+        _run(shown + SMALLER.get(shown.split()[1], ""), tmp_path)
+    made = {"out/one/maps.png", "mine.toml", "out/hard/report.html", "hirise.json", "x.png",
+            "x.npz", "ground.png", "truth.nc"}  # fmt: skip
+    assert not [name for name in made if not (tmp_path / name).is_file()]
+
+
+SPEC = """
+name = "few"
+scenario = "hirise.toml"
+flights = 13
+{method}
+[factors]
+policy = ["no-divert", "safest"]
+[dispersions]
+"start.velocity_m_s.0" = {{ kind = "normal", mean = 28.0, sigma = 1.0 }}
+{more}
+"""
+IMPORTANCE = '[importance]\nshifts = { "start.velocity_m_s.0" = 1.0 }'
+
+
+@pytest.mark.slow
+def test_commands_of_campaigns_do_their_work(tmp_path):
+    from lunarsim.scenario.shipped import copy_to
+
+    copy_to("hirise", tmp_path / "hirise.toml")
+    (tmp_path / "few.toml").write_text(SPEC.format(method="", more=""))
+    rare = SPEC.format(method='method = "importance"', more=IMPORTANCE)
+    (tmp_path / "rare.toml").write_text(rare)
+    _run("lunarsim campaign run rare.toml --out rare", tmp_path)
+    names = {"SPEC": "few.toml", "DIR": "few", "A": "few", "B": "few", "SCENARIO": "hirise.toml"}
+    done = 0
+    for line in _blocks(ROOT / "docs" / "campaigns.md", "sh")[0].splitlines():
+        words = shlex.split(line, comments=True)
+        if "ray" in words:  # tests/campaign/test_ray.py
+            continue
+        words = [names.get(word, word) for word in words]
+        if "rare" in words:
+            words[words.index("few")] = "rare"
+        if words[1] in ("sweep", "compare"):
+            words[words.index("few")] = words[1]
+            words += ["--flights", "1"]
+        _run(shlex.join(words), tmp_path)
+        done += 1
+    assert done == 11
+    assert (tmp_path / "few" / "report.html").is_file()
+    assert (tmp_path / "results.csv").is_file()
 
 
 @pytest.mark.slow
 def test_the_first_flight_goes_as_the_guide_says(tmp_path):
     for block in _blocks(ROOT / "docs" / "first-flight.md", "sh"):
         for line in block.splitlines():
-            words = shlex.split(line, comments=True)
-            done = subprocess.run(
-                [sys.executable, "-m", "lunarsim.cli", *words[1:]], cwd=tmp_path, check=False,
-                capture_output=True, text=True,
-            )  # fmt: skip
-            assert done.returncode == 0, (line, done.stderr)
+            _run(line, tmp_path)
     told = {path.name for path in (tmp_path / "out" / "one").iterdir()}
     assert {"scenario.toml", "descent.png", "maps.png", "touchdown.png"} <= told
     assert (tmp_path / "out" / "compare" / "figures" / "comparison.png").is_file()
@@ -118,11 +243,7 @@ def test_the_first_flight_goes_as_the_guide_says(tmp_path):
 
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path):
-    pytest.importorskip("myst_nb")
-    command = [sys.executable, "-m", "sphinx", "-W", "-n", "-q", "-b", "html"]
-    done = subprocess.run(
-        [*command, str(ROOT / "docs"), str(tmp_path / "site")], check=False, capture_output=True,
-        text=True,
-    )  # fmt: skip
+    done = _site(tmp_path)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "site" / "first-flight.html").is_file()
+    for path in NOTEBOOKS:
+        assert 'src="../_images/' in (tmp_path / "notebooks" / f"{path.stem}.html").read_text()

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from lunarsim.evaluation.map_words import map_words
 from lunarsim.onboard.policies import Observation
 from lunarsim.simulation import Simulation
 
@@ -52,7 +53,7 @@ class Frames:
         self._target = Circle((0.0, 0.0), simulation.lander.leg_radius, fill=False, ec=_HERE, lw=2)
         plan.add_patch(self._target)
         self._map_title = plan.text(
-            0.5, 1.03, "", transform=plan.transAxes, ha="center", fontsize=12
+            0.5, 1.03, "", transform=plan.transAxes, ha="center", fontsize=9
         )
         self._title = figure.text(0.5, 0.96, "", ha="center", fontsize=9)
         # Axes are drawn once; a frame draws what moves over a copy of them.
@@ -94,7 +95,9 @@ class Frames:
         self._image.set_extent(m.grid.extent)
         self._sites.set_data(*observation.candidates.position[:, :2].T)
         self._target.center = tuple(observation.site[:2])
-        self._map_title.set_text("hazard map" if m.observed.any() else "the map has seen nothing")
+        words = map_words(m)
+        title = "hazard map" if words is None else f"map {words.partition(':')[0]}"
+        self._map_title.set_text(title)
         self._title.set_text(self._words(action, reward))
         self._canvas.restore_region(self._still)
         for artist in self._moving:

@@ -41,7 +41,14 @@ class MapQuality:
 
     @classmethod
     def of(cls, called: ArrayLike, safe: ArrayLike) -> MapQuality:
-        """Count cells called safe (n,) against cells that are (n,)."""
+        """Count cells called safe (n,) against cells that are (n,).
+
+        Examples
+        --------
+        >>> quality = MapQuality.of([True, True, False], [True, False, True])
+        >>> quality.precision, quality.recall
+        (0.5, 0.5)
+        """
         c, s = np.asarray(called, np.bool_), np.asarray(safe, np.bool_)
         return cls(int((c & s).sum()), int((c & ~s).sum()), int((~c & s).sum()),
                    int((~c & ~s).sum()))  # fmt: skip

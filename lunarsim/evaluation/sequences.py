@@ -25,6 +25,12 @@ def share_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, 
     ------
     ValueError
         If `count` is not between 0 and `total`.
+
+    Examples
+    --------
+    >>> low, high = share_sequence(18, 20)
+    >>> round(low, 3), round(high, 3)
+    (0.591, 0.996)
     """
     if not 0 <= count <= total:
         raise ValueError(f"count = {count}: from 0 to {total}")

@@ -21,6 +21,11 @@ class Proportion:
     ----------
     count, total
         Successes and trials.
+
+    Examples
+    --------
+    >>> print(Proportion(18, 20))
+    0.900 [0.699, 0.972]
     """
 
     count: int
@@ -66,7 +71,13 @@ class MeanInterval:
 
 
 def mean_interval(values: ArrayLike) -> MeanInterval:
-    """Return the mean of values (n,) and half its 95 % interval (Student's t); NaN is left out."""
+    """Return the mean of values (n,) and half its 95 % interval (Student's t); NaN is left out.
+
+    Examples
+    --------
+    >>> print(mean_interval([0.8, 0.9, 1.0, 0.9]).text(3))
+    0.900 ± 0.130
+    """
     x = np.asarray(values, dtype=np.float64)
     x = x[np.isfinite(x)]
     mean = float(x.mean()) if x.size else float("nan")

@@ -27,6 +27,11 @@ class UniformGravity:
     ----------
     magnitude
         Downward acceleration, m/s^2.
+
+    Examples
+    --------
+    >>> UniformGravity(1.622).at([0.0, 0.0, 100.0])
+    array([ 0.   ,  0.   , -1.622])
     """
 
     magnitude: float

@@ -55,6 +55,12 @@ class Lander:
         Of the body from the vertical when the first pad touches, rad.
     rate_limit
         Angular rate at touchdown, rad/s.
+
+    Examples
+    --------
+    >>> lander = Lander(leg_radius=1.8)
+    >>> lander.wet_mass, lander.pads.shape
+    (1500.0, (4, 3))
     """
 
     dry_mass: float = quantity(1100.0, "kg", gt=0, help="without propellant")

@@ -34,6 +34,13 @@ class Pinhole(NamedTuple):
         """Return the pixels (n, 2) of points (n, 3) in sensor coordinates.
 
         They mean nothing for points behind the pin-hole, and are no numbers beside it.
+
+        Examples
+        --------
+        >>> camera = Pinhole(500.0, 500.0, 319.5, 239.5)
+        >>> camera.project(np.array([[0.0, 0.0, 10.0], [1.0, 0.0, 10.0]]))
+        array([[319.5, 239.5],
+               [369.5, 239.5]])
         """
         x, y, z = points.T
         return np.column_stack((x / z * self.fx + self.cx, y / z * self.fy + self.cy))

@@ -156,6 +156,11 @@ def kinds(contract: str) -> dict[str, str]:
     ------
     InputError
         If two packages give the same name.
+
+    Examples
+    --------
+    >>> "safest" in kinds("policy")
+    True
     """
     found = dict(CONTRACTS[contract].kinds)
     for point in entry_points(group=f"lunarsim.{contract}"):
@@ -194,6 +199,11 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     ------
     InputError
         If there is no such part, or it cannot be imported.
+
+    Examples
+    --------
+    >>> resolve("policy", "safest").__name__
+    'Safest'
     """
     return _resolve(contract, kind, field or f"{contract}.kind")
 

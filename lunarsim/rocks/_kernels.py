@@ -41,7 +41,7 @@ def rock_height(x, y, rocks, n, planes, count):
     return rocks[n, 2] + rocks[n, 5] * top
 
 
-@kernel()
+@kernel(inner=True)
 def rock_normal(x, y, z, rocks, n, planes, count, out):
     """Write the unit outward normal of rock n at the surface point (x, y, z)."""
     c = rocks[n, 6]
@@ -123,7 +123,7 @@ def _polyhedron_hit(ex, ey, ez, fx, fy, fz, planes, faces):
     return enter
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
     """Return the distance at which a ray enters rock n from outside, else inf."""
     c = rocks[n, 6]

@@ -15,14 +15,26 @@ from lunarsim.errors import InputError
 
 
 def golombek_exponent(k: float) -> float:
-    """Return q of F(D) = k exp(-q D), 1/m."""
+    """Return q of F(D) = k exp(-q D), 1/m.
+
+    Examples
+    --------
+    >>> round(golombek_exponent(0.05), 3)
+    4.83
+    """
     if not 0.0 < k <= 0.5:
         raise InputError("rocks.cover", k, "a fraction between 0 and 0.5")
     return 1.79 + 0.152 / k
 
 
 def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
-    """Return F(D): the fraction of ground covered by rocks of `diameter` (m) or more."""
+    """Return F(D): the fraction of ground covered by rocks of `diameter` (m) or more.
+
+    Examples
+    --------
+    >>> np.round(golombek_cover([0.0, 0.5, 1.0], 0.05), 4)
+    array([0.05  , 0.0045, 0.0004])
+    """
     return np.asarray(k * np.exp(-golombek_exponent(k) * np.asarray(diameter, dtype=np.float64)))
 
 
@@ -30,6 +42,11 @@ def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
     """Return N(D): the number of rocks of `diameter` (m) or more on a square metre.
 
     From dN = -dF / (pi D^2 / 4): ``N = 4 k q^2 / pi * (exp(-x) / x - E1(x))`` with x = q D.
+
+    Examples
+    --------
+    >>> np.round(golombek_number([0.2, 1.0], 0.05), 4)
+    array([0.2401, 0.0004])
     """
     q = golombek_exponent(k)
     x = q * np.asarray(diameter, dtype=np.float64)
@@ -47,6 +64,12 @@ def sample_diameters(
 
     Their number is Poisson with the mean that the law gives between `minimum` and `maximum`;
     each diameter is drawn by inverting N(D), so no size is favoured.
+
+    Examples
+    --------
+    >>> sizes = sample_diameters(1e4, 0.05, 0.3, 2.0, np.random.default_rng(1))
+    >>> len(sizes) > 500, bool(sizes.min() >= 0.3)
+    (True, True)
     """
     if not 0.0 < minimum < maximum:
         raise InputError(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 
 
-@kernel(parallel=True)
-def extremes(base, values, knots, first, heights, low, high):
+@kernel(shared=True)
+def extremes(share, base, values, knots, first, heights, low, high):
     """Write the least and the greatest sum of the fits at each site (n,).
 
     `base` (1 or n, fits) is what each fit begins with; term t of `values` (terms, n) bends at
@@ -18,7 +18,7 @@ def extremes(base, values, knots, first, heights, low, high):
     terms, n = values.shape
     fits = heights.shape[1]
     shared = base.shape[0] == 1
-    for i in prange(n):
+    for i in range(share[0], n, share[1]):
         total = np.empty(fits)
         start = np.int64(0) if shared else np.int64(i)
         for m in range(fits):

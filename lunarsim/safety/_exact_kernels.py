@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 from lunarsim._lanes import (
     LANES,
     any_above,
@@ -33,6 +33,7 @@ from lunarsim.safety._kernels import (
     FAR,
     datum_of,
     fill,
+    insert,
     levels_of,
     load_window,
     over_runs,
@@ -55,6 +56,18 @@ HALF = np.float32(0.5 * (BLOCK - 1))
 
 
 @kernel()
+def _median(values, ascending):
+    """Return the median of a few values, the mean of the middle two if their number is even."""
+    count = 0
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            insert(ascending, count, values[i, j])
+            count += 1
+    low, high = ascending[(count - 1) // 2], ascending[count // 2]
+    return np.float32(0.5) * (low + high)
+
+
+@kernel()
 def slopes_at_large(z, inside, arm, out):
     """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m a cell.
 
@@ -66,6 +79,7 @@ def slopes_at_large(z, inside, arm, out):
     bottom, top, left, right = inside
     raw = np.empty(out.shape, np.float32)
     some = np.empty((2, SQUARE, SQUARE // 2), np.float32)
+    ascending = np.empty(some.size // 2, np.float32)
     for i in range(rows):
         for j in range(cols):
             for r in range(SQUARE):
@@ -77,12 +91,12 @@ def slopes_at_large(z, inside, arm, out):
                     a, b = max(y - arm, bottom), min(y + arm, top)
                     some[1, r, c] = (z[b, x] - z[a, x]) / np.float32(max(b - a, 1))
             for axis in range(2):
-                raw[axis, i, j] = np.median(some[axis])
+                raw[axis, i, j] = _median(some[axis], ascending)
     for axis in range(2):
         for i in range(rows):
             for j in range(cols):
                 near = raw[axis, max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
-                out[axis, i, j] = np.median(near)
+                out[axis, i, j] = _median(near, ascending)
 
 
 @kernel(fast=True)
@@ -302,7 +316,9 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
     levels = levels_of(cells, tall, wide)
     datum = datum_of(z, middle, r0, c0, h, w)
     load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
-    levels[0] = np.abs(ground[0])
+    for i in range(tall):
+        for j in range(wide):
+            levels[0, i, j] = abs(ground[0, i, j])
     fill(levels, cells)
     over_runs(levels, cells.depth, cells.leg_windows, reach, size)
     body = np.empty((h, w), np.float32)
@@ -361,9 +377,20 @@ def _exact_tile(
                     rough_out[i, j + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
 
 
-@kernel(parallel=True)
+@kernel(shared=True)
 def exact(
-    z, middle, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out, rough_out
+    share,
+    z,
+    middle,
+    todo,
+    cells,
+    covers,
+    posting,
+    limit_slope,
+    limit_rough,
+    decide,
+    slope_out,
+    rough_out,
 ):
     """Write tan(slope) and roughness, the worst over headings and admissible planes.
 
@@ -374,7 +401,7 @@ def exact(
     """
     rows, cols = todo.shape
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
-    for tile in prange(tiles):
+    for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         if not todo[r0:r1, c0:c1].any():
             continue

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 from lunarsim._lanes import LANES, item, larger, load, spread, store
 
 FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any terrain
@@ -19,13 +19,34 @@ TILE_ROWS = 64
 TILE_COLS = 128
 
 
-@kernel()
+@kernel(inner=True)
 def known(z, middle):
     """Tell whether a height is ground: NaN, infinities and what no map can hold are not."""
     return abs(np.float64(z) - middle) <= MOST_RELIEF
 
 
-@kernel()
+@kernel(inner=True)
+def insert(ascending, count, value):
+    """Put a value in its place among the first `count`, which ascend.
+
+    For a handful it is as quick as a library's sort, which takes a second to compile.
+    """
+    n = count
+    while n > 0 and ascending[n - 1] > value:
+        ascending[n] = ascending[n - 1]
+        n -= 1
+    ascending[n] = value
+
+
+@kernel(inner=True)
+def copy(source, out):
+    """Write a window into another; an assignment to a slice takes seconds to compile."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = source[i, j]
+
+
+@kernel(inner=True)
 def datum_of(z, middle, r0, c0, rows, cols):
     """Return the lower median of nine heights of a tile, those known: one of its own heights.
 
@@ -37,10 +58,10 @@ def datum_of(z, middle, r0, c0, rows, cols):
         for b in range(1, 6, 2):
             here = z[r0 + a * rows // 6, c0 + b * cols // 6]
             if known(here, middle):
-                found[count] = here
+                insert(found, count, here)
                 count += 1
     if count > 0:
-        return np.sort(found[:count])[(count - 1) // 2]
+        return found[(count - 1) // 2]
     for i in range(r0, r0 + rows):
         for j in range(c0, c0 + cols):
             if known(z[i, j], middle):
@@ -91,7 +112,7 @@ def load_variance(variance, r0, c0, out):
                 there[j] = here[j] if here[j] < FAR else FAR
 
 
-@kernel(finite=True)
+@kernel(finite=True, inner=True)
 def spread_bounds(middle, wide, high, low):
     """Write middle +- 3 sigma where known, from the variance in `wide`; FAR where not."""
     for i in range(middle.shape[0]):
@@ -112,13 +133,13 @@ def _turn(source, out):
             out[i, j] = -z if z < FAR else FAR
 
 
-@kernel()
+@kernel(inner=True)
 def levels_of(cells, tall, wide):
     """Return room for the levels of windows: depth along rows, then height - 1 along columns."""
     return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
 
 
-@kernel(finite=True)
+@kernel(finite=True, inner=True)
 def double(levels, depth):
     """Fill levels[k], k < depth, with maxima over windows of 2**k columns, from levels[0]."""
     _, rows, cols = levels.shape
@@ -134,7 +155,7 @@ def double(levels, depth):
                 out[j] = levels[k - 1, i, j]
 
 
-@kernel(finite=True)
+@kernel(finite=True, inner=True)
 def double_up(levels, depth):
     """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows, from levels[0]."""
     deep, rows, cols = levels.shape
@@ -149,14 +170,14 @@ def double_up(levels, depth):
                 out[j] = max(a[j], b[j])
 
 
-@kernel()
+@kernel(inner=True)
 def fill(levels, cells):
     """Fill all levels from levels[0]."""
     double(levels, cells.depth)
     double_up(levels, cells.depth)
 
 
-@kernel()
+@kernel(inner=True)
 def over_runs(levels, depth, runs, reach, out):
     """Write the maximum over a set of windows around each cell of the tile.
 
@@ -229,22 +250,22 @@ def _best_of(flat, first, second, at, best, place):
     store(best, place + 3 * LANES, d)
 
 
-@kernel()
+@kernel(inner=True)
 def tiles_of(rows, cols, tall):
     """Return how many tiles stand side by side, and how many there are."""
     across = (cols + TILE_COLS - 1) // TILE_COLS
     return across, across * ((rows + tall - 1) // tall)
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def tile_at(tile, across, tall, rows, cols):
     """Return first and end row, first and end column of a tile of `tall` rows."""
     r0, c0 = (tile // across) * tall, (tile % across) * TILE_COLS
     return r0, min(r0 + tall, rows), c0, min(c0 + TILE_COLS, cols)
 
 
-@kernel(parallel=True)
-def extremes(z, middle, cells, span, rise):
+@kernel(shared=True)
+def extremes(share, z, middle, cells, span, rise):
     """Write max over L less min over L, and max over U less min over L (Eq. 10).
 
     FAR where L or U holds unknown ground or leaves the raster.
@@ -252,7 +273,7 @@ def extremes(z, middle, cells, span, rise):
     rows, cols = z.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
-    for tile in prange(tiles):
+    for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
         h, w = r1 - r0, c1 - c0
         levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
@@ -261,7 +282,7 @@ def extremes(z, middle, cells, span, rise):
         body = np.empty((h, w), np.float32)
         datum = datum_of(z, middle, r0, c0, h, w)
         load_window(z, middle, datum, r0 - reach, c0 - reach, window)
-        levels[0] = window
+        copy(window, levels[0])
         fill(levels, cells)
         over_runs(levels, cells.depth, cells.leg_windows, reach, leg[0])
         over_runs(levels, cells.depth, cells.body_windows, reach, body)
@@ -322,16 +343,16 @@ def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_s
             observed[i, j] = known
 
 
-@kernel(parallel=True)
+@kernel(shared=True)
 def stochastic(
-    mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
+    share, mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
     observed,
 ):  # fmt: skip
     """Write Eqs. 15 to 17 around each cell; observed is False where ground is unknown."""
     rows, cols = mean.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
-    for tile in prange(tiles):
+    for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
         h, w = r1 - r0, c1 - c0
         levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
@@ -344,7 +365,7 @@ def stochastic(
         load_variance(variance, r0 - reach, c0 - reach, window[1])
         spread_bounds(window[0], window[1], window[2], window[3])
         for n in range(2):
-            levels[0] = window[2 + n]
+            copy(window[2 + n], levels[0])
             fill(levels, cells)
             over_runs(levels, cells.depth, cells.leg_windows, reach, leg[n])
             over_runs(levels, cells.depth, cells.body_windows, reach, body[n])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 from lunarsim._lanes import (
     LANES,
     item,
@@ -23,6 +23,7 @@ from lunarsim._lanes import (
 )
 from lunarsim.safety._kernels import (
     FAR,
+    copy,
     datum_of,
     double,
     levels_of,
@@ -121,13 +122,13 @@ AHEAD = 8  # rows that may be read beyond a tile's surroundings
 PLANE_ROWS = 32  # of a tile of the kernels that go through planes
 
 
-@kernel()
+@kernel(inner=True)
 def window_shape(cells, h, w):
     """Return rows and columns of the window of a tile of h x w sites."""
     return h + 2 * cells.reach + AHEAD, w + 2 * cells.reach + LANES
 
 
-@kernel()
+@kernel(inner=True)
 def clear(window):
     """Put unknown ground at the datum: footprints that hold it are unobserved."""
     for i in range(window.shape[0]):
@@ -136,28 +137,30 @@ def clear(window):
                 window[i, j] = np.float32(0.0)
 
 
-@kernel()
+@kernel(inner=True)
 def stand(levels, window, cells, feet):
     """Write the highest ground under a pad centred on each cell of a window, 0 near its edge."""
     n = cells.pad_reach
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
-    levels[0] = window
+    copy(window, levels[0])
     double(levels, cells.depth)
     over_runs(levels, cells.depth, cells.pad_windows, n, feet[n : tall - n, n : wide - LANES - n])
 
 
-@kernel()
+@kernel(inner=True)
 def block_tops(window, block, out):
     """Write the highest ground in block x block cells to the north-east of each cell."""
     rows, cols = window.shape
     line = np.empty(cols, np.float32)
     for i in range(rows):
-        line[:] = window[i]
+        for j in range(cols):
+            line[j] = window[i, j]
         for r in range(i + 1, min(i + block, rows)):
             for j in range(cols):
                 line[j] = max(line[j], window[r, j])
-        out[i] = line
+        for j in range(cols):
+            out[i, j] = line[j]
         for c in range(1, min(block, cols)):
             for j in range(cols - c):
                 out[i, j] = max(out[i, j], line[j + c])
@@ -219,8 +222,8 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
                 rough_out[i, j + k] = lanes[1, k]
 
 
-@kernel(parallel=True)
-def bounded(z, middle, cells, covers, block, posting, slope_out, rough_out):
+@kernel(shared=True)
+def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_out):
     """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
 
     Neither is meant where a footprint holds unknown ground or leaves the raster.
@@ -228,7 +231,7 @@ def bounded(z, middle, cells, covers, block, posting, slope_out, rough_out):
     rows, cols = z.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
-    for tile in prange(tiles):
+    for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
         levels = levels_of(cells, tall, wide)
@@ -253,9 +256,20 @@ def _average(high, low, middle, sigma):
             sigma[i, j] = (high[i, j] - low[i, j]) / np.float32(6.0)
 
 
-@kernel(parallel=True)
+@kernel(shared=True)
 def stochastic_planes(
-    mean, middle, variance, cells, covers, block, posting, slope_out, nominal, raised, leg_sigma
+    share,
+    mean,
+    middle,
+    variance,
+    cells,
+    covers,
+    block,
+    posting,
+    slope_out,
+    nominal,
+    raised,
+    leg_sigma,
 ):
     """Write what `planes.plane_stochastic_safety` needs of each site, lengths along the vertical.
 
@@ -265,7 +279,7 @@ def stochastic_planes(
     rows, cols = mean.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
-    for tile in prange(tiles):
+    for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
         levels = levels_of(cells, tall, wide)
@@ -285,6 +299,6 @@ def stochastic_planes(
                 top, g[0], cells, covers, block, posting, True,
                 slope_out[r0:r1, c0:c1], out[r0:r1, c0:c1],
             )  # fmt: skip
-        levels[0] = g[1]
+        copy(g[1], levels[0])
         double(levels, cells.depth)
         over_runs(levels, cells.depth, cells.stand_windows, reach, leg_sigma[r0:r1, c0:c1])

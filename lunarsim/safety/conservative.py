@@ -50,6 +50,13 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
     called safe is safe by `exact_safety` (Proposition III.1).
 
     Parameters and errors are those of `exact_safety`.
+
+    Examples
+    --------
+    >>> grid = Grid.centred((0.0, 0.0), 12.0, 0.2)
+    >>> found = conservative_safety(np.zeros(grid.shape), grid, Lander())
+    >>> bool(found.safe[30, 30]), bool(found.observed[0, 0])  # its footprint leaves the map
+    (True, False)
     """
     footprint = footprint_of(lander, grid.posting)
     span, roughness = differences(ground("elevation", elevation, grid, footprint), footprint)
@@ -106,7 +113,7 @@ def stochastic_safety(
     observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
     k.stochastic(
-        height.z,
+        height.double,
         height.middle,
         spread,
         footprint.cells,

@@ -70,6 +70,15 @@ def exact_safety(
     InputError
         If the elevation is no array of real numbers or has another shape than the grid, the grid is
         smaller than the footprint, or the heading is not finite.
+
+    Examples
+    --------
+    >>> grid = Grid.centred((0.0, 0.0), 12.0, 0.2)
+    >>> ground = np.zeros(grid.shape)
+    >>> ground[30, 30] = 0.6  # a rock in the middle
+    >>> found = exact_safety(ground, grid, Lander())
+    >>> bool(found.safe[30, 30]), round(float(found.roughness[30, 30]), 2)
+    (False, 0.6)
     """
     footprint = footprint_of(lander, grid.posting)
     if heading is not None:
@@ -113,7 +122,7 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
 def differences(height: Ground, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
     """Return max over L, and max over U, less min over L (Eq. 10), m; FAR where unknown."""
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
-    k.extremes(height.z, height.middle, footprint.cells, span, rise)
+    k.extremes(height.double, height.middle, footprint.cells, span, rise)
     return span, rise
 
 

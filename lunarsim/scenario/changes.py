@@ -76,6 +76,13 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
     ------
     InputError
         Naming the key, if a text is no change or a value will not do.
+
+    Examples
+    --------
+    >>> from lunarsim.scenario import Scenario
+    >>> study = with_changes(Scenario.from_dict({}), ["rocks.cover=0.08", "policy=safest"])
+    >>> study.rocks.cover, study.policy.kind
+    (0.08, 'safest')
     """
     values: dict[str, Any] = {}
     for text in texts:

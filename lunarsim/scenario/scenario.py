@@ -94,6 +94,11 @@ class Scenario:
         ------
         InputError
             Naming the first field that is wrong.
+
+        Examples
+        --------
+        >>> Scenario.from_dict({"rocks": {"cover": 0.1}}).rocks.cover
+        0.1
         """
         known = [f.name for f in fields(cls)]
         for key, value in data.items():
@@ -158,6 +163,12 @@ class Scenario:
         ------
         InputError
             Naming the first field that is wrong.
+
+        Examples
+        --------
+        >>> study = Scenario.from_dict({"name": "rocky"}).changed(rocks={"cover": 0.1})
+        >>> study.name, study.rocks.cover
+        ('rocky', 0.1)
         """
         data = self.to_dict()
         for key, change in tables.items():

@@ -43,11 +43,14 @@ def fly(
     turn = np.empty(3)
     for n in range(steps):
         demand(loop, target, gains, known_inertia, torque_max)
-        torques[n] = loop[7:]
-        before[:] = y[6:10]
+        for k in range(3):
+            torques[n, k] = loop[7 + k]
+        for k in range(4):
+            before[k] = y[6 + k]
         advance_body(y, dt, thrust, loop[7:], figures, inertia, rig, work)
         rotation_between(before, y[6:10], turn)
         sample(turn, matrix, offsets[n], quantum, remainder, increments[n])
         follow(loop, increments[n], dt)
-        history[n] = y
+        for k in range(15):
+            history[n, k] = y[k]
     return history, increments, torques

@@ -11,7 +11,7 @@ from __future__ import annotations
 from lunarsim._jit import kernel
 
 
-@kernel()
+@kernel(inner=True)
 def orient(ax, ay, bx, by, cx, cy):
     """Return twice the area of triangle abc, positive for counter-clockwise; exact."""
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
@@ -72,7 +72,7 @@ def in_circle(ax, ay, bx, by, cx, cy, px, py):
     return _exact_sign(m0, l0, m1, l1, m2, l2)
 
 
-@kernel()
+@kernel(inner=True)
 def next_edge(e):
     """Return the half-edge after e in its triangle."""
     return e - 2 if e % 3 == 2 else e + 1

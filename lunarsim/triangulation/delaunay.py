@@ -55,6 +55,11 @@ def delaunay(xy: ArrayLike) -> IntArray:
     ------
     ValueError
         If the array is not (n, 2) or holds NaN or infinity.
+
+    Examples
+    --------
+    >>> delaunay([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.1]]).shape
+    (2, 3)
     """
     points = _to_integers(xy)
     if len(points) < 3:

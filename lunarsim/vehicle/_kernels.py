@@ -70,7 +70,7 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
     out[14] = (thrust_command - y[14]) / lag if lag > 0.0 else 0.0
 
 
-@kernel()
+@kernel(inner=True)
 def rk4_step(
     y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig, work
 ):
@@ -146,5 +146,6 @@ def advance_ideal(y, steps, dt, thrust, target, slew, figures, inertia, rig):
             y[6 + s] = q[s]
         for s in range(3):
             y[10 + s] = share * phi[s] / dt
-        history[n] = y
+        for s in range(15):
+            history[n, s] = y[s]
     return history

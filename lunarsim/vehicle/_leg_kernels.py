@@ -12,7 +12,7 @@ from lunarsim._jit import kernel
 from lunarsim.vehicle._kernels import derivative
 
 
-@kernel()
+@kernel(inner=True)
 def height(ground, frame, x, y):
     """Return the ground's height by bilinear interpolation; NaN off the raster.
 
@@ -29,7 +29,7 @@ def height(ground, frame, x, y):
     return (1.0 - b) * low + b * high
 
 
-@kernel()
+@kernel(inner=True)
 def limit(leg, law):
     """Return the force at which a leg gives way (N); none once its stroke is spent."""
     return law[2] if leg[0] < law[5] else np.inf
@@ -82,7 +82,7 @@ def touch(y, pad, leg, law, ground, frame, out):
     return True
 
 
-@kernel()
+@kernel(inner=True)
 def slide(out, leg, law, n, normal):
     """Add normal force and friction: the pad holds on to a point with a spring and a damper."""
     hold = np.zeros(3)
@@ -103,7 +103,7 @@ def slide(out, leg, law, n, normal):
         out[k] = normal * n[k] + hold[k]
 
 
-@kernel()
+@kernel(inner=True)
 def loads(y, pads, legs, law, ground, frame, rig, torque, out):
     """Write the legs' force into `rig` and their torque, body axes; return the power they take."""
     power = 0.0
@@ -132,7 +132,7 @@ def loads(y, pads, legs, law, ground, frame, rig, torque, out):
     return power
 
 
-@kernel()
+@kernel(inner=True)
 def yielded(y, dt, pads, legs, law, ground, frame, out):
     """Let legs crush and pads slip after a step."""
     for n in range(pads.shape[0]):

@@ -95,6 +95,12 @@ def support_planes(legs: Array) -> list[Array]:
     ----------
     legs
         Points under the pads in order around the lander (3 or 4, 3), m.
+
+    Examples
+    --------
+    >>> feet = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.1], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.1]])
+    >>> len(support_planes(feet))  # it stands on the two high legs and tips to either side
+    2
     """
     if len(legs) == 3:
         triples = [(0, 1, 2)]

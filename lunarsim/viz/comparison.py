@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from scipy.stats import t
 
 from lunarsim.evaluation.statistics import summarise
 from lunarsim.scenario import Scenario
@@ -33,8 +35,8 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     """
     names = list(dict.fromkeys(row["policy"] for row in rows))
     lander = scenario.vehicle.make()
-    figure = new_figure(13, 7.6)
-    axes = figure.subplots(2, 4).ravel()
+    figure = new_figure(15, 7.6)
+    axes = figure.subplots(2, 5).ravel()
     _draw_safety(axes[0], rows, names)
     _draw_causes(axes[1], rows, names)
     boxes = (
@@ -42,16 +44,19 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
         ("divert_m", "divert distance (m)", None),
         ("vertical_speed_m_s", "touchdown speed, down (m/s)", lander.vertical_speed_limit),
         ("horizontal_speed_m_s", "touchdown speed, aside (m/s)", lander.horizontal_speed_limit),
+        ("tilt_deg", "tilt at touchdown (deg)", float(np.rad2deg(lander.tilt_limit))),
     )
-    for ax, (column, label, limit) in zip(axes[2:6], boxes, strict=True):
+    for ax, (column, label, limit) in zip(axes[2:7], boxes, strict=True):
         _draw_boxes(ax, rows, names, column, label)
         if limit is not None:
             ax.axvline(limit, color="black", lw=1.2, ls="--", label="limit")
             ax.legend(loc="best")
-    _draw_differences(axes[6], rows, names)
-    _draw_maps(axes[7], rows, names)
+    _draw_differences(axes[7], rows, names)
+    limits = {column: (label.partition(" (")[0], limit) for column, label, limit in boxes if limit}
+    _draw_shifts(axes[8], rows, names, limits)
+    _draw_maps(axes[9], rows, names)
     for i, ax in enumerate(axes):
-        ax.set_yticks(range(len(names)), names if i % 4 == 0 else [""] * len(names))
+        ax.set_yticks(range(len(names)), names if i % 5 == 0 else [""] * len(names))
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.grid(axis="x", alpha=0.3)
     flights = sum(row["policy"] == names[0] for row in rows)
@@ -132,8 +137,43 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
             ax.text(0.0, place - 0.28, f" {better} better, {worse} worse", va="bottom", fontsize=7)
     ax.axvline(0.0, color="black", lw=0.8)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_xlabel(f"flights that ended otherwise than under {names[0]}")
+    ax.set_xlabel(f"flights that ended otherwise\nthan under {names[0]}")
     ax.legend(loc="best")
+
+
+def paired(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float64]:
+    """Return how a column differs from that under the first policy, flight by flight (n,)."""
+    values = {(row["policy"], row["flight"]): row[column] for row in rows}
+    flights = sorted({flight for policy, flight in values if policy == other})
+    pairs = [(values.get((first, f), np.nan), values[other, f]) for f in flights]
+    shift = np.array([b - a for a, b in pairs], dtype=np.float64)
+    return shift[np.isfinite(shift)]
+
+
+def _draw_shifts(
+    ax: Any, rows: Rows, names: list[str], limits: dict[str, tuple[str, float]]
+) -> None:
+    """Draw paired differences of speeds and tilt from the first policy, in shares of their limits.
+
+    The mark is the mean, the thick bar its 95 % interval (Student's t), the thin one holds all.
+    """
+    markers = ("o", "s", "^")
+    for n, (column, (label, limit)) in enumerate(limits.items()):
+        colour, aside = COLOURS[n], 0.22 * (n - 1)
+        ax.plot([], [], markers[n], color=colour, mec="black", mew=0.6, label=label)
+        for place, name in enumerate(names[1:], 1):
+            shift = paired(rows, names[0], name, column) / limit
+            if not shift.size:
+                continue
+            at, mean = place + aside, float(shift.mean())
+            ax.plot([shift.min(), shift.max()], [at, at], color=colour, lw=0.8)
+            if shift.size > 1:
+                half = float(t.ppf(0.975, shift.size - 1) * shift.std(ddof=1) / np.sqrt(shift.size))
+                ax.plot([mean - half, mean + half], [at, at], color=colour, lw=3.0)
+            ax.plot(mean, at, markers[n], color=colour, mec="black", mew=0.6)
+    ax.axvline(0.0, color="black", lw=0.8)
+    ax.set_xlabel(f"difference from {names[0]}\non the same world, over the limit")
+    ax.legend(loc="upper left")
 
 
 def _draw_maps(ax: Any, rows: Rows, names: list[str]) -> None:

@@ -22,12 +22,24 @@ _LEAST = 1e-6
 
 
 def lambert(albedo: float, mu0: ArrayLike) -> Array:
-    """Return I/F of a surface that is as bright from everywhere."""
+    """Return I/F of a surface that is as bright from everywhere.
+
+    Examples
+    --------
+    >>> round(float(lambert(0.12, np.cos(np.radians(60.0)))), 4)
+    0.06
+    """
     return np.asarray(albedo * np.maximum(mu0, 0.0))
 
 
 def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-    """Return I/F after McEwen (1991), Icarus 92, 298-311; his polynomial in the phase angle."""
+    """Return I/F after McEwen (1991), Icarus 92, 298-311; his polynomial in the phase angle.
+
+    Examples
+    --------
+    >>> round(float(lunar_lambert(0.12, 0.5, 1.0, 0.5)), 4)
+    0.0683
+    """
     mu0, mu = np.maximum(mu0, 0.0), np.maximum(mu, 1e-4)
     phase = np.degrees(np.arccos(np.clip(cos_phase, -1.0, 1.0)))
     share = np.clip(1.0 + phase * (-0.019 + phase * (2.42e-4 - 1.46e-6 * phase)), 0.0, 1.0)

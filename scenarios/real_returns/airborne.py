@@ -62,7 +62,7 @@ def show_heights(results: list[dict[str, Heights]], title: str, console: Console
         own = [r[name].figures() for r in results]
         rows = [("all", every.figures())]
         rows += [(label, every.figures(k)) for k, label in enumerate(STRATA)]
-        kept[name] = dict(rows)
+        kept[name] = dict(rows) | {"by split": own}
         for label, f in rows:
             nees = f"{f['nees']:.2f}"
             if label == "all" and len(own) > 1:

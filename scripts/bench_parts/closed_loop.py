@@ -9,6 +9,32 @@ import numba
 from bench_parts.common import ROOT
 
 
+def frames() -> None:
+    """Pictures of an environment, one after each decision of a flight, beside the flight itself."""
+    import gymnasium
+
+    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    drawn, stepped = [], []
+    for seed in range(1, 4):
+        env.reset(seed=seed)
+        ended = False
+        while not ended:
+            began = time.perf_counter()
+            _, _, ended, _, _ = env.step(0)
+            stepped.append(time.perf_counter() - began)
+            began = time.perf_counter()
+            env.render()
+            drawn.append(time.perf_counter() - began)
+    ordered = sorted(drawn)
+    print(
+        f"  {len(drawn)} frames of 800 x 360: median {1e3 * ordered[len(drawn) // 2]:.1f} ms, "
+        f"greatest {1e3 * ordered[-1]:.1f} ms; a step of the environment takes "
+        f"{1e3 * sorted(stepped)[len(stepped) // 2]:.1f} ms"
+    )
+
+
 def flight() -> None:
     """One closed-loop flight on one thread, against real time."""
     from lunarsim.rng import flight_seed

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -109,6 +110,26 @@ def test_frames_keep_their_axes_and_show_action_reward_and_the_last_metres(env):
     assert np.array_equal(first[close], second[close])
     assert not np.array_equal(first[close], last[close])
     assert min(seconds) < 0.05
+
+
+def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
+    env.reset(seed=1)
+    env.render()
+    frames, drawn = env.unwrapped._frames, []
+    observation = env.unwrapped._observation
+    m = observation.hazard_map
+    for observed, p, words in (
+        (False, 0.9, "map saw nothing"),
+        (True, 0.9, "map calls everything that it saw safe"),
+        (True, 0.2, "map calls nothing that it saw safe"),
+    ):
+        flat = np.full(m.grid.shape, np.float32(p))
+        told = replace(m, p_safe=flat, observed=np.full(m.grid.shape, observed), in_domain=None)
+        picture = frames.draw(replace(observation, hazard_map=told), None, None)
+        drawn.append(picture[24:70, 480:])
+        assert frames._map_title.get_text() == words
+    assert not np.array_equal(drawn[1], drawn[2])
+    assert all((one[:4] > 200).all() and (one < 128).any() for one in drawn)  # whole, and there
 
 
 def test_misuse_is_explained(small_scenario):

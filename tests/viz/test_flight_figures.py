@@ -14,6 +14,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz import draw_comparison, draw_flight
+from lunarsim.viz.comparison import paired
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
@@ -77,6 +78,18 @@ def _red(path):
     """Count the pixels that say that ground touches the belly."""
     picture = cv2.imread(str(path))[..., ::-1].astype(int)
     return int((np.abs(picture - RED).max(axis=2) < 8).sum())
+
+
+def test_differences_are_of_the_same_flight():
+    rows = [
+        {"policy": policy, "flight": flight, "tilt_deg": tilt}
+        for policy, flight, tilt in [
+            ("a", 0, 1.0), ("a", 1, 2.0), ("a", 2, float("nan")),
+            ("b", 2, 9.0), ("b", 1, 2.5), ("b", 0, 0.5), ("b", 3, 7.0),
+        ]
+    ]  # fmt: skip
+    assert paired(rows, "a", "b", "tilt_deg").tolist() == [-0.5, 0.5]
+    assert paired(rows, "a", "a", "tilt_deg").tolist() == [0.0, 0.0]
 
 
 def test_a_comparison_in_which_all_failed_is_drawn(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 
 # Columns of a table of samples; rows of `state` and `asked`; places in `figures`.
 SHARE, LOW, HIGH = 0, 1, 2
@@ -14,7 +14,7 @@ GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE = 0, 1, 2, 3, 4, 5, 6
 _HALVINGS = 5
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def terms(state, target, asked, big_t, powers, out):
     """Write what each power gives to the mean acceleration (2, 3): see `paths.PathShape`."""
     low, high = powers[0], powers[1]
@@ -26,7 +26,7 @@ def terms(state, target, asked, big_t, powers, out):
         out[1, k] = p - out[0, k]
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
     """Return whether a sample keeps above the cone of slope `glide` half a metre under its end."""
     left = share * big_t
@@ -39,7 +39,7 @@ def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
     return up >= glide * np.sqrt(east * east + north * north)
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def measure(state, target, asked, big_t, table, powers, figures, x, out):
     """Follow one path; return whether it is admissible, and write what it takes.
 
@@ -89,7 +89,7 @@ def measure(state, target, asked, big_t, table, powers, figures, x, out):
     return True
 
 
-@kernel()
+@kernel(inner=True)
 def first_look(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
     """Return the best of so many geometric steps from `first`, -1 without one; some are skipped."""
     best, least = -1, np.inf
@@ -103,12 +103,19 @@ def first_look(state, target, asked, first, step, count, skip, table, powers, fi
     return best
 
 
-@kernel()
+@kernel(inline=True)
+def _keep(found, out):
+    """Write one path's figures (4,) over another's."""
+    for k in range(4):
+        out[k] = found[k]
+
+
+@kernel(inner=True)
 def close_in(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
     """Write the best path (4,) about a time ``first exp(at)``, halving the steps about it."""
     time = first * np.exp(at)
     if measure(state, target, asked, time, table, powers, figures, x, found):
-        out[:] = found
+        _keep(found, out)
     for _ in range(_HALVINGS if step > 0.0 else 0):
         step *= 0.5
         middle = at
@@ -117,12 +124,12 @@ def close_in(state, target, asked, first, at, step, span, table, powers, figures
                 time = first * np.exp(near)
                 good = measure(state, target, asked, time, table, powers, figures, x, found)
                 if good and found[0] < out[0]:
-                    out[:] = found
+                    _keep(found, out)
                     at = near
 
 
-@kernel(parallel=True)
-def survey(state, targets, asked, first, last, coarse, rough, table, powers, figures, out):
+@kernel(shared=True)
+def survey(share, state, targets, asked, first, last, coarse, rough, table, powers, figures, out):
     """Find for each target the admissible time-to-go that takes the least velocity increment.
 
     Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
@@ -131,7 +138,7 @@ def survey(state, targets, asked, first, last, coarse, rough, table, powers, fig
     will do those between, three to a step. Then the steps about the best are halved on the samples
     of `table`, which finds an edge of what is admissible as well as a dip. NaN for no time.
     """
-    for n in prange(targets.shape[0]):
+    for n in range(share[0], targets.shape[0], share[1]):
         out[n, 0] = np.inf
         out[n, 1:] = np.nan
         if not (0.0 < first[n] <= last[n] < np.inf):
@@ -156,7 +163,7 @@ def survey(state, targets, asked, first, last, coarse, rough, table, powers, fig
             )  # fmt: skip
 
 
-@kernel()
+@kernel(inner=True)
 def excess(r, v, target, v_f, a_f, big_t, jerk, snap):
     """Return by how much a quartic path breaks its limits on jerk and snap; negative if it keeps.
 
@@ -177,13 +184,13 @@ def excess(r, v, target, v_f, a_f, big_t, jerk, snap):
     return max(most / jerk, 2.0 * np.sqrt(fourth) / big_t**2 / snap) - 1.0
 
 
-@kernel(parallel=True)
-def limited_times(r, v, targets, v_f, a_f, times, jerk, snap, out):
+@kernel(shared=True, allocates=False)
+def limited_times(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
     """Find for each target (n, 3) the least time-to-go that keeps both limits (n,), else NaN.
 
     Times (m,) ascend; the least is bracketed by them and halved 40 times.
     """
-    for n in prange(targets.shape[0]):
+    for n in range(share[0], targets.shape[0], share[1]):
         out[n] = np.nan
         for m in range(times.shape[0]):
             if excess(r, v, targets[n], v_f, a_f, times[m], jerk, snap) > 0.0:

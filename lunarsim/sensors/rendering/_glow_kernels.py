@@ -10,7 +10,7 @@ from lunarsim._jit import kernel, prange
 Array = NDArray[np.float64]
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def between(values: Array, row: float, column: float) -> float:
     """Return the value of an array at a place among its elements, bilinearly."""
     a, b = min(int(row), values.shape[0] - 2), min(int(column), values.shape[1] - 2)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 from lunarsim.rocks._kernels import rock_hit, rock_normal
 from lunarsim.world.terrain._surface_kernels import relief_normal
 
@@ -72,7 +72,8 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
             for bucket in range(high * wide):
                 start[bucket + 1] += start[bucket]
             index = np.empty(start[-1], np.int64)
-            start[1:] = start[:-1].copy()
+            for bucket in range(high * wide, 0, -1):
+                start[bucket] = start[bucket - 1]
             start[0] = 0
         for n in range(rocks.shape[0]):
             j0 = max(int(np.floor((rocks[n, 0] - reach[n] - x0) / side)), 0)
@@ -88,12 +89,12 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
     return start, index
 
 
-@kernel(parallel=True)
+@kernel()
 def build_pyramid(z, rocks, start, index, base, offset, high, wide):
     """Return the pyramid of maxima `peak` and the buckets' maxima without rocks, `ground`."""
     peak = np.empty(offset[-1] + high[-1] * wide[-1], np.float32)
     least = np.float32(-np.inf)
-    for i in prange(high[0]):
+    for i in range(high[0]):
         for j in range(wide[0]):
             best = least
             # A comparison with NaN is false, so no-data never wins.
@@ -105,7 +106,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
     for level in range(offset.size):
         if level > 0:
             below = level - 1
-            for i in prange(high[level]):
+            for i in range(high[level]):
                 for j in range(wide[level]):
                     best = least
                     for r in range(2 * i, min(2 * i + 2, high[below])):
@@ -115,7 +116,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
         if level == base:
             here = offset[level]
             ground = peak[here : here + high[level] * wide[level]].copy()
-            for bucket in prange(high[level] * wide[level]):
+            for bucket in range(high[level] * wide[level]):
                 for m in range(start[bucket], start[bucket + 1]):
                     n = index[m]
                     # Rounded up: the bucket's top must never be below the rock's.
@@ -423,24 +424,23 @@ def _first_hit(ray, max_range, z, pyramid, rocks):
     return _grazing_hit(ray, t, t1, z, pyramid, rocks)
 
 
-@kernel(parallel=True)
+@kernel(shared=True, allocates=False)
 def cast(
-    origin, direction, max_range, normals, z, x0, y0, p,
-    base, peak, ground, offset, high, wide, rows, planes, count, start, index,
+    share, origin, direction, max_range, normals, z, frame,
+    base, peak, ground, offset, high, wide, rows, planes, count, start, index, hits,
 ):  # fmt: skip
-    """Cast rays; return distance (n,), normal (n, 3) and rock number (n,) of the first hits.
+    """Cast rays; write distance (n,), normal (n, 3) and rock number (n,) of the first `hits`.
 
     Without `normals` the second is empty. The fields of `Pyramid` and `Rocks` come one by one:
     taking a tuple apart at every call would cost a single ray a quarter more.
     """
     rays = direction.shape[0]
-    distance = np.empty(rays)
-    normal = np.empty((rays if normals else 0, 3))
-    rock = np.empty(rays, np.int32)
+    x0, y0, p = frame
+    distance, normal, rock = hits
     each = 1 if origin.shape[0] > 1 else 0
     pyramid = Pyramid(base, peak, ground, offset, high, wide)
     rocks = Rocks(rows, planes, count, start, index)
-    for n in prange(rays):
+    for n in range(share[0], rays, share[1]):
         ox = origin[n * each, 0]
         oy = origin[n * each, 1]
         oz = origin[n * each, 2]
@@ -461,4 +461,3 @@ def cast(
                 relief_normal(hx, hy, z, x0, y0, p, normal[n])
             else:
                 normal[n, :] = np.nan
-    return distance, normal, rock

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 from lunarsim.rocks._kernels import rock_height, rock_normal
 
 
@@ -78,17 +78,16 @@ def elevation_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
     return out
 
 
-@kernel(parallel=True)
-def raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, planes, count, start, index):
-    """Return the surface elevation at the cell centres of a grid (rows, cols), float32."""
-    out = np.empty((rows, cols), np.float32)
-    for i in prange(rows):
+@kernel(shared=True, allocates=False)
+def raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
+    """Write the surface elevation at the cell centres of a grid (rows, cols), float32."""
+    rows, cols = out.shape
+    for i in range(share[0], rows, share[1]):
         y = gy + gp * i
         for j in range(cols):
             out[i, j] = _surface(
                 gx + gp * j, y, z, x0, y0, p, leaf, rocks, planes, count, start, index
             )
-    return out
 
 
 @kernel()
@@ -138,11 +137,11 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
     return out
 
 
-@kernel(parallel=True)
-def rock_raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, planes, count, start, index):
-    """Return the rock on top at the cell centres of a grid (rows, cols), -1 for relief."""
-    out = np.full((rows, cols), -1, np.int32)
-    for i in prange(rows):
+@kernel(shared=True, allocates=False)
+def rock_raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
+    """Write the rock on top at the cell centres of a grid (rows, cols) where there is one."""
+    rows, cols = out.shape
+    for i in range(share[0], rows, share[1]):
         y = gy + gp * i
         for j in range(cols):
             x = gx + gp * j
@@ -153,4 +152,3 @@ def rock_raster(gx, gy, gp, rows, cols, z, x0, y0, p, leaf, rocks, planes, count
                 )
                 if top > ground:
                     out[i, j] = n
-    return out

@@ -120,20 +120,20 @@ class Terrain:
     def raster(self, grid: Grid) -> NDArray[np.float32]:
         """Return the elevation at every cell centre of `grid` (rows, cols), m."""
         g = grid
-        out = _surface_kernels.raster(
-            g.x0, g.y0, g.posting, g.rows, g.cols,
-            self.relief.z, *self._frame, self._leaf, *self._rock_arrays,
-        )  # fmt: skip
-        return np.asarray(out)
+        out = np.empty(grid.shape, np.float32)
+        _surface_kernels.raster(
+            g.x0, g.y0, g.posting, self.relief.z, *self._frame, self._leaf, *self._rock_arrays, out
+        )
+        return out
 
     def rock_raster(self, grid: Grid) -> NDArray[np.int32]:
         """Return the rock on top at every cell centre of `grid` (rows, cols), -1 for none."""
         g = grid
-        out = _surface_kernels.rock_raster(
-            g.x0, g.y0, g.posting, g.rows, g.cols,
-            self.relief.z, *self._frame, self._leaf, *self._rock_arrays,
-        )  # fmt: skip
-        return np.asarray(out)
+        out = np.full(grid.shape, -1, np.int32)
+        _surface_kernels.rock_raster(
+            g.x0, g.y0, g.posting, self.relief.z, *self._frame, self._leaf, *self._rock_arrays, out
+        )
+        return out
 
     def cast(
         self,
@@ -158,16 +158,20 @@ class Terrain:
         """
         direction = np.ascontiguousarray(direction, dtype=np.float64)
         origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
-        with threads_for(len(direction)):
-            distance, normal, rock = _ray_kernels.cast(
+        rays = len(direction)
+        distance, rock = np.empty(rays), np.empty(rays, np.int32)
+        normal = np.empty((rays if normals else 0, 3))
+        with threads_for(rays):
+            _ray_kernels.cast(
                 origin,
                 direction,
                 float(max_range),
                 normals,
                 self.relief.z,
-                *self._frame,
+                self._frame,
                 *self._pyramid,
                 *self._rock_arrays,
+                (distance, normal, rock),
             )
         return RayHits(distance, normal, rock)
 

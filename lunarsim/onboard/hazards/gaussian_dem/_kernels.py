@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 
 
 @kernel()
@@ -37,11 +37,11 @@ def splat(points, base, x0, y0, p, rows, cols):
     return height, weight
 
 
-@kernel(parallel=True)
-def measured_cells(height, weight, base, least, noise, prior, mean, variance, observed):
+@kernel(shared=True, allocates=False)
+def measured_cells(share, height, weight, base, least, noise, prior, mean, variance, observed):
     """Write mean, variance and observed: samples where they weigh enough, else the prior."""
     rows, cols = height.shape
-    for i in prange(rows):
+    for i in range(share[0], rows, share[1]):
         for j in range(cols):
             if weight[i, j] > least:
                 mean[i, j] = base + np.float64(height[i, j]) / np.float64(weight[i, j])
@@ -98,19 +98,13 @@ _NEIGHBOURS = 2  # vertices further apart on the detector have a missing return 
 _GAP = 3.0
 
 
-@kernel(parallel=True)
-def edges(points, triangles, pixels, cols, spacing):
-    """Return the longest edge of every triangle (m,), and which triangles span ground seen (m,).
+@kernel(shared=True, allocates=False)
+def edges(share, points, triangles, row, col, spacing, longest, usable):
+    """Write the longest edge of every triangle (m,), and which triangles span ground seen (m,).
 
-    Not those over missing returns, whose longest edge is inf, nor those with an edge three times as
-    long as their samples are apart: `spacing` (n,), the widest at a triangle's corners.
-    `pixels` numbers the points row by row on a detector of `cols` columns; empty if unknown.
+    See `gaussian.triangle_edges`; `row` and `col` are the places of the points on their detector.
     """
-    longest = np.empty(triangles.shape[0])
-    usable = np.empty(triangles.shape[0], np.bool_)
-    # Whole divisions are slow: once a pixel, not once an edge.
-    row, col = pixels // cols, pixels % cols
-    for t in prange(triangles.shape[0]):
+    for t in range(share[0], triangles.shape[0], share[1]):
         most = 0.0
         apart = 0
         wide = 0.0
@@ -121,11 +115,10 @@ def edges(points, triangles, pixels, cols, spacing):
             dy = points[a, 1] - points[b, 1]
             most = max(most, dx * dx + dy * dy)
             wide = max(wide, spacing[a])
-            if pixels.size > 0:
+            if row.size > 0:
                 apart = max(apart, abs(row[a] - row[b]), abs(col[a] - col[b]))
         longest[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
         usable[t] = longest[t] <= _GAP * wide
-    return longest, usable
 
 
 @kernel(fast=True)
@@ -229,10 +222,10 @@ def _regress_triangle(
                 observed[i, j] = True
 
 
-@kernel(parallel=True)
+@kernel(shared=True, allocates=False)
 def regress(
-    points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, least, mean,
-    variance, observed,
+    share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, least,
+    mean, variance, observed,
 ):  # fmt: skip
     """Write mean and variance (Eqs. 4 to 6) of the cells without samples, triangle by triangle.
 
@@ -242,7 +235,7 @@ def regress(
     triangle. Triangles (m,) that are not usable span an occlusion: they give a mean, the prior
     variance, and leave `observed` False.
     """
-    for t in prange(triangles.shape[0]):
+    for t in range(share[0], triangles.shape[0], share[1]):
         _regress_triangle(
             points, noise, triangles[t, 0], triangles[t, 1], triangles[t, 2], usable[t],
             gradient[t], x0, y0, p, prior[t], length[t], weight, least, mean, variance, observed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 
 
 @kernel()
@@ -48,13 +48,13 @@ def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
     return count
 
 
-@kernel(parallel=True)
-def triangle_growth(points, variance, triangles, gradient, out):
+@kernel(shared=True, allocates=False)
+def triangle_growth(share, points, variance, triangles, gradient, out):
     """Write what the edges of each triangle have grown, and twice their lengths (m, 2).
 
     The squared differences in height off the gradient (m, 2), less what noise adds to them.
     """
-    for t in prange(triangles.shape[0]):
+    for t in range(share[0], triangles.shape[0], share[1]):
         grown = 0.0
         length = 0.0
         for e in range(3):
@@ -69,15 +69,15 @@ def triangle_growth(points, variance, triangles, gradient, out):
         out[t, 1] = length
 
 
-@kernel(parallel=True)
-def measured_pool(splat, base, least, growth, square, sub, prior, mean, variance, observed):
+@kernel(shared=True, allocates=False)
+def measured_pool(share, splat, base, least, growth, square, sub, prior, mean, variance, observed):
     """Write mean, variance and observed of the cells that were measured, else the prior's.
 
     `growth` (m) is that of squares of `square` cells; `sub` times it is what the ground differs
     by between a single sample and the cell's centre, m^2; many lie about the centre.
     """
     rows, cols = mean.shape
-    for i in prange(rows):
+    for i in range(share[0], rows, share[1]):
         for j in range(cols):
             if splat[i, j, 0] > least:
                 w = splat[i, j, 1]
@@ -91,8 +91,8 @@ def measured_pool(splat, base, least, growth, square, sub, prior, mean, variance
                 observed[i, j] = False
 
 
-@kernel(parallel=True)
-def add_kinks(mean, measured, noise, share, variance):
+@kernel(shared=True, allocates=False)
+def add_kinks(share, mean, measured, noise, part, variance):
     """Add to the variance of measured cells what the ground bends by there.
 
     On the edge of a rock a cell's samples lie above or below its centre. The bend is the second
@@ -100,7 +100,7 @@ def add_kinks(mean, measured, noise, share, variance):
     none.
     """
     rows, cols = mean.shape
-    for i in prange(rows):
+    for i in range(share[0], rows, share[1]):
         for j in range(cols):
             if not measured[i, j]:
                 continue
@@ -113,4 +113,4 @@ def add_kinks(mean, measured, noise, share, variance):
                     most = max(most, bend * bend)
             left = most - 13.5 * noise[i, j]
             if left > 0.0:
-                variance[i, j] += share * left
+                variance[i, j] += part * left

@@ -143,6 +143,26 @@ def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> 
         raise InputError("sigma_eps", sigma_eps, f"0, or a length of at most {_LONGEST:g} m")
 
 
+def triangle_edges(
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    pixels: NDArray[np.int64],
+    cols: int,
+    spacing: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], BoolMap]:
+    """Return the longest edge of every triangle (m,), and which triangles span ground seen (m,).
+
+    Not those over missing returns, whose longest edge is inf, nor those with an edge three times as
+    long as their samples are apart: `spacing` (n,), the widest at a triangle's corners.
+    `pixels` numbers the points row by row on a detector of `cols` columns; empty if unknown.
+    """
+    longest, usable = np.empty(len(triangles)), np.empty(len(triangles), np.bool_)
+    # Whole divisions are slow: once a pixel, not once an edge.
+    row, col = np.divmod(pixels, cols)
+    k.edges(points, triangles, row, col, spacing, longest, usable)
+    return longest, usable
+
+
 @dataclass(frozen=True)
 class _Mesh:
     """Delaunay triangulation of a cloud.
@@ -178,7 +198,7 @@ class _Mesh:
         pixels = np.arange(len(raw))
         wide = _pixel_spacing(raw, image_shape) if spacing is None else spacing
         apart = np.ascontiguousarray(np.broadcast_to(np.asarray(wide, np.float64), len(raw)))
-        return cls(raw, triangles, k.edges(raw, triangles, pixels, image_shape[1], apart)[1])
+        return cls(raw, triangles, triangle_edges(raw, triangles, pixels, image_shape[1], apart)[1])
 
     @classmethod
     def _of_cloud(
@@ -192,7 +212,7 @@ class _Mesh:
             given = np.broadcast_to(np.asarray(spacing, dtype=np.float64), len(raw))
             apart = np.full(len(vertices), np.inf)
             np.minimum.at(apart, group, given[finite_rows(raw)])
-        return cls(vertices, triangles, k.edges(vertices, triangles, NO_PIXELS, 1, apart)[1])
+        return cls(vertices, triangles, triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)[1])
 
 
 def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:

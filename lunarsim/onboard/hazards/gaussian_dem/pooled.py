@@ -15,6 +15,7 @@ from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
     DENSE,
     NO_PIXELS,
     GaussianDem,
+    triangle_edges,
 )
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.planes import Squares
@@ -90,7 +91,7 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     triangles = delaunay(vertices[:, :2]) if len(vertices) > 2 else np.zeros((0, 3), np.int64)
     # Thinned to one a cell they are no nearer than that.
     apart = np.maximum(spacing, grid.posting)
-    longest, usable = k.edges(vertices, triangles, NO_PIXELS, 1, apart)
+    longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)
     squares = Squares.of(grid, longest[usable])
     middles = vertices[triangles].mean(axis=1)
     planes = squares.planes(vertices)

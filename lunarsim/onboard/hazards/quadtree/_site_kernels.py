@@ -32,7 +32,7 @@ ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
 COSINE, ROUGHNESS, RATIO, NEAR, RELIEF, TOP, POINTS, FITTED, SIGMA = range(9)
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def half_steps(tree, node):
     """Return the centre of a node in half sides of the least cells."""
     size = 1 << (tree.depths - tree.depth[node])
@@ -48,7 +48,7 @@ def mesh_nodes(tree, nodes, per_area):
     return good
 
 
-@kernel()
+@kernel(inner=True)
 def evenly_seen(tree, node, per_area):
     """Tell whether each quarter of a cell is dense enough; the whole one if it has none."""
     size = 2.0 * tree.half / (1 << tree.depth[node])
@@ -214,7 +214,7 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
     return out[:n].copy(), empty
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def place_of(tree, node, smallest):
     """Return a number of a cell among squares of a depth: that of its south-west corner."""
     more = smallest - tree.depth[node]

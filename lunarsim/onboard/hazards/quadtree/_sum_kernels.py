@@ -26,7 +26,7 @@ APART, APART_A_METRE = 0.3, 0.25
 FEWEST, MOST_APART = 5, 0.25
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def add_point(s, x, y, z):
     """Add a point, relative to the middle of sums, to them."""
     s[0] += x
@@ -43,7 +43,7 @@ def add_point(s, x, y, z):
     s[HIGHEST] = max(s[HIGHEST], z)
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def empty_sums(s):
     """Set sums to those of no point."""
     for k in range(LOWEST):
@@ -52,7 +52,7 @@ def empty_sums(s):
     s[HIGHEST] = -np.inf
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def add_shifted(out, s, dx, dy):
     """Add sums s to `out`, about a point that lies (-dx, -dy) from theirs."""
     n = s[NUMBER]
@@ -70,7 +70,7 @@ def add_shifted(out, s, dx, dy):
     out[HIGHEST] = max(out[HIGHEST], s[HIGHEST])
 
 
-@kernel()
+@kernel(inner=True)
 def add_leaf(tree, leaf, cx, cy, out):
     """Add the points of a leaf that do not stand apart to sums about (cx, cy)."""
     run = tree.head[leaf]
@@ -83,7 +83,7 @@ def add_leaf(tree, leaf, cx, cy, out):
         run = tree.following[run]
 
 
-@kernel()
+@kernel(inner=True)
 def sums_of(tree, node, out):
     """Write the sums of a node about its centre."""
     if tree.slot[node] >= 0:
@@ -167,7 +167,7 @@ def _part_apart(tree, node, index, tolerance):
         tree.apart[index] = False
 
 
-@kernel()
+@kernel(inner=True)
 def settle(tree, node, found):
     """Find which points of a touched cell stand apart, and its sums, afresh; return the list.
 
@@ -211,7 +211,7 @@ def settle(tree, node, found):
     return found
 
 
-@kernel()
+@kernel(inner=True)
 def add_to_many(tree, leaf, first, last, found):
     """Add the points from `first` to `last` to a least cell that has sums; return `found`.
 

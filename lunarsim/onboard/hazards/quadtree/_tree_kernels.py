@@ -40,7 +40,7 @@ class Tree(NamedTuple):
     following: Any  # next run, -1 for the last
 
 
-@kernel()
+@kernel(inner=True)
 def with_room(array, n):
     """Return a list of which n entries are taken, enlarged if there is no room for another."""
     if n < array.size:
@@ -50,7 +50,7 @@ def with_room(array, n):
     return grown
 
 
-@kernel(inline=True)
+@kernel(inline=True, inner=True)
 def cell_centre(tree, node):
     """Return the centre of a node, relative to the root's."""
     size = 2.0 * tree.half / (1 << tree.depth[node])

@@ -1,0 +1,31 @@
+"""Compiles the kernels of the safety tests: `python -m lunarsim.safety.warming [--exact]`.
+
+They are kept on disk for every process of the machine; see `lunarsim.cli_waiting`.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.safety.bounded import bounded_safety
+from lunarsim.safety.exact import exact_safety
+from lunarsim.safety.planes import plane_stochastic_safety
+
+
+def warm(exact: bool) -> None:
+    """Judge a level map by the tests that a LiDAR map takes, and by the exact one if asked to."""
+    lander = Lander()
+    grid = Grid.centred((0.0, 0.0), 10.0, 0.5)
+    level = np.zeros(grid.shape, np.float32)
+    plane_stochastic_safety(level, level, grid, lander)
+    bounded_safety(level, grid, lander)
+    if exact:
+        exact_safety(level, grid, lander)
+
+
+if __name__ == "__main__":
+    warm("--exact" in sys.argv[1:])

@@ -1,0 +1,52 @@
+"""Prints the page of environments: `python scripts/environment_pages.py > docs/environments.md`."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+
+import gymnasium
+from gymnasium.envs.registration import EnvSpec, load_env_creator
+
+import lunarsim_envs
+
+HEAD = """# Environments
+
+Made by `python scripts/environment_pages.py > docs/environments.md` from what each environment says
+of itself. `lunarsim_envs` registers them in [Gymnasium](https://gymnasium.farama.org) when it is
+imported, and `make` imports what stands before the colon:
+
+```python
+import gymnasium
+
+env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0")
+observation, info = env.reset(seed=1)
+observation, reward, terminated, truncated, info = env.step(0)
+```
+"""
+
+
+def environments() -> Iterator[EnvSpec]:
+    """Yield what is registered in the namespace of the package, by name."""
+    assert lunarsim_envs.__name__
+    for name, spec in sorted(gymnasium.registry.items()):
+        if name.startswith("lunarsim/"):
+            yield spec
+
+
+def section(spec: EnvSpec) -> str:
+    """Return the docstring of an environment under its name, its headings one level lower."""
+    assert spec.entry_point is not None
+    maker = spec.entry_point
+    said = inspect.getdoc(load_env_creator(maker) if isinstance(maker, str) else maker) or ""
+    return f"## {spec.id}\n\n{re.sub('^## ', '### ', said, flags=re.MULTILINE)}\n"
+
+
+def page() -> str:
+    """Return the page as Markdown."""
+    return "\n".join([HEAD, *map(section, environments())])
+
+
+if __name__ == "__main__":
+    print(page(), end="")

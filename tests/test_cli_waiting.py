@@ -1,0 +1,107 @@
+"""What is told of compilation, and the process that compiles beside."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+from typing import ClassVar
+
+import numba
+import numpy as np
+import pytest
+
+from lunarsim.cli_waiting import compilation_told
+from lunarsim.safety import _exact_kernels, _kernels, _plane_kernels
+from lunarsim.safety.warming import warm
+
+
+class Beside:
+    started: ClassVar[list] = []
+    ended = 0
+
+    def __init__(self, command, **streams):
+        Beside.started.append(command)
+        assert set(streams.values()) == {subprocess.DEVNULL}
+
+    def terminate(self):
+        Beside.ended += 1
+
+    def wait(self):
+        assert Beside.ended == len(Beside.started)
+
+
+@pytest.fixture
+def processes(monkeypatch):
+    monkeypatch.setattr(subprocess, "Popen", Beside)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(Beside, "started", [])
+    monkeypatch.setattr(Beside, "ended", 0)
+    return Beside
+
+
+def _compile_two():
+    for number in (1, 2):
+        assert numba.njit(lambda x, n=number: x + n)(1) == 1 + number
+
+
+def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
+    before = gc.get_threshold()
+    with compilation_told(["a.module", "--word"]):
+        assert gc.get_threshold() != before
+        _compile_two()
+        assert processes.ended == 0
+    assert processes.started == [[sys.executable, "-m", "a.module", "--word"]]
+    assert processes.ended == 1
+    assert gc.get_threshold() == before
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("compiling kernels, once on this machine")
+    assert said[-1].startswith("compiled 2 kernels in ")
+
+
+def test_nothing_is_told_where_nothing_is_compiled(processes, capsys):
+    with compilation_told(["a.module"]):
+        pass
+    assert not processes.started
+    assert not capsys.readouterr().err
+
+
+def test_one_processor_gets_no_help(processes, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    with compilation_told(["a.module"]):
+        _compile_two()
+    assert not processes.started
+
+
+def test_the_helper_is_ended_with_a_flight_that_fails(processes):
+    before = gc.get_threshold()
+    with pytest.raises(ValueError, match="flight"), compilation_told(["a.module"]):
+        _compile_two()
+        raise ValueError("flight")
+    assert processes.ended == 1
+    assert gc.get_threshold() == before
+
+
+def test_warming_compiles_what_maps_call(monkeypatch):
+    called = []
+    for module, name in (
+        (_kernels, "stochastic"), (_kernels, "extremes"), (_plane_kernels, "stochastic_planes"),
+        (_plane_kernels, "bounded"), (_exact_kernels, "exact"),
+    ):  # fmt: skip
+        inner = getattr(module, name)
+
+        def seen(*args, inner=inner, name=name):
+            called.append((name, next(a.dtype for a in args if isinstance(a, np.ndarray))))
+            return inner(*args)
+
+        monkeypatch.setattr(module, name, seen)
+    warm(exact=False)
+    assert {name for name, _ in called} == {
+        "stochastic",
+        "extremes",
+        "stochastic_planes",
+        "bounded",
+    }
+    warm(exact=True)
+    assert called[-1] == ("exact", np.float64)
