@@ -23,6 +23,7 @@ from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
     from lunarsim.campaign.cache import DiskCache
+    from lunarsim.campaign.results import Results
     from lunarsim.campaign.spec import CampaignSpec
 
 _FOLDER = click.argument("folder", type=PATH)
@@ -80,7 +81,10 @@ def plan(spec: Path, out: Path | None) -> None:
         from lunarsim.campaign.planned import write_plan
 
         write_whole(out, lambda path: write_plan(planned, path, out.suffix.lower()))
-        click.echo(f"{out}: {planned.flights} flights of {len(planned.arms)} arms")
+        told = f"{planned.flights} flights of {len(planned.arms)} arms"
+        if planned.chains is not None:
+            told = f"{planned.chains.flights} flights of the first level; others follow from these"
+        click.echo(f"{out}: {told}")
         return
     names = ["id", "flight", "arm", "seed", *planned.inputs]
     writer = csv.DictWriter(sys.stdout, names, lineterminator="\n")
@@ -164,7 +168,7 @@ def _flown(
 
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
     kept = _cache(*cache)
-    total = spec.head.flights * len(spec.arms)
+    total = spec.most_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
         try:
             ran = fly_spec(
@@ -296,10 +300,10 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
 @click.option("--above", type=float, default=None, help="A number above this is a failure.")
 @click.option("--below", type=float, default=None, help="A number below this is a failure.")
 def rare(folder: Path, metric: str, above: float | None, below: float | None) -> None:
-    """Tell the share of failures of the campaign in FOLDER, flown with method = "importance".
+    """Tell the share of failures of the campaign in FOLDER, of method importance or subset.
 
     The share is that under the dispersions as declared, with its 95 % interval, and worth so many
-    flights of plain Monte Carlo.
+    flights of plain Monte Carlo. Of method subset the levels are told too.
     """
     from rich.table import Table
 
@@ -307,11 +311,32 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
     from lunarsim.campaign.results import load_results
 
     table = Table("arm", "flights", "failed", "without verdict", "share that fails [95 %]", "worth")
-    for s in rare_shares(load_results(folder), metric, above, below):
+    found = load_results(folder)
+    for s in rare_shares(found, metric, above, below):
         interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" rough" if s.few else "")
+        interval = interval if s.value == s.value else "-"
         worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
         table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
     wide_console(140).print(table)
+    if found.is_subset:
+        _tell_levels(found)
+
+
+def _tell_levels(found: Results) -> None:
+    """Print the levels of a subset simulation."""
+    from rich.table import Table
+
+    from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
+
+    chains = chains_of(found)
+    told = levels_told(chains)
+    if told:
+        table = Table(*told[0])
+        for level in told:
+            table.add_row(*level.values())
+        wide_console(140).print(table)
+    if said := how_it_ended(chains):
+        click.echo(said)
 
 
 @campaign.command()

@@ -20,11 +20,15 @@ from lunarsim.campaign.keys import GROUND_TABLES, tables_of
 from lunarsim.campaign.outcomes import NotKeptError
 from lunarsim.campaign.plan import WEIGHT, Group, Plan, Work, kind_of
 from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.campaign.subset import CHAIN, LEVEL, WORLD, Chains
 from lunarsim.evaluation.outcome import COLUMNS, evaluate
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.simulation import Flight, Simulation, build_world
 from lunarsim.world.terrain import Terrain
+
+# Columns that tell a flight's place in a subset simulation.
+_PLACE = (LEVEL, CHAIN, WORLD)
 
 
 @dataclass(frozen=True)
@@ -62,10 +66,12 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
     """Return the plan of a spec; records and figures go to `out`, truth to `cache`."""
     arms = [(arm.name, _named(arm.values)) for arm in spec.arms]
     laws = spec.dispersions.distributions
-
+    chains = None if spec.dispersions.subset is None else Chains(spec.dispersions)
     leans = spec.dispersions.importance is not None
 
     def draws(flight: int) -> dict[str, Any]:
+        if chains is not None:
+            return _named(chains.draws(flight))
         drawn = _named(spec.dispersions.draws(flight))
         return drawn | {WEIGHT: spec.dispersions.weight(flight)} if leans else drawn
 
@@ -74,12 +80,14 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
     inputs |= _kinds(laws)
     if leans:
         inputs[WEIGHT] = "float"
+    if chains is not None:
+        inputs = dict.fromkeys(_PLACE, "int") | inputs
     head, block = spec.head, spec.dispersions.block
     study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block)
     return Plan(
         name=spec.head.name,
         seed=spec.head.seed,
-        flights=spec.head.flights,
+        flights=spec.head.flights if chains is None else chains.most,
         arms=arms,
         groups=groups_of(spec.arms),
         draws=draws,
@@ -87,6 +95,7 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
         inputs=inputs,
         work=Work("lunarsim.campaign.flying:fly", study),
         identity=spec.identity,
+        chains=chains,
     )
 
 
@@ -165,13 +174,14 @@ def fly_whole(
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
     """Fly as `fly` does; return the record, what flew it, and the metrics. Nothing is written."""
     chosen = study.arms[arm]
-    draws = {key: value for key, value in group.draws.items() if key != WEIGHT}
+    draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_PLACE)}
     scenario = with_values(chosen.scenario, draws, "dispersions")
-    seed = flight_seed(study.seed, world_of(group.flight, study.block))
+    world = group.draws.get(WORLD, world_of(group.flight, study.block))
+    seed = flight_seed(study.seed, world)
     grounds = Grounds(seed, memory, study.cache)
-    world, truth = grounds.world_and_truth(scenario)
+    ground, truth = grounds.world_and_truth(scenario)
     policy = chosen.policy or scenario.policy.kind
-    simulation = Simulation(scenario, seed, policy, world=world, truth=truth)
+    simulation = Simulation(scenario, seed, policy, world=ground, truth=truth)
     flight = simulation.run()
     return flight, simulation, evaluate(flight, truth) | grounds.shares(scenario, truth)
 

@@ -60,8 +60,13 @@ class Results:
 
     @property
     def is_leaning(self) -> bool:
-        """Whether flights were drawn to fail more often, and count by their weights."""
-        return WEIGHT in self.manifest["inputs"]
+        """Whether flights were drawn to fail more often, so that they do not count alike."""
+        return WEIGHT in self.manifest["inputs"] or self.is_subset
+
+    @property
+    def is_subset(self) -> bool:
+        """Whether flights were drawn from how others ended, level by level."""
+        return bool(self.manifest["identity"].get("method") == "subset")
 
     @property
     def apart(self) -> NDArray[np.bool_]:
@@ -82,7 +87,8 @@ class Results:
         if self.is_leaning:
             raise InputError(
                 field, str(self.folder), "a campaign whose flights count alike; of importance "
-                "sampling `lunarsim campaign rare` tells the share of failures",
+                "sampling and subset simulation `lunarsim campaign rare` tells the share of "
+                "failures",
             )  # fmt: skip
 
 

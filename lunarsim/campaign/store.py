@@ -22,7 +22,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -234,7 +234,8 @@ class Store:
         """Write a part, and take its rows out of the journal if it is full."""
         rows = [self._open[part][key] for key in sorted(self._open[part])]
         if not rows:
-            self._path("results", part).unlink(missing_ok=True)
+            for kind in ("results", "timing"):
+                self._path(kind, part).unlink(missing_ok=True)
             return
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
             table = pa.Table.from_pylist([row[column] for row in rows], schema)
@@ -264,6 +265,20 @@ class Store:
                 self._full.remove(part)
                 self._open[part] = self._read_part(self._path("results", part))
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
+
+    def forget(self, rows: Container[tuple[int, int]]) -> None:
+        """Forget rows, by flight and arm, on the disk too, before others take their place."""
+        for part in sorted(self._full | set(self._open)):
+            if part in self._full:
+                known = self._read_part(self._path("results", part))
+            else:
+                known = self._open[part]
+            kept = {key: row for key, row in known.items() if key not in rows}
+            if len(kept) < len(known):
+                self._full.discard(part)
+                self._open[part] = kept
+                self._write_part(part)
+        self._write_journal()
 
     def save_manifest(self, **values: Any) -> None:
         """Write the manifest with other values."""
