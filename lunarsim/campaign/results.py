@@ -119,11 +119,12 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     table = _parts(folder / "results", schema, wanted)
     timing = _parts(folder / "timing", TIMING, None)
     if journal:
-        known = set(table["id"].to_pylist())
-        new = [pair for name, pair in journal.items() if name not in known]
-        rows = pa.Table.from_pylist([row for row, _ in new], schema)
+        # Of a flight that was flown again the journal has the later row.
+        table, timing = (_without(one, list(journal)) for one in (table, timing))
+        rows = pa.Table.from_pylist([row for row, _ in journal.values()], schema)
         table = pa.concat_tables([table, rows.select(table.column_names)])
-        timing = pa.concat_tables([timing, pa.Table.from_pylist([t for _, t in new], TIMING)])
+        times = pa.Table.from_pylist([t for _, t in journal.values()], TIMING)
+        timing = pa.concat_tables([timing, times])
     place = {arm["name"]: i for i, arm in enumerate(manifest["arms"])}
     unknown = set(table["arm"].unique().to_pylist()) - set(place)
     if unknown:
@@ -140,6 +141,11 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     if not np.array_equal(order, np.arange(len(order))):
         table = table.take(order)
     return Results(folder, manifest, table, _ordered(timing, table))
+
+
+def _without(table: pa.Table, names: list[str]) -> pa.Table:
+    """Return the rows of other flights."""
+    return table.filter(pc.invert(pc.is_in(table["id"], pa.array(names))))
 
 
 def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:

@@ -105,7 +105,7 @@ class Store:
         return store
 
     def _take(self, retry: bool) -> None:
-        """Take in what is there: parts first, then what the journal has besides."""
+        """Take in what is there: parts first, then the journal, whose rows are never older."""
         for old in self.folder.rglob(".*.part"):
             old.unlink()
         for path in sorted((self.folder / "results").glob("part-*.parquet")):
@@ -172,8 +172,12 @@ class Store:
                 continue
             if (retry and row["outcome"] != FLOWN) or flight >= self.plan.flights:
                 continue
-            if flight // self._per_part not in self._full:
-                self._open.setdefault(flight // self._per_part, {})[flight, arm] = row, timing
+            part = flight // self._per_part
+            if part in self._full:
+                # Of a flight that was flown again; its part has still the row that failed.
+                self._full.remove(part)
+                self._open[part] = self._read_part(self._path("results", part))
+            self._open.setdefault(part, {})[flight, arm] = row, timing
 
     # --- what is there --------------------------------------------------------------------
 

@@ -161,6 +161,31 @@ def test_flights_that_fail_are_rows_with_reason_and_seed(tmp_path):
     assert parts(tmp_path / "c") == parts(tmp_path / "d")
 
 
+def test_a_flight_flown_again_and_then_killed_is_not_forgotten(tmp_path, whole):
+    """Its row is in the journal alone, and its part has still the one that failed."""
+    folder = tmp_path / "c"
+    run(plan(raises=["1-0", "7-1"]), InlineEngine(), folder)
+    came = []
+
+    def die(count: int) -> None:
+        came.append(count)
+        if len(came) == 2:  # the rows that were there, and the first that was flown again
+            raise SystemExit
+
+    with pytest.raises(SystemExit):
+        run(plan(), InlineEngine(), folder, retry=True, progress=die)
+    found = load_results(folder)
+    rows = {row["id"]: row["outcome"] for row in found.table.to_pylist()}
+    assert (rows["1-0"], rows["7-1"], len(rows)) == ("flown", "error", 80)
+    assert found.timing["id"].equals(found.table["id"])
+    ran = run(plan(), InlineEngine(), folder)
+    assert (ran.state, ran.before, ran.flown) == ("complete", 80, 0)
+    rows = {row["id"]: row["outcome"] for row in load_results(folder).table.to_pylist()}
+    assert (rows["1-0"], rows["7-1"]) == ("flown", "error")
+    assert run(plan(), InlineEngine(), folder, retry=True).flown == 1
+    assert parts(folder) == whole
+
+
 POINTS = [
     ("before", "manifest.json", 1),
     ("after", "manifest.json", 1),
