@@ -14,7 +14,9 @@ import click
 from lunarsim.cli_common import (
     INTERRUPTED,
     PATH,
+    cache_options,
     load_scenario,
+    opened_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -22,7 +24,6 @@ from lunarsim.cli_common import (
 from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
-    from lunarsim.campaign.cache import DiskCache
     from lunarsim.campaign.results import Results
     from lunarsim.campaign.spec import CampaignSpec
 
@@ -34,14 +35,6 @@ _JOBS = click.option(
 _OUT = click.option(
     "--out", type=PATH, required=True,
     help="Folder for results: new, or of the same campaign, which is then gone on with.",
-)  # fmt: skip
-_CACHE = click.option(
-    "--cache", type=PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
-    help="Folder where the truth about grounds is kept between campaigns.",
-)  # fmt: skip
-_CACHE_SIZE = click.option(
-    "--cache-size", type=click.FloatRange(min=0.0), default=4.0, show_default=True,
-    help="Of that folder at most, GiB; 0: nothing is kept. Results do not depend on it.",
 )  # fmt: skip
 _RETRY = click.option(
     "--retry-failed", is_flag=True,
@@ -103,8 +96,7 @@ def plan(spec: Path, out: Path | None) -> None:
 @click.option(
     "--address", default=None, help="Of a running Ray cluster; left out: one is started here."
 )
-@_CACHE
-@_CACHE_SIZE
+@cache_options
 @_RETRY
 def run_command(
     spec: Path, out: Path, engine: str, jobs: int, address: str | None, cache: Path | None,
@@ -132,8 +124,7 @@ def run_command(
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @_OUT
 @_JOBS
-@_CACHE
-@_CACHE_SIZE
+@cache_options
 @_RETRY
 def sweep(
     scenario: Path, changes: tuple[str, ...], over: tuple[str, ...], flights: int, seed: int,
@@ -167,7 +158,7 @@ def _flown(
     from lunarsim.campaign.fly_spec import fly_spec
 
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
-    kept = _cache(*cache)
+    kept = opened_cache(*cache)
     total = spec.most_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
         try:
@@ -189,17 +180,6 @@ def _flown(
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
-
-
-def _cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
-    """Return the cache of a folder, None where nothing is kept."""
-    from lunarsim.campaign.cache import opened, standard_folder
-
-    if not math.isfinite(gigabytes):
-        raise InputError("--cache-size", gigabytes, "a finite number of GiB; 0: nothing is kept")
-    if gigabytes == 0.0:
-        return None
-    return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
 @campaign.command()

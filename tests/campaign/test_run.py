@@ -404,6 +404,24 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
         with pytest.raises(InputError, match=rf"flown with {key} {value}"):
             run(plan(flights=2), InlineEngine(), tmp_path / "c")
         (tmp_path / "c" / "manifest.json").write_bytes(kept[tmp_path / "c" / "manifest.json"])
+    for name, value, says in (
+        ("numpy", "1.26.4", r"numpy 1\.26\.4 there, .* here"),
+        ("numpy", "1.26.4", r"pip install numpy==1\.26\.4"),
+        ("torch", "2.0", "torch 2.0 there, none here"),
+        ("platform", "linux m68k", "platform linux m68k there"),
+    ):
+        manifest = json.loads(kept[tmp_path / "c" / "manifest.json"])
+        manifest["environment"][name] = value
+        (tmp_path / "c" / "manifest.json").write_text(json.dumps(manifest))
+        with pytest.raises(InputError, match=says) as refused:
+            run(plan(flights=2), InlineEngine(), tmp_path / "c")
+        assert refused.value.field == "--out"
+    manifest["environment"] = json.loads(kept[tmp_path / "c" / "manifest.json"])["environment"] | {
+        "cores": "64", "python": "3.99",
+    }  # fmt: skip
+    (tmp_path / "c" / "manifest.json").write_text(json.dumps(manifest))
+    run(plan(flights=2), InlineEngine(), tmp_path / "c")
+    kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
     (tmp_path / "c" / "manifest.json").write_text("{")
     with pytest.raises(InputError, match=r"manifest\.json in order"):
         run(plan(flights=2), InlineEngine(), tmp_path / "c")
