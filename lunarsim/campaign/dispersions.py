@@ -39,6 +39,10 @@ OPEN = ("monte-carlo", "importance")
 _STREAMED = (*OPEN, "subset")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _EDGE = 2.0**-53
+_SCALES = (
+    "from 1 to 8: draws closer together than declared leave failures out on every side, and "
+    "nothing in the flights would tell"
+)
 # Share of a normal distribution that must be left between bounds.
 _LEAST_MASS = 1e-12
 
@@ -246,7 +250,8 @@ class Importance:
     Attributes
     ----------
     shifts, scales
-        By key, sigmas; left out: 0 and 1.
+        By key, sigmas; left out: 0 and 1. Scales below 1 are refused: the ratio of the densities
+        would have no bound but the mixture's on any side.
     nominal_share
         Of the flights that are drawn as they are.
     """
@@ -258,9 +263,9 @@ class Importance:
     def __post_init__(self) -> None:
         for name, table in (("shifts", self.shifts), ("scales", self.scales)):
             for key, value in (table or {}).items():
-                fits = -8.0 <= value <= 8.0 if name == "shifts" else 0.1 <= value <= 8.0
+                fits = -8.0 <= value <= 8.0 if name == "shifts" else 1.0 <= value <= 8.0
                 if not fits:
-                    expected = "from -8 to 8 sigmas" if name == "shifts" else "from 0.1 to 8"
+                    expected = "from -8 to 8 sigmas" if name == "shifts" else _SCALES
                     raise InputError(name, {key: value}, expected)
         shifts, scales = self.shifts or {}, self.scales or {}
         if not any(shifts.values()) and all(v == 1.0 for v in scales.values()):

@@ -143,8 +143,9 @@ def weighted_share(
 ) -> tuple[float, float, float, float]:
     """Return the weighted share of hits, its 95 % interval, and how many even draws it is worth.
 
-    The interval is even in the logarithm, since the share cannot be negative. Without a hit its
-    upper end is that of the least flattering case: hits that have the greatest weight of all.
+    The interval is even in the logarithm, since the share cannot be negative. Where hits are worth
+    few even ones, its upper end is at least that of the least flattering case: hits of the greatest
+    weight of all, which are those of draws as declared, were as many as can be.
 
     Parameters
     ----------
@@ -164,4 +165,8 @@ def weighted_share(
     error = float(each.std(ddof=1)) / np.sqrt(count) if count > 1 else np.inf
     wide = float(np.exp(ndtri(0.975) * error / value))
     worth = value * (1.0 - value) / error**2 if error > 0.0 else nan
-    return value, value / wide, min(1.0, value * wide), float(worth)
+    high = value * wide
+    if _told_by(weights[hits]) < _FEW:
+        heavy = int((hits & (weights >= 0.5 * most)).sum())
+        high = max(high, most * greatest_share(heavy, count))
+    return value, value / wide, min(1.0, high), float(worth)

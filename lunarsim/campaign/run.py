@@ -123,16 +123,12 @@ def run(
         if plan.chains is not None:
             _shown_to_chains(plan, store)
             before = store.count
-        if rule is not None:
+        elif rule is not None:
             _shown(rule, store, plan)
         if progress is not None and before:
             progress(before)
         flown, failed, in_time = _fly(plan, engine, store, halt, rule, time_budget, progress)
-        state = _state(store, plan, rule, in_time)
-        last = _last(plan, rule)
-        if state in (STOPPED, COMPLETE) and last is not None:
-            store.cut(last)
-        store.close(state)
+        state = _closed(store, plan, rule, in_time)
     except OSError as error:
         store.abandon()
         said = (
@@ -223,10 +219,14 @@ def _shown_to_chains(plan: Plan, store: Store) -> None:
         )
 
 
-def _last(plan: Plan, rule: WidthRule | None) -> int | None:
-    """Return the number of flights that the campaign ended at, where that was open."""
+def _closed(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
+    """Close a folder, at the flight that the campaign ended at where that was open; return how."""
+    state = _state(store, plan, rule, in_time)
     by = plan.chains if plan.chains is not None else rule
-    return None if by is None else by.stop
+    if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:
+        store.cut(by.stop)
+    store.close(state)
+    return state
 
 
 def _state(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
