@@ -1,9 +1,8 @@
-"""What flights of one index that differ in policy alone fly twice: all up to where paths part."""
+"""What it saves that flights of one index which differ in policy alone share their path."""
 
 from __future__ import annotations
 
 import time
-from itertools import groupby
 from typing import Any
 
 from bench_parts.common import ROOT
@@ -11,74 +10,48 @@ from bench_parts.common import ROOT
 # Scenario, policies, indices.
 _CASES = (
     ("hard", ("no-divert", "nearest-safe", "fuel-aware", "safest"), 4),
-    ("morpheus", ("no-divert", "safest"), 1),
-    ("shadow_nominal", ("no-divert", "safest"), 1),
+    ("hirise", ("no-divert", "nearest-safe", "fuel-aware", "safest"), 4),
 )
 
 
 def paths() -> None:
-    """Share of processor time before the first decision, and before decisions differ."""
+    """Processor time of flights that differ in policy alone, on shared paths and apart."""
+    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.spec import CampaignSpec
+
     for name, policies, flights in _CASES:
-        spent = first = twice = 0.0
-        for index in range(flights):
-            _flown(name, "no-divert", index)  # the first loads what is loaded late
-            flown = [_flown(name, policy, index) for policy in policies]
-            whole = sum(sum(cost for cost, _ in one) for one in flown)
-            spent += whole
-            least = min(sum(cost for cost, _ in one[: _first_decision(one)]) for one in flown)
-            first += (len(policies) - 1) * least
-            twice += whole - _apart(flown, 0)
+        path = ROOT / "scenarios" / f"{name}.toml"
+        factors = {"policy": list(policies)}
+        spec = CampaignSpec.from_dict(
+            {"scenario": str(path), "flights": flights + 1, "seed": 21, "factors": factors}
+        )
+        study = plan_of(spec).work.study
+        shared = apart = 0.0
+        for index in range(flights + 1):
+            one, other = _took(study, index, len(policies))
+            if index:  # the first loads what is loaded late
+                shared, apart = shared + one, apart + other
+        each = flights * len(policies)
         print(
-            f"  {name}, {len(policies)} policies: {spent / flights / len(policies):.2f} s of a "
-            f"processor a flight; one path up to the first decision would save "
-            f"{100.0 * first / spent:.0f} %, up to where decisions differ "
-            f"{100.0 * twice / spent:.0f} %"
+            f"  {name}, {len(policies)} policies, truth known: {shared / each:.2f} s of a core "
+            f"a flight on shared paths, {apart / each:.2f} s apart: {apart / shared:.1f} times"
         )
 
 
-def _flown(name: str, policy: str, index: int) -> list[tuple[float, Any]]:
-    """Return the processor time of each cycle of a flight, and what was decided then."""
-    from lunarsim.rng import flight_seed
-    from lunarsim.scenario import Scenario
-    from lunarsim.simulation import Simulation
+def _took(study: Any, index: int, arms: int) -> tuple[float, float]:
+    """Return the processor time of all arms of an index, on shared paths and apart."""
+    from dataclasses import replace
 
-    scenario = Scenario.load(ROOT / "scenarios" / f"{name}.toml")
-    told: list[Any] = [None]
-    began = time.process_time()
-    simulation = Simulation(scenario, flight_seed(21, index), policy)
-    kept = simulation.computer.apply
+    from lunarsim.campaign.flying import fly
+    from lunarsim.campaign.plan import Group
 
-    def noted(decision: Any) -> bool:
-        site = None if decision.site is None else decision.site.tobytes()
-        told[0] = (site, decision.abort)
-        return kept(decision)
-
-    simulation.computer.apply = noted  # type: ignore[method-assign]
-    cycles = [(time.process_time() - began, None)]
-    while not simulation.done:
-        told[0], began = None, time.process_time()
-        simulation.step()
-        cycles.append((time.process_time() - began, told[0]))
-    return cycles
-
-
-def _first_decision(cycles: list[tuple[float, Any]]) -> int:
-    return next((i for i, (_, said) in enumerate(cycles) if said is not None), len(cycles))
-
-
-def _apart(flights: list[list[tuple[float, Any]]], cycle: int) -> float:
-    """Return the time of flights from a cycle on, where those on one path are flown once."""
-    total = 0.0
-    while True:
-        flights = [one for one in flights if len(one) > cycle]
-        if not flights:
-            return total
-        total += min(one[cycle][0] for one in flights)
-        key = [(repr(one[cycle][1]), one) for one in flights]
-        groups = [
-            [one for _, one in group]
-            for _, group in groupby(sorted(key, key=lambda k: k[0]), key=lambda k: k[0])
-        ]
-        cycle += 1
-        if len(groups) > 1:
-            return total + sum(_apart(group, cycle) for group in groups)
+    memory: dict[Any, Any] = {}
+    group, alone = Group(index, tuple(range(arms))), replace(study, paths=())
+    fly(alone, group, 0, memory)  # world and truth
+    took = []
+    for known in (study, alone):
+        began = time.process_time()
+        rows = [fly(known, group, arm, memory) for arm in group.arms]
+        took.append(time.process_time() - began)
+        assert len(rows) == arms
+    return took[0], took[1]

@@ -24,7 +24,8 @@ from lunarsim.campaign.replay import replay
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.subset_share import chains_of, share_of
+from lunarsim.campaign.subset import Level
+from lunarsim.campaign.subset_share import chains_of, share_of, variance_of
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
@@ -187,6 +188,27 @@ def test_processes_give_the_same_bytes(tmp_path, whole, monkeypatch):
     again = run(planned("linear"), LocalEngine(2), tmp_path / "c")
     assert (again.state, again.flown) == ("complete", 0)
     assert parts(tmp_path / "c") == parts(whole)
+
+
+def test_what_chains_and_worlds_share_widens_and_errors_of_levels_add():
+    """By hand: 100 flights of which 10 are near, then chains that are near from end to end."""
+    apart = np.arange(100).reshape(100, 1)
+    first = Level(np.where(apart < 10, 1.0, 2.0), apart, 1.0, 0.1, np.nan, 0)
+    assert variance_of(first) == pytest.approx(0.9 / (0.1 * 100))
+    chains = np.repeat(np.arange(10)[:, None], 10, axis=1)
+    # Ten states of a chain are worth one, whether its world is the same all along or not.
+    for worlds in (chains, np.arange(100).reshape(10, 10)):
+        last = Level(np.where(chains < 1, -1.0, 1.0), worlds, 0.0, 0.1, 0.3, 0)
+        assert variance_of(last) == pytest.approx(0.9 / (0.1 * 10))
+        made = share_of([first, last])
+        assert made.value == pytest.approx(0.01)
+        assert made.variation == pytest.approx(0.3 + np.sqrt(0.9))
+        wide = np.exp(norm.ppf(0.975) * np.sqrt(np.log(1.0 + made.variation**2)))
+        assert (made.low, made.high) == pytest.approx((0.01 / wide, 0.01 * wide))
+    assert share_of([first, replace(last, worlds=chains)]).worlds == 10
+    # Two chains of one world, both near: their 20 states are worth less than two chains.
+    of_one = Level(np.where(chains < 2, -1.0, 1.0), np.maximum(chains, 1), 0.0, 0.2, 0.3, 0)
+    assert variance_of(of_one) == pytest.approx((16.0**2 + 8 * 2.0**2) / 20.0**2)
 
 
 def test_what_chance_decides_is_in_the_share():
