@@ -187,7 +187,8 @@ def compare(
     share that landed safe with its 95 % Wilson interval; the same among flights whose scanned
     ground held an exactly safe site within reach; how many climbed away; propellant; divert
     distance; the largest touchdown speeds and tilt; precision and recall of the hazard map (cells
-    with p > 0.5 against the exact map); and wall-clock time a flight.
+    with p > 0.5 against the exact map); and wall-clock time a flight, where the first policy's
+    holds what all of them share.
     """
     from lunarsim.campaign.comparison import check_request
     from lunarsim.campaign.comparison import compare as run
