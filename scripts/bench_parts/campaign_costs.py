@@ -64,7 +64,7 @@ def million(folder: Path, row_bytes: float) -> None:
     """Print what a million flights cost, by what maps hazards."""
     write = _writing(folder)
     print(
-        f"  the writer takes {1e3 * write:.2f} ms of a core a row, {1.0 / write:.0f} rows a second; "
+        f"  the writer takes {1e3 * write:.2f} ms of a core a row, {1.0 / write:.0f} a second; "
         f"a row is {row_bytes:.0f} bytes of Parquet, {_MANY:,} are {_MANY * row_bytes / 1e9:.2f} GB"
     )
     print(f"  {_MANY:,} flights, {_CORES} cores, {_PRICE} USD a core-hour:")
