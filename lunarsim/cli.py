@@ -17,7 +17,9 @@ from lunarsim.cli_common import (
     PATH,
     SEED,
     Group,
+    cache_options,
     load_scenario,
+    opened_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -179,9 +181,10 @@ def _facts(record: Flight) -> list[tuple[str, str]]:
     help="New folder for results.parquet, every flight's record, and figures.",
 )  # fmt: skip
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
+@cache_options
 def compare(
     scenario: Path, changes: tuple[str, ...], policies: str, flights: int, seed: int, jobs: int,
-    out: Path, figures: bool,
+    out: Path, figures: bool, cache: Path | None, cache_size: float,
 ) -> None:  # fmt: skip
     """Fly several policies over the same worlds of SCENARIO and compare them.
 
@@ -189,22 +192,26 @@ def compare(
     share that landed safe with its 95 % Wilson interval; the same among flights whose scanned
     ground held an exactly safe site within reach; how many climbed away; propellant; divert
     distance; the largest touchdown speeds and tilt; precision and recall of the hazard map (cells
-    with p > 0.5 against the exact map); and wall-clock time a flight.
+    with p > 0.5 against the exact map); and wall-clock time a flight, where the first policy's
+    holds what all of them share.
     """
+    from lunarsim.campaign.comparison import check_request
     from lunarsim.campaign.comparison import compare as run
-    from lunarsim.cli_waiting import compilation_told
+    from lunarsim.campaign.engines.local import WorkersDieError
 
     loaded = load_scenario(scenario, changes)
     names = [name.strip() for name in policies.split(",") if name.strip()]
-    console = wide_console(170)
-    with (
-        progress_bar(loaded.name, max(flights, 0) * len(names)) as advance,
-        compilation_told(),
-    ):
-        result = run(
-            loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
-            progress=advance,
-        )  # fmt: skip
+    check_request(names, flights, jobs)
+    kept, console = opened_cache(cache, cache_size), wide_console(170)
+    with progress_bar(loaded.name, flights * len(names)) as advance:
+        try:
+            result = run(
+                loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
+                progress=advance, cache=kept, apart=True,
+                say=lambda line: click.echo(line, err=True),
+            )  # fmt: skip
+        except WorkersDieError as error:
+            raise click.ClickException(str(error)) from None
     if result.rows:
         console.print(_table(result))
         console.print(

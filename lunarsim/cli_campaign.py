@@ -14,7 +14,9 @@ import click
 from lunarsim.cli_common import (
     INTERRUPTED,
     PATH,
+    cache_options,
     load_scenario,
+    opened_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -22,7 +24,7 @@ from lunarsim.cli_common import (
 from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
-    from lunarsim.campaign.cache import DiskCache
+    from lunarsim.campaign.results import Results
     from lunarsim.campaign.spec import CampaignSpec
 
 _FOLDER = click.argument("folder", type=PATH)
@@ -33,14 +35,6 @@ _JOBS = click.option(
 _OUT = click.option(
     "--out", type=PATH, required=True,
     help="Folder for results: new, or of the same campaign, which is then gone on with.",
-)  # fmt: skip
-_CACHE = click.option(
-    "--cache", type=PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
-    help="Folder where the truth about grounds is kept between campaigns.",
-)  # fmt: skip
-_CACHE_SIZE = click.option(
-    "--cache-size", type=click.FloatRange(min=0.0), default=4.0, show_default=True,
-    help="Of that folder at most, GiB; 0: nothing is kept. Results do not depend on it.",
 )  # fmt: skip
 _RETRY = click.option(
     "--retry-failed", is_flag=True,
@@ -80,7 +74,10 @@ def plan(spec: Path, out: Path | None) -> None:
         from lunarsim.campaign.planned import write_plan
 
         write_whole(out, lambda path: write_plan(planned, path, out.suffix.lower()))
-        click.echo(f"{out}: {planned.flights} flights of {len(planned.arms)} arms")
+        told = f"{planned.flights} flights of {len(planned.arms)} arms"
+        if planned.chains is not None:
+            told = f"{planned.chains.flights} flights of the first level; others follow from these"
+        click.echo(f"{out}: {told}")
         return
     names = ["id", "flight", "arm", "seed", *planned.inputs]
     writer = csv.DictWriter(sys.stdout, names, lineterminator="\n")
@@ -99,8 +96,7 @@ def plan(spec: Path, out: Path | None) -> None:
 @click.option(
     "--address", default=None, help="Of a running Ray cluster; left out: one is started here."
 )
-@_CACHE
-@_CACHE_SIZE
+@cache_options
 @_RETRY
 def run_command(
     spec: Path, out: Path, engine: str, jobs: int, address: str | None, cache: Path | None,
@@ -128,8 +124,7 @@ def run_command(
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @_OUT
 @_JOBS
-@_CACHE
-@_CACHE_SIZE
+@cache_options
 @_RETRY
 def sweep(
     scenario: Path, changes: tuple[str, ...], over: tuple[str, ...], flights: int, seed: int,
@@ -163,8 +158,8 @@ def _flown(
     from lunarsim.campaign.fly_spec import fly_spec
 
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
-    kept = _cache(*cache)
-    total = spec.head.flights * len(spec.arms)
+    kept = opened_cache(*cache)
+    total = spec.most_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
         try:
             ran = fly_spec(
@@ -185,17 +180,6 @@ def _flown(
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
-
-
-def _cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
-    """Return the cache of a folder, None where nothing is kept."""
-    from lunarsim.campaign.cache import opened, standard_folder
-
-    if not math.isfinite(gigabytes):
-        raise InputError("--cache-size", gigabytes, "a finite number of GiB; 0: nothing is kept")
-    if gigabytes == 0.0:
-        return None
-    return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
 @campaign.command()
@@ -296,10 +280,10 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
 @click.option("--above", type=float, default=None, help="A number above this is a failure.")
 @click.option("--below", type=float, default=None, help="A number below this is a failure.")
 def rare(folder: Path, metric: str, above: float | None, below: float | None) -> None:
-    """Tell the share of failures of the campaign in FOLDER, flown with method = "importance".
+    """Tell the share of failures of the campaign in FOLDER, of method importance or subset.
 
     The share is that under the dispersions as declared, with its 95 % interval, and worth so many
-    flights of plain Monte Carlo.
+    flights of plain Monte Carlo. Of method subset the levels are told too.
     """
     from rich.table import Table
 
@@ -307,11 +291,32 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
     from lunarsim.campaign.results import load_results
 
     table = Table("arm", "flights", "failed", "without verdict", "share that fails [95 %]", "worth")
-    for s in rare_shares(load_results(folder), metric, above, below):
+    found = load_results(folder)
+    for s in rare_shares(found, metric, above, below):
         interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" rough" if s.few else "")
+        interval = interval if s.value == s.value else "-"
         worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
         table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
     wide_console(140).print(table)
+    if found.is_subset:
+        _tell_levels(found)
+
+
+def _tell_levels(found: Results) -> None:
+    """Print the levels of a subset simulation."""
+    from rich.table import Table
+
+    from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
+
+    chains = chains_of(found)
+    told = levels_told(chains)
+    if told:
+        table = Table(*told[0])
+        for level in told:
+            table.add_row(*level.values())
+        wide_console(140).print(table)
+    if said := how_it_ended(chains):
+        click.echo(said)
 
 
 @campaign.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from lunarsim.errors import InputError, RenderingError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lunarsim.campaign.cache import DiskCache
     from lunarsim.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -72,6 +74,32 @@ FLIGHT = click.option(
 def scenario_options(command: F) -> F:
     """Give a command the argument SCENARIO and the option ``--set``."""
     return _FILE(_SET(command))
+
+
+_CACHE = click.option(
+    "--cache", type=PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
+    help="Folder where the truth about grounds is kept between campaigns.",
+)  # fmt: skip
+_CACHE_SIZE = click.option(
+    "--cache-size", type=click.FloatRange(min=0.0), default=4.0, show_default=True,
+    help="Of that folder at most, GiB; 0: nothing is kept. Results do not depend on it.",
+)  # fmt: skip
+
+
+def cache_options(command: F) -> F:
+    """Give a command the options of the cache of truth about grounds."""
+    return _CACHE(_CACHE_SIZE(command))
+
+
+def opened_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
+    """Return the cache of a folder, None where nothing is kept."""
+    from lunarsim.campaign.cache import opened, standard_folder
+
+    if not math.isfinite(gigabytes):
+        raise InputError("--cache-size", gigabytes, "a finite number of GiB; 0: nothing is kept")
+    if gigabytes == 0.0:
+        return None
+    return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
 def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) -> Scenario:

@@ -23,6 +23,7 @@ from bench_parts.navigation import navigation
 from bench_parts.quadtree import lidar_inertial, quadtree
 from bench_parts.sensing import lidar, render, terrain
 from bench_parts.shadows import shadows
+from bench_parts.shared_paths import paths
 
 PARTS: dict[str, Callable[[], None]] = {
     part.__name__: part
@@ -39,6 +40,7 @@ PARTS: dict[str, Callable[[], None]] = {
         navigation,
         guidance,
         campaign,
+        paths,
     )
 }
 

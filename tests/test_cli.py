@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -54,9 +55,12 @@ def test_compare_prints_a_row_a_policy(small, tmp_path):
     out = tmp_path / "results"
     result = run(
         "compare", str(small), "--policies", "no-divert,safest", "--flights", "1", "--jobs", "1",
-        "--out", str(out), "--no-figures",
+        "--out", str(out), "--no-figures", "--cache", str(tmp_path / "cache"),
     )  # fmt: skip
     assert result.exit_code == 0, result.output
+    # As of `campaign run`: its engine, its cache, kernels first.
+    assert json.loads((out / "manifest.json").read_text())["engine"] == "local"
+    assert list((tmp_path / "cache").rglob("*.npz")) and "kernels are ready" in result.output
     assert "no-divert" in result.output
     assert "exactly safe share" in result.output
 

@@ -11,6 +11,7 @@ import pickle
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import lunarsim
+from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.dispersions import Dispersions
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.engines.inline import InlineEngine
@@ -27,6 +29,7 @@ from lunarsim.campaign.factors import Arm
 from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.run import Ran
 from lunarsim.campaign.spec import CampaignSpec, Head
 from lunarsim.errors import InputError, check_folder
 from lunarsim.onboard.policies.contract import RetargetingPolicy
@@ -98,6 +101,9 @@ def compare(
     out: Path | None = None,
     progress: Progress | None = None,
     figures: bool = True,
+    cache: DiskCache | None = None,
+    say: Callable[[str], None] | None = None,
+    apart: bool = False,
 ) -> CompareResult:
     """Fly `flights` flights under each policy.
 
@@ -115,6 +121,10 @@ def compare(
     progress, figures
         Called with the number of flights finished since the last call; whether to draw the first
         flight of each policy and the comparison.
+    cache, say
+        See `lunarsim.campaign.fly_spec.fly_spec`.
+    apart
+        Whether a single job is a process of its own, as several are; else it is this one.
 
     Raises
     ------
@@ -125,21 +135,23 @@ def compare(
     spec = _spec(scenario, policies, flights, seed, figures)
     if out is not None and not (out / "manifest.json").exists():
         check_folder(out)
-    engine: Engine = InlineEngine() if jobs == 1 else LocalEngine(min(jobs, flights))
-    if jobs > 1:
+    apart = apart or jobs > 1
+    engine: Engine = LocalEngine(min(jobs, flights)) if apart else InlineEngine()
+    if apart:
         _check_travel(policies)
+    fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, say=say)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
             spec_here = spec.keeping(records="none", figures=False)
-            return _compare(spec_here, engine, Path(folder), None, progress)
-    return _compare(spec, engine, out, out, progress)
+            return _compare(spec_here, fly, Path(folder), None)
+    return _compare(spec, fly, out, out)
 
 
 def _compare(
-    spec: CampaignSpec, engine: Engine, folder: Path, out: Path | None, progress: Progress | None
+    spec: CampaignSpec, fly: Callable[..., Ran], folder: Path, out: Path | None
 ) -> CompareResult:
     """Fly into `folder`; write what `out` is promised besides the results."""
-    ran = fly_spec(spec, engine, folder, progress=progress)
+    ran = fly(spec, out=folder)
     result = _result(folder, ran.complete)
     if out is not None and result.rows:
         _write(result, out, spec)

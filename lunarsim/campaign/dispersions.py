@@ -1,4 +1,4 @@
-"""What a campaign draws anew for every flight: distributions, and three ways to draw from them.
+"""What a campaign draws anew for every flight: distributions, and ways to draw from them.
 
 Every draw starts from one number in (0, 1) a key. Plain Monte Carlo takes it from a stream of the
 flight's own seed, so that flight i draws the same whatever else is flown; Latin hypercube and
@@ -24,6 +24,7 @@ from pydantic import ValidationError
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc, truncnorm
 
+from lunarsim.campaign.subset_settings import Subset
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import quantity, settings_of
 from lunarsim.rng import Streams, design_seed, flight_seed
@@ -31,11 +32,17 @@ from lunarsim.scenario.errors import input_error
 
 Array = NDArray[np.float64]
 
-METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli", "importance")
+METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli", "importance", "subset")
 # Of which the flights depend on their index alone, so that more can be asked for later.
 OPEN = ("monte-carlo", "importance")
+# Of which the numbers that a flight's draws start from come from its own streams.
+_STREAMED = (*OPEN, "subset")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _EDGE = 2.0**-53
+_SCALES = (
+    "from 1 to 8: draws closer together than declared leave failures out on every side, and "
+    "nothing in the flights would tell"
+)
 # Share of a normal distribution that must be left between bounds.
 _LEAST_MASS = 1e-12
 
@@ -243,7 +250,8 @@ class Importance:
     Attributes
     ----------
     shifts, scales
-        By key, sigmas; left out: 0 and 1.
+        By key, sigmas; left out: 0 and 1. Scales below 1 are refused: the ratio of the densities
+        would have no bound but the mixture's on any side.
     nominal_share
         Of the flights that are drawn as they are.
     """
@@ -255,9 +263,9 @@ class Importance:
     def __post_init__(self) -> None:
         for name, table in (("shifts", self.shifts), ("scales", self.scales)):
             for key, value in (table or {}).items():
-                fits = -8.0 <= value <= 8.0 if name == "shifts" else 0.1 <= value <= 8.0
+                fits = -8.0 <= value <= 8.0 if name == "shifts" else 1.0 <= value <= 8.0
                 if not fits:
-                    expected = "from -8 to 8 sigmas" if name == "shifts" else "from 0.1 to 8"
+                    expected = "from -8 to 8 sigmas" if name == "shifts" else _SCALES
                     raise InputError(name, {key: value}, expected)
         shifts, scales = self.shifts or {}, self.scales or {}
         if not any(shifts.values()) and all(v == 1.0 for v in scales.values()):
@@ -296,9 +304,11 @@ class Dispersions:
     correlations
         Groups of keys; no key is in two.
     method, seed, flights
-        How; root seed; number of flights, which matters to designs alone.
-    importance
-        Where draws lean to; with method importance, and with that alone.
+        How; root seed; number of flights, which matters to designs alone; of a level of method
+        subset.
+    importance, subset
+        Where draws lean to; which flights are near failure; each with the method of its name, and
+        with that alone.
     """
 
     distributions: Mapping[str, Distribution]
@@ -307,6 +317,7 @@ class Dispersions:
     seed: int = 1
     flights: int = 1
     importance: Importance | None = None
+    subset: Subset | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -318,6 +329,7 @@ class Dispersions:
         if self.method == "saltelli":
             self._check_blocks()
         self._check_importance()
+        self._check_subset()
         seen: set[str] = set()
         for i, group in enumerate(self.correlations):
             for key in group.keys:
@@ -343,6 +355,12 @@ class Dispersions:
                             f"importance.{name}", key, suggestion(key, self.distributions)
                         )
 
+    def _check_subset(self) -> None:
+        if (self.method == "subset") != (self.subset is not None):
+            raise InputError("subset", self.method, "[subset] with method subset, and then alone")
+        if self.subset is not None:
+            self.subset.check_flights(self.flights)
+
     def _check_blocks(self) -> None:
         if self.correlations:
             keys = list(self.correlations[0].keys)
@@ -365,8 +383,12 @@ class Dispersions:
         return len(self.distributions) + 3 if self.method == "saltelli" else 0
 
     def draws(self, flight: int) -> dict[str, Any]:
-        """Return the values of flight number `flight` by key."""
-        u = dict(zip(self.distributions, self._leaning(flight)[0], strict=True))
+        """Return the values of flight number `flight` by key; with method subset as declared."""
+        return self.at(self._leaning(flight)[0])
+
+    def at(self, numbers: Array) -> dict[str, Any]:
+        """Return the values by key at independent numbers in (0, 1), one a key (d,)."""
+        u = dict(zip(self.distributions, _inside(numbers), strict=True))
         for group in self.correlations:
             scores = group.root @ ndtri([u[key] for key in group.keys])
             u |= dict(zip(group.keys, _inside(ndtr(scores)), strict=True))
@@ -378,7 +400,7 @@ class Dispersions:
 
     def _leaning(self, flight: int) -> tuple[Array, float]:
         """Return a number in (0, 1) for each key (d,), and the flight's weight."""
-        u = self._uniforms(flight)
+        u = self.uniforms(flight)
         if self.importance is None:
             return u, 1.0
         rng = Streams(flight_seed(self.seed, flight)).get("importance")
@@ -386,9 +408,9 @@ class Dispersions:
         leaning, weight = self.importance.drawn(list(self.distributions), u, nominal)
         return _inside(leaning), weight
 
-    def _uniforms(self, flight: int) -> Array:
-        """Return an even number in (0, 1) for each key (d,)."""
-        if self.method in OPEN:
+    def uniforms(self, flight: int) -> Array:
+        """Return an even number in (0, 1) for each key (d,), before any leaning."""
+        if self.method in _STREAMED:
             streams = Streams(flight_seed(self.seed, flight))
             drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
             return _inside(np.array(drawn))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -18,13 +19,20 @@ from lunarsim.campaign.factors import Arm, folder_name, groups_of
 from lunarsim.campaign.grounds import SHARES, Grounds
 from lunarsim.campaign.keys import GROUND_TABLES, tables_of
 from lunarsim.campaign.outcomes import NotKeptError
+from lunarsim.campaign.paths import flown_on, path_classes
 from lunarsim.campaign.plan import WEIGHT, Group, Plan, Work, kind_of
 from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.campaign.subset import CHAIN, LEVEL, WORLD, Chains
+from lunarsim.errors import InputError
 from lunarsim.evaluation.outcome import COLUMNS, evaluate
 from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.simulation import Flight, Simulation, build_world
 from lunarsim.world.terrain import Terrain
+
+# Columns that tell a flight's place in a subset simulation.
+_PLACE = (LEVEL, CHAIN, WORLD)
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,8 @@ class Study:
         Where truth is kept between campaigns; None: nowhere.
     block
         Flights of a block of a Saltelli design, which share two worlds; 0: each has its own.
+    paths
+        See `path_classes`; empty: every flight is flown apart.
     """
 
     seed: int
@@ -56,16 +66,19 @@ class Study:
     figures: bool = False
     cache: DiskCache | None = None
     block: int = 0
+    paths: tuple[int, ...] = ()
 
 
 def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None = None) -> Plan:
     """Return the plan of a spec; records and figures go to `out`, truth to `cache`."""
     arms = [(arm.name, _named(arm.values)) for arm in spec.arms]
     laws = spec.dispersions.distributions
-
+    chains = None if spec.dispersions.subset is None else Chains(spec.dispersions)
     leans = spec.dispersions.importance is not None
 
     def draws(flight: int) -> dict[str, Any]:
+        if chains is not None:
+            return _named(chains.draws(flight))
         drawn = _named(spec.dispersions.draws(flight))
         return drawn | {WEIGHT: spec.dispersions.weight(flight)} if leans else drawn
 
@@ -74,12 +87,15 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
     inputs |= _kinds(laws)
     if leans:
         inputs[WEIGHT] = "float"
+    if chains is not None:
+        inputs = dict.fromkeys(_PLACE, "int") | inputs
     head, block = spec.head, spec.dispersions.block
-    study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block)
+    study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block,
+                  path_classes(spec.arms))  # fmt: skip
     return Plan(
         name=spec.head.name,
         seed=spec.head.seed,
-        flights=spec.head.flights,
+        flights=spec.head.flights if chains is None else chains.most,
         arms=arms,
         groups=groups_of(spec.arms),
         draws=draws,
@@ -87,6 +103,7 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
         inputs=inputs,
         work=Work("lunarsim.campaign.flying:fly", study),
         identity=spec.identity,
+        chains=chains,
     )
 
 
@@ -164,16 +181,37 @@ def fly_whole(
     study: Study, group: Group, arm: int, memory: dict[Any, Any]
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
     """Fly as `fly` does; return the record, what flew it, and the metrics. Nothing is written."""
-    chosen = study.arms[arm]
-    draws = {key: value for key, value in group.draws.items() if key != WEIGHT}
-    scenario = with_values(chosen.scenario, draws, "dispersions")
-    seed = flight_seed(study.seed, world_of(group.flight, study.block))
+    draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_PLACE)}
+    scenario = with_values(study.arms[arm].scenario, draws, "dispersions")
+    seed = flight_seed(study.seed, group.draws.get(WORLD, world_of(group.flight, study.block)))
     grounds = Grounds(seed, memory, study.cache)
     world, truth = grounds.world_and_truth(scenario)
-    policy = chosen.policy or scenario.policy.kind
-    simulation = Simulation(scenario, seed, policy, world=world, truth=truth)
-    flight = simulation.run()
+
+    def begun(policy: Any) -> Simulation:
+        return Simulation(scenario, seed, policy, world=world, truth=truth)
+
+    others = _on_the_same_path(study, group, arm, draws)
+    if others:
+        branches = memory.setdefault(("paths", study.paths[arm]), {})
+        scenarios = {arm: scenario} | others
+        simulation = flown_on(arm, scenarios, lambda: begun(scenario.policy.kind), branches)
+    else:
+        simulation = begun(study.arms[arm].policy or scenario.policy.kind)
+        simulation.run()
+    flight = simulation.flight()
     return flight, simulation, evaluate(flight, truth) | grounds.shares(scenario, truth)
+
+
+def _on_the_same_path(
+    study: Study, group: Group, arm: int, draws: Mapping[str, Any]
+) -> dict[int, Scenario]:
+    """Return the scenarios of a group's other arms that differ from an arm in policy alone."""
+    found = {}
+    for i in group.arms if study.paths else ():
+        if i != arm and study.paths[i] == study.paths[arm]:
+            with contextlib.suppress(InputError):  # it will be told when it is its turn
+                found[i] = with_values(study.arms[i].scenario, draws, "dispersions")
+    return found
 
 
 def _keep(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> None:

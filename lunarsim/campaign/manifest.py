@@ -53,6 +53,7 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
                 "--out", str(folder),
                 f"a new folder: this one was flown with {key} {manifest.get(key)}, this is {ours}",
             )  # fmt: skip
+    _check_packages(folder, manifest)
     if plan.flights < int(manifest["flights"]):
         last = _last_flight(folder)
         if last >= plan.flights:
@@ -68,6 +69,24 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
             f"a new folder, or the spec it was begun with: {key} was {old!r} there, is {new!r} now",
         )  # fmt: skip
     return manifest
+
+
+def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Refuse other packages, or another kind of machine: they may give other results."""
+    before, now = manifest.get("environment", {}), environment()
+    other = [
+        name
+        for name in dict.fromkeys([*before, *now])
+        if name not in ("python", "cores") and before.get(name) != now.get(name)
+    ]
+    if not other:
+        return
+    told = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]
+    pins = [f"{n}=={before[n]}" for n in other if n in before and n != "platform"]
+    install = f", or `pip install {' '.join(pins)}` first" if pins else ""
+    raise InputError(
+        "--out", str(folder), f"a new folder{install}: it was flown with {'; '.join(told)}"
+    )
 
 
 def _last_flight(folder: Path) -> int:

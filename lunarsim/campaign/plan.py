@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 # What a flight counts where draws lean to failure (importance sampling): a column of its own.
 WEIGHT = "weight"
@@ -53,6 +53,33 @@ class Work:
     study: Any = None
 
 
+class Following(Protocol):
+    """Flights that are drawn from how earlier ones ended: `lunarsim.campaign.subset.Chains`.
+
+    Attributes
+    ----------
+    flights
+        Of the first level, which follow from none.
+    stop
+        Number of flights of the whole campaign, once it is known.
+    """
+
+    flights: int
+    stop: int | None
+
+    def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
+        """Take in what is there; return flights that follow from none that is."""
+        ...
+
+    def see(self, flight: int, row: Mapping[str, Any]) -> None:
+        """Take in a row."""
+        ...
+
+    def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
+        """Yield what can begin; None while all waits for flights in the air."""
+        ...
+
+
 @dataclass(frozen=True)
 class Plan:
     """All flights of a campaign.
@@ -75,6 +102,9 @@ class Plan:
         What workers fly with.
     identity
         What makes the results, as plain tables: another one is another campaign.
+    chains
+        Of method subset: which flights follow from which; `draws` is theirs, and knows a flight
+        once those that it follows from have been seen. `flights` is then the most there can be.
     """
 
     name: str
@@ -87,14 +117,18 @@ class Plan:
     inputs: Mapping[str, str]
     work: Work
     identity: Mapping[str, Any]
+    chains: Following | None = None
 
     def inputs_of(self, flight: int, arm: int) -> dict[str, Any]:
         """Return the inputs of one flight by key."""
         return {**self.arms[arm][1], **self.draws(flight)}
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield what every flight gets: id, flight, arm, seed and inputs."""
-        for flight in range(self.flights):
+        """Yield what every flight gets: id, flight, arm, seed and inputs.
+
+        With method subset those of the first level: nobody knows the others yet.
+        """
+        for flight in range(self.flights if self.chains is None else self.chains.flights):
             drawn = self.draws(flight)
             for arm, (name, values) in enumerate(self.arms):
                 yield {

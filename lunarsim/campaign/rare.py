@@ -19,6 +19,7 @@ from lunarsim.campaign.analysis import arm_rows, column
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.results import Results
+from lunarsim.campaign.subset_share import chains_of, share_of
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.comparisons import greatest_share
 
@@ -42,7 +43,8 @@ class RareShare:
     worth
         Flights of plain Monte Carlo that would give the same standard error; NaN without failures.
     told_by
-        Failures of equal weight that theirs are worth (Kish): 1 where a single one outweighs all.
+        Failures of equal weight that theirs are worth (Kish): 1 where a single one outweighs all;
+        with method subset the worlds that the last level is of.
     """
 
     arm: str
@@ -69,9 +71,10 @@ def rare_shares(
     Parameters
     ----------
     found
-        A campaign of method importance.
+        A campaign of method importance or subset.
     metric
-        Column of true and false: failed is false; or of numbers, with a limit.
+        Column of true and false: failed is false; or of numbers, with a limit. With method subset
+        what the spec says.
     above, below
         A number beyond one of these is a failure.
 
@@ -81,7 +84,12 @@ def rare_shares(
         If flights count alike, or metric and limits do not fit.
     """
     if not found.is_leaning:
-        raise InputError("folder", str(found.folder), "a campaign of method importance")
+        raise InputError("folder", str(found.folder), "a campaign of method importance or subset")
+    if found.is_subset:
+        if metric != "safe" or above is not None or below is not None:
+            expected = "nothing: with method subset the spec says what failure is"
+            raise InputError("--metric", metric, expected)
+        return [_of_subset(found)]
     kinds = {n: kind for n, kind in found.manifest["columns"].items() if kind != "text"}
     if metric not in kinds:
         raise InputError("--metric", metric, suggestion(metric, kinds))
@@ -110,6 +118,21 @@ def rare_shares(
     return out
 
 
+def _of_subset(found: Results) -> RareShare:
+    """Return the share of a subset simulation; NaN while it is not complete."""
+    chains = chains_of(found)
+    lost = sum(level.lost for level in chains.levels)
+    failures = sum(int((level.margins <= 0.0).sum()) for level in chains.levels[-1:])
+    flights, (arm,), nan = len(found.table) - lost, found.arms, float("nan")
+    if chains.stop is None:
+        return RareShare(arm, flights, failures, lost, nan, nan, nan, nan, nan)
+    made = share_of(chains.levels)
+    worth = (1.0 - made.value) / made.value / made.variation**2 if made.value else nan
+    return RareShare(
+        arm, flights, failures, lost, made.value, made.low, made.high, worth, made.worlds
+    )
+
+
 def _told_by(weights: Array) -> float:
     """Return how many equal weights say as much as these (Kish 1965); 0 for none."""
     return float(weights.sum() ** 2 / (weights**2).sum()) if len(weights) else 0.0
@@ -120,8 +143,9 @@ def weighted_share(
 ) -> tuple[float, float, float, float]:
     """Return the weighted share of hits, its 95 % interval, and how many even draws it is worth.
 
-    The interval is even in the logarithm, since the share cannot be negative. Without a hit its
-    upper end is that of the least flattering case: hits that have the greatest weight of all.
+    The interval is even in the logarithm, since the share cannot be negative. Where hits are worth
+    few even ones, its upper end is at least that of the least flattering case: hits of the greatest
+    weight of all, which are those of draws as declared, were as many as can be.
 
     Parameters
     ----------
@@ -141,4 +165,8 @@ def weighted_share(
     error = float(each.std(ddof=1)) / np.sqrt(count) if count > 1 else np.inf
     wide = float(np.exp(ndtri(0.975) * error / value))
     worth = value * (1.0 - value) / error**2 if error > 0.0 else nan
-    return value, value / wide, min(1.0, value * wide), float(worth)
+    high = value * wide
+    if _told_by(weights[hits]) < _FEW:
+        heavy = int((hits & (weights >= 0.5 * most)).sum())
+        high = max(high, most * greatest_share(heavy, count))
+    return value, value / wide, min(1.0, high), float(worth)

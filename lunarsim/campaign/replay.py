@@ -10,8 +10,8 @@ from typing import Any
 import pyarrow.compute as pc
 
 from lunarsim.campaign.flying import fly_whole, plan_of
-from lunarsim.campaign.plan import Group
-from lunarsim.campaign.results import load_results
+from lunarsim.campaign.plan import Group, Plan
+from lunarsim.campaign.results import Results, load_results
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
 from lunarsim.simulation import Flight, Simulation
@@ -63,7 +63,8 @@ def replay(folder: str | Path, flight: str) -> Replayed:
     index, arm = _parsed(flight, int(found.manifest["flights"]), len(spec.arms))
     plan = plan_of(spec)
     study = plan.work.study
-    record, simulation, row = fly_whole(study, Group(index, (arm,), plan.draws(index)), arm, {})
+    group = Group(index, (arm,), _draws(plan, found, index))
+    record, simulation, row = fly_whole(study, group, arm, {})
     rows = found.table.filter(pc.equal(found.table["id"], flight)).to_pylist()
     recorded = rows[0] if rows else None
     differences = None
@@ -74,6 +75,18 @@ def replay(folder: str | Path, flight: str) -> Replayed:
             if not _same(recorded.get(name), value)
         ]
     return Replayed(record, simulation, row, recorded, differences)
+
+
+def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
+    """Return the draws of a flight; with method subset they follow from flights before it."""
+    if plan.chains is not None:
+        plan.chains.resume(found.table.to_pylist())
+    try:
+        return plan.draws(index)
+    except LookupError:
+        raise InputError(
+            "--flight", index, "a flight whose forerunners have been flown, as the column id tells"
+        ) from None
 
 
 def _parsed(flight: str, flights: int, arms: int) -> tuple[int, int]:

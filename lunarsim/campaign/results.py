@@ -60,8 +60,13 @@ class Results:
 
     @property
     def is_leaning(self) -> bool:
-        """Whether flights were drawn to fail more often, and count by their weights."""
-        return WEIGHT in self.manifest["inputs"]
+        """Whether flights were drawn to fail more often, so that they do not count alike."""
+        return WEIGHT in self.manifest["inputs"] or self.is_subset
+
+    @property
+    def is_subset(self) -> bool:
+        """Whether flights were drawn from how others ended, level by level."""
+        return bool(self.manifest["identity"].get("method") == "subset")
 
     @property
     def apart(self) -> NDArray[np.bool_]:
@@ -82,7 +87,8 @@ class Results:
         if self.is_leaning:
             raise InputError(
                 field, str(self.folder), "a campaign whose flights count alike; of importance "
-                "sampling `lunarsim campaign rare` tells the share of failures",
+                "sampling and subset simulation `lunarsim campaign rare` tells the share of "
+                "failures",
             )  # fmt: skip
 
 
@@ -113,11 +119,12 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     table = _parts(folder / "results", schema, wanted)
     timing = _parts(folder / "timing", TIMING, None)
     if journal:
-        known = set(table["id"].to_pylist())
-        new = [pair for name, pair in journal.items() if name not in known]
-        rows = pa.Table.from_pylist([row for row, _ in new], schema)
+        # Of a flight that was flown again the journal has the later row.
+        table, timing = (_without(one, list(journal)) for one in (table, timing))
+        rows = pa.Table.from_pylist([row for row, _ in journal.values()], schema)
         table = pa.concat_tables([table, rows.select(table.column_names)])
-        timing = pa.concat_tables([timing, pa.Table.from_pylist([t for _, t in new], TIMING)])
+        times = pa.Table.from_pylist([t for _, t in journal.values()], TIMING)
+        timing = pa.concat_tables([timing, times])
     place = {arm["name"]: i for i, arm in enumerate(manifest["arms"])}
     unknown = set(table["arm"].unique().to_pylist()) - set(place)
     if unknown:
@@ -134,6 +141,11 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     if not np.array_equal(order, np.arange(len(order))):
         table = table.take(order)
     return Results(folder, manifest, table, _ordered(timing, table))
+
+
+def _without(table: pa.Table, names: list[str]) -> pa.Table:
+    """Return the rows of other flights."""
+    return table.filter(pc.invert(pc.is_in(table["id"], pa.array(names))))
 
 
 def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:

@@ -120,15 +120,15 @@ def run(
         if files is not None:
             files(out)
         store.save_manifest(engine=engine.name)
-        if rule is not None:
+        if plan.chains is not None:
+            _shown_to_chains(plan, store)
+            before = store.count
+        elif rule is not None:
             _shown(rule, store, plan)
         if progress is not None and before:
             progress(before)
         flown, failed, in_time = _fly(plan, engine, store, halt, rule, time_budget, progress)
-        state = _state(store, plan, rule, in_time)
-        if state == STOPPED and rule is not None and rule.stop is not None:
-            store.cut(rule.stop)
-        store.close(state)
+        state = _closed(store, plan, rule, in_time)
     except OSError as error:
         store.abandon()
         said = (
@@ -157,7 +157,7 @@ def _fly(
     began = time.monotonic()
     in_time = True
 
-    def groups() -> Iterator[Group]:
+    def groups() -> Iterator[Group | None]:
         nonlocal in_time
         for group in _missing(plan, store):
             if time_budget is not None and time.monotonic() - began > time_budget:
@@ -175,6 +175,8 @@ def _fly(
                 failed += done.outcome != FLOWN
                 if done.outcome == FLOWN and done.error:
                     not_kept.append(done.error)
+                if plan.chains is not None:
+                    plan.chains.see(done.flight, row)
                 if rule is not None:
                     rule.see(done.flight, done.arm, row)
                 if progress is not None:
@@ -186,8 +188,11 @@ def _fly(
     return flown, failed, in_time
 
 
-def _missing(plan: Plan, store: Store) -> Iterator[Group]:
-    """Yield what has no row yet, in the order of flights."""
+def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:
+    """Yield what has no row yet, in the order of flights; None where it waits for others to end."""
+    if plan.chains is not None:
+        yield from plan.chains.groups(store.has)
+        return
     for flight in range(plan.flights):
         draws: dict[str, Any] | None = None
         for group in plan.groups:
@@ -203,9 +208,31 @@ def _shown(rule: WidthRule, store: Store, plan: Plan) -> None:
         rule.see(row["flight"], names[row["arm"]], row)
 
 
+def _shown_to_chains(plan: Plan, store: Store) -> None:
+    """Show chains what is there; what follows from flights that are not is forgotten."""
+    assert plan.chains is not None
+    orphans = plan.chains.resume(store.rows())
+    if orphans:
+        store.forget({(flight, 0) for flight in orphans})
+        store.notes.append(
+            f"{len(orphans)} flights that were drawn from flights that are gone are flown again"
+        )
+
+
+def _closed(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
+    """Close a folder, at the flight that the campaign ended at where that was open; return how."""
+    state = _state(store, plan, rule, in_time)
+    by = plan.chains if plan.chains is not None else rule
+    if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:
+        store.cut(by.stop)
+    store.close(state)
+    return state
+
+
 def _state(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
     if rule is not None and rule.stop is not None:
         return STOPPED
-    if store.count == plan.flights * len(plan.arms):
+    ended = plan.chains is not None and plan.chains.stop is not None
+    if ended or store.count == plan.flights * len(plan.arms):
         return COMPLETE
     return INTERRUPTED if in_time else OUT_OF_TIME

@@ -44,6 +44,7 @@ from lunarsim.campaign.dispersions import (
 )
 from lunarsim.campaign.factors import Arm, arms_of, check_plain, flattened, listed, product
 from lunarsim.campaign.files import file_digests, module_digest, part_digests
+from lunarsim.campaign.subset_settings import Subset
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import quantity, settings_of
@@ -67,12 +68,12 @@ class Head:
     name
         Of the campaign.
     flights
-        Of each arm.
+        Of each arm; of each level with method subset.
     seed
         Root seed.
     method
-        Of drawing the dispersions: monte-carlo, latin-hypercube, sobol, saltelli or
-        importance.
+        Of drawing the dispersions: monte-carlo, latin-hypercube, sobol, saltelli,
+        importance or subset.
     time_limit
         Wall-clock time after which a flight is given up, s; None: never.
     time_budget
@@ -180,21 +181,28 @@ class CampaignSpec:
         head = _made("", Head, rest)
         scenario = _scenario(tables["scenario"], folder)
         factors, arms = _arms(scenario, tables["factors"], tables["arms"])
-        laws = flattened_laws(tables["dispersions"] or {})
-        correlations = tuple(
-            _made(f"correlations.{i}", Correlation, table)
-            for i, table in enumerate(_list(tables["correlations"]))
-        )
-        leaning = _importance(tables["importance"])
-        dispersions = Dispersions(laws, correlations, head.method, head.seed, head.flights, leaning)
+        dispersions = dispersions_of(tables, head.method, head.seed, head.flights)
         stop = None if tables["stop"] is None else _made("stop", Stop, tables["stop"])
         if stop is not None and head.method != "monte-carlo":
             raise InputError(
                 "stop", head.method, "monte-carlo as method: a design has a fixed number of flights"
             )
+        if head.method == "subset" and len(arms) > 1:
+            raise InputError(
+                "factors" if arms[0].values and tables["arms"] is None else "arms", len(arms),
+                "one arm with method subset, whose levels are of one arm: a spec for each",
+            )  # fmt: skip
         spec = cls(head, scenario, arms, dispersions, stop, factors)
         spec.check_draws()
         return spec
+
+    @property
+    def most_flights(self) -> int:
+        """Flights of each arm; with method subset if all levels are flown."""
+        subset, count = self.dispersions.subset, self.head.flights
+        if subset is None:
+            return count
+        return count + (subset.levels - 1) * (count - count // subset.steps)
 
     def scenario_of(self, flight: int, arm: int) -> Scenario:
         """Return the scenario of a flight: the arm's with what is drawn for the flight."""
@@ -274,6 +282,10 @@ class CampaignSpec:
         if leaning is not None:
             values = {f.name: _plain(getattr(leaning, f.name)) for f in fields(leaning)}
             out["importance"] = {k: v for k, v in values.items() if v is not None}
+        subset = self.dispersions.subset
+        if subset is not None:
+            values = {f.name: getattr(subset, f.name) for f in fields(subset)}
+            out["subset"] = {k: v for k, v in values.items() if v is not None}
         if self.stop is not None:
             out["stop"] = {"metric": self.stop.metric, "width": self.stop.width}
         return out
@@ -287,7 +299,27 @@ class CampaignSpec:
         return replace(self, head=replace(self.head, **values))
 
 
-_TABLES = ("scenario", "factors", "arms", "dispersions", "correlations", "importance", "stop")
+_TABLES = (
+    "scenario", "factors", "arms", "dispersions", "correlations", "importance", "subset", "stop",
+)  # fmt: skip
+
+
+def dispersions_of(tables: Mapping[str, Any], method: str, seed: int, flights: int) -> Dispersions:
+    """Return what is drawn from the tables of a spec, or of a manifest's identity.
+
+    Raises
+    ------
+    InputError
+        Naming the first field that is wrong.
+    """
+    laws = flattened_laws(tables.get("dispersions") or {})
+    correlations = tuple(
+        _made(f"correlations.{i}", Correlation, table)
+        for i, table in enumerate(_list(tables.get("correlations")))
+    )
+    leaning, subset = _importance(tables.get("importance")), tables.get("subset")
+    near = None if subset is None else _made("subset", Subset, subset)
+    return Dispersions(laws, correlations, method, seed, flights, leaning, near)
 
 
 def flattened_laws(table: Any) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -105,7 +105,7 @@ class Store:
         return store
 
     def _take(self, retry: bool) -> None:
-        """Take in what is there: parts first, then what the journal has besides."""
+        """Take in what is there: parts first, then the journal, whose rows are never older."""
         for old in self.folder.rglob(".*.part"):
             old.unlink()
         for path in sorted((self.folder / "results").glob("part-*.parquet")):
@@ -172,8 +172,12 @@ class Store:
                 continue
             if (retry and row["outcome"] != FLOWN) or flight >= self.plan.flights:
                 continue
-            if flight // self._per_part not in self._full:
-                self._open.setdefault(flight // self._per_part, {})[flight, arm] = row, timing
+            part = flight // self._per_part
+            if part in self._full:
+                # Of a flight that was flown again; its part has still the row that failed.
+                self._full.remove(part)
+                self._open[part] = self._read_part(self._path("results", part))
+            self._open.setdefault(part, {})[flight, arm] = row, timing
 
     # --- what is there --------------------------------------------------------------------
 
@@ -234,7 +238,8 @@ class Store:
         """Write a part, and take its rows out of the journal if it is full."""
         rows = [self._open[part][key] for key in sorted(self._open[part])]
         if not rows:
-            self._path("results", part).unlink(missing_ok=True)
+            for kind in ("results", "timing"):
+                self._path(kind, part).unlink(missing_ok=True)
             return
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
             table = pa.Table.from_pylist([row[column] for row in rows], schema)
@@ -264,6 +269,20 @@ class Store:
                 self._full.remove(part)
                 self._open[part] = self._read_part(self._path("results", part))
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
+
+    def forget(self, rows: Container[tuple[int, int]]) -> None:
+        """Forget rows, by flight and arm, on the disk too, before others take their place."""
+        for part in sorted(self._full | set(self._open)):
+            if part in self._full:
+                known = self._read_part(self._path("results", part))
+            else:
+                known = self._open[part]
+            kept = {key: row for key, row in known.items() if key not in rows}
+            if len(kept) < len(known):
+                self._full.discard(part)
+                self._open[part] = kept
+                self._write_part(part)
+        self._write_journal()
 
     def save_manifest(self, **values: Any) -> None:
         """Write the manifest with other values."""

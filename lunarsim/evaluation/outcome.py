@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
-from lunarsim.vehicle.touchdown import ABORTED
+from lunarsim.vehicle.touchdown import ABORTED, least_margin
 from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
@@ -36,6 +36,7 @@ COLUMNS: dict[str, str] = {
     "slope_deg": "float",
     "roughness_m": "float",
     "tip_margin": "float",
+    "touchdown_margin": "float",
     "p_safe": "float",
     "map_hits": "int",
     "map_false_safe": "int",
@@ -82,6 +83,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "slope_deg": float(np.rad2deg(touchdown.slope)) if touchdown else nan,
         "roughness_m": touchdown.roughness if touchdown else nan,
         "tip_margin": touchdown.tip_margin if touchdown else nan,
+        "touchdown_margin": least_margin(truth.lander, touchdown) if touchdown else nan,
     }
     row["p_safe"] = believed_safe(flight)
     quality = MapQuality.none()

@@ -130,7 +130,7 @@ class OnboardComputer:
         self._decided = False
         self._aim: tuple[FloatMap, FloatMap] | None = None
         self._events = 0
-        self._arrivals = Arrivals(briefing.step, lambda *told: self.telemetry.append(told))
+        self._arrivals = Arrivals(briefing.step, self._note)
         self._barred, self._mapped_lost = False, False
         self._levelled = np.eye(3)
 
@@ -140,6 +140,9 @@ class OnboardComputer:
     def altitude(self) -> float:
         """Estimated height of the pads above the site, m."""
         return self._height(self.estimate)
+
+    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+        self.telemetry.append((time, name, details))
 
     def _height(self, estimate: Estimate) -> float:
         return float(estimate.position[2] - self.site[2] - self.lander.com_height)

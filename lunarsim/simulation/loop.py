@@ -242,10 +242,14 @@ class Simulation:
         if self._oracle is None:
             self.computer.decide()
         elif self.decision_due:
-            decision = self._oracle.decide_by_truth(
-                self.observe(), self.truth, self.navigation_error, self.computer.cost_of
-            )
-            self.apply(decision)
+            self.apply(self.ask(self._oracle, self.observe()))
+
+    def ask(self, policy: Any, observation: Observation) -> Decision:
+        """Return what a policy, this flight's or another, decides now; nothing is applied."""
+        if getattr(policy, "knows_truth", False):
+            told = self.truth, self.navigation_error, self.computer.cost_of
+            return policy.decide_by_truth(observation, *told)  # type: ignore[no-any-return]
+        return policy.decide(observation)  # type: ignore[no-any-return]
 
     def move(self) -> None:
         """Let the computer command, the plant move and measure, and the computer take that in."""

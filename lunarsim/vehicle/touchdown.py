@@ -194,6 +194,25 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
     return float(margin)
 
 
+def least_margin(lander: Lander, touchdown: Touchdown) -> float:
+    """Return how far a touchdown is from the nearest of its limits, as a share of that limit.
+
+    1 is a stand on level ground from rest, 0 at a limit; negative where `judge_touchdown` says
+    that one has failed. NaN where the ground is not known.
+    """
+    t = touchdown
+    margins = (
+        1.0 - t.vertical_speed / lander.vertical_speed_limit,
+        1.0 - t.horizontal_speed / lander.horizontal_speed_limit,
+        1.0 - t.tilt / lander.tilt_limit,
+        1.0 - t.rate / lander.rate_limit,
+        1.0 - t.slope / lander.slope_limit,
+        1.0 - t.roughness / min(lander.roughness_limit, lander.belly_clearance),
+        t.tip_margin,
+    )
+    return float(np.min(margins))  # NaN if one is
+
+
 def judge_touchdown(lander: Lander, state: State, ground: Ground, gravity: float) -> Verdict:
     """Judge the touchdown of `state` on the true ground.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench_parts.campaign_costs import million, worlds
 from bench_parts.common import ROOT
 
 # Flights that cost nothing, of nothing and of hirise for memory's test, rows of the report's.
@@ -22,12 +23,14 @@ _TASKS, _TURNS = 24, 4_000_000
 
 
 def campaign() -> None:
-    """Overhead over bare flights, two jobs against one, memory, the report of a million rows."""
+    """Overhead, two jobs against one, memory, the report of a million rows, and what they cost."""
     with tempfile.TemporaryDirectory() as folder:
         _memory(Path(folder))
         _jobs(Path(folder))
         _overhead(Path(folder))
-        _report(Path(folder))
+        row_bytes = _report(Path(folder))
+        worlds(Path(folder))
+        million(Path(folder), row_bytes)
 
 
 def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
@@ -190,8 +193,8 @@ def _memory(folder: Path) -> None:
     )
 
 
-def _report(folder: Path) -> None:
-    """Print how long the report of a million rows takes."""
+def _report(folder: Path) -> float:
+    """Print how long the report of a million rows takes; return the bytes of a row."""
     from lunarsim.campaign.engines.inline import InlineEngine
     from lunarsim.campaign.report import write_report
     from lunarsim.campaign.run import run
@@ -206,6 +209,8 @@ def _report(folder: Path) -> None:
         f"processor, {time.perf_counter() - wall:.1f} s of wall-clock time, "
         f"{(out / 'report.html').stat().st_size / 1e6:.1f} MB"
     )
+    parts = [p for kind in ("results", "timing") for p in (out / kind).glob("*.parquet")]
+    return sum(p.stat().st_size for p in parts) / _ROWS
 
 
 def _filled(out: Path, rows: int) -> None:

@@ -91,6 +91,28 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     )
 
 
+@pytest.mark.parametrize(
+    ("keys", "beta", "shift", "scale", "flights"),
+    [(1, 2.326, 8.0, 1.0, 300), (1, 2.326, 8.0, 1.0, 1500), (1, 2.326, 5.0, 1.0, 300),
+     (1, 2.326, -3.0, 1.0, 1500), (1, 2.326, 6.0, 2.0, 300), (2, BETA, 4.0, 1.0, 1500),
+     (2, BETA, 1.5, 1.0, 300), (2, BETA, 0.0, 3.0, 300)],
+)  # fmt: skip
+def test_intervals_hold_the_truth_where_draws_lean_badly_too(keys, beta, shift, scale, flights):
+    """Shifts far beyond the limit, to the other side, short of it, and wide draws without any."""
+    rng, share, studies = np.random.default_rng(3), 0.1, 300
+    held = []
+    for _ in range(studies):
+        z = rng.standard_normal((flights, keys))
+        lean = rng.random(flights) >= share
+        z[lean] = shift + scale * z[lean]
+        ratio = np.prod(norm.pdf(z, shift, scale) / norm.pdf(z), axis=1)
+        weights = 1.0 / (share + (1.0 - share) * ratio)
+        hits = z.sum(axis=1) / np.sqrt(keys) > beta
+        _, low, high, _ = weighted_share(hits, weights, 1.0 / share)
+        held.append(low < norm.sf(beta) < high)
+    assert np.mean(held) > 0.92
+
+
 def test_weights_give_back_the_declared_laws():
     """Whatever is shifted and scaled, weighted draws have the moments of the law as declared."""
     laws = LAWS | {
@@ -165,6 +187,7 @@ def test_flights_that_lean_are_never_taken_as_even(tmp_path):
         ({"importance": {"shifts": {EAST: 0.0}}}, "importance.shifts"),
         ({"importance": {"shifts": {EAST: 9.0}}}, "importance.shifts"),
         ({"importance": {"scales": {EAST: 0.0}}}, "importance.scales"),
+        ({"importance": {"shifts": {EAST: 4.0}, "scales": {EAST: 0.3}}}, "importance.scales"),
         ({"importance": {"shifts": {UP: 1.0}}}, "importance.shifts"),
         ({"importance": {"shifts": {EAST: 1.0}, "nominal_share": 0.0}}, "importance.nominal_share"),
         ({"importance": {"shift": {EAST: 1.0}}}, "importance.shift"),

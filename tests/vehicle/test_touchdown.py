@@ -11,6 +11,7 @@ from lunarsim.frames import attitude_from_thrust
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
 from lunarsim.vehicle import State, judge_touchdown, support_planes
+from lunarsim.vehicle.touchdown import least_margin
 from lunarsim.world.terrain import Terrain
 from tests.worlds import flat_terrain, sloped_terrain
 
@@ -88,6 +89,39 @@ def test_sideways_speed_tips_a_tall_lander():
     assert verdict.failed == ("tip-over",)
     slow = replace(state, velocity=np.array([0.3, 0.0, -2.0]))
     assert judge_touchdown(tall, slow, flat_terrain(), G).safe
+
+
+@pytest.mark.parametrize(
+    ("speeds", "margin"),
+    [((0.0, 0.0, -0.5), 1.0 - 0.5 / LANDER.vertical_speed_limit),
+     ((0.9 * LANDER.horizontal_speed_limit, 0.0, -0.1), 0.1),
+     ((0.0, 0.0, -1.25 * LANDER.vertical_speed_limit), -0.25)],
+)  # fmt: skip
+def test_the_least_margin_is_that_of_the_nearest_limit(speeds, margin):
+    verdict = judge_touchdown(LANDER, standing(velocity=np.array(speeds)), flat_terrain(), G)
+    assert least_margin(LANDER, verdict.touchdown) == pytest.approx(margin, abs=1e-6)
+    assert (margin < 0.0) != verdict.safe
+
+
+@given(
+    st.floats(0.0, 4.0), st.floats(0.0, 2.0), st.floats(0.0, 15.0), st.floats(0.0, 0.3),
+    st.floats(0.0, 0.5),
+)  # fmt: skip
+def test_a_margin_below_zero_is_a_verdict_that_failed(down, across, tilt, rate, radius):
+    state = standing(
+        velocity=np.array([across, 0.0, -down]), rate=np.array([rate, 0.0, 0.0]),
+        attitude=attitude_from_thrust([np.tan(np.deg2rad(tilt)), 0.0, 1.0], np.pi / 2),
+    )  # fmt: skip
+    ground = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, radius + 0.01))
+    verdict = judge_touchdown(LANDER, state, ground, G)
+    assert (least_margin(LANDER, verdict.touchdown) < 0.0) == (not verdict.safe)
+
+
+def test_of_unknown_ground_the_margin_is_not_known():
+    verdict = judge_touchdown(
+        LANDER, standing(position=np.array([100.0, 0.0, 1.6])), flat_terrain(), G
+    )
+    assert np.isnan(least_margin(LANDER, verdict.touchdown))
 
 
 def test_tip_margin_of_a_point_mass_in_closed_form():

@@ -24,7 +24,7 @@ class Engine(Protocol):
     asks_to_halt: bool
 
     def fly(
-        self, work: Work, groups: Iterable[Group], halt: Callable[[], bool]
+        self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         """Yield finished flights as they come.
 
@@ -33,7 +33,8 @@ class Engine(Protocol):
         work
             What flies.
         groups
-            Taken one by one as somebody is free, in order.
+            Taken one by one as somebody is free, in order; None: none can begin until a flight
+            that is in the air has ended.
         halt
             When it turns true, what is finished is yielded and what is in the air given up.
         """

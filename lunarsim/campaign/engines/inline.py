@@ -22,11 +22,13 @@ class InlineEngine:
     asks_to_halt = False
 
     def fly(
-        self, work: Work, groups: Iterable[Group], halt: Callable[[], bool]
+        self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         """Yield flights in order."""
         function = function_of(work)
         for group in groups:
+            if group is None:  # nothing is in the air here that it could wait for
+                return
             memory: dict[Any, Any] = {}
             for arm in group.arms:
                 if halt():

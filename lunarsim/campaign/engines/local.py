@@ -87,7 +87,7 @@ class LocalEngine:
         self._stillborn = 0
 
     def fly(
-        self, work: Work, groups: Iterable[Group], halt: Callable[[], bool]
+        self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         """Yield flights as they end; see `Engine`.
 
@@ -116,7 +116,7 @@ class LocalEngine:
                 worker.end()
             self._workers.clear()
 
-    def _assign(self, work: Work, source: Iterator[Group]) -> None:
+    def _assign(self, work: Work, source: Iterator[Group | None]) -> None:
         """Give everybody who is free a group, and start workers while there are groups."""
         free = deque(w for w in self._workers if w.group is None)
         while free or len(self._workers) < self.jobs:

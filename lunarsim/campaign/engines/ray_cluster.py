@@ -66,7 +66,7 @@ class RayEngine:
         self.address, self.jobs, self.time_limit = address, jobs, time_limit
 
     def fly(
-        self, work: Work, groups: Iterable[Group], halt: Callable[[], bool]
+        self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         """Yield flights as their groups end; see `Engine`."""
         ray = self._ray
@@ -90,7 +90,7 @@ class RayEngine:
             ) from None
 
     def _flown(
-        self, work: Work, groups: Iterator[Group], halt: Callable[[], bool]
+        self, work: Work, groups: Iterator[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=TRIES - 1)(fly_group)

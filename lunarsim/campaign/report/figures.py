@@ -15,6 +15,7 @@ from lunarsim.campaign.analysis import ArmFigures, arm_rows, column
 from lunarsim.campaign.rare import RareShare
 from lunarsim.campaign.results import Results
 from lunarsim.campaign.sensitivity import Sensitivity
+from lunarsim.campaign.subset import Chains
 from lunarsim.evaluation.comparisons import Difference, Ellipse
 from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
 from lunarsim.evaluation.statistics import Proportion
@@ -23,6 +24,8 @@ from lunarsim.evaluation.statistics import Proportion
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8c8c8c")
 # Points of a scatter that a browser still moves with ease, of each arm.
 _MOST_POINTS = 4000
+# Points of a line of a level.
+_MOST_STEPS = 200
 Plot = dict[str, Any]
 
 
@@ -192,6 +195,33 @@ def rare_plot(made: list[RareShare]) -> Plot:
     }
     said = "An arm of which no flight has failed is in the table alone."
     return _plot("shares", "Share that fails", said, traces, layout)
+
+
+def levels_plot(chains: Chains) -> Plot | None:
+    """Return the share of flights that come as near to failure as a value, level by level."""
+    traces: list[Plot] = []
+    reached = 1.0
+    for number, level in enumerate(chains.levels):
+        margins = np.sort(level.margins, axis=None)
+        shares = reached * np.arange(1, margins.size + 1) / margins.size
+        known = np.isfinite(margins) & (margins >= level.threshold)
+        at = np.flatnonzero(known)[:: max(1, int(known.sum()) // _MOST_STEPS)]
+        reached *= level.share
+        traces.append({
+            "type": "scatter", "mode": "lines", "name": f"level {number}",
+            "x": [chains.value_of(float(m)) for m in margins[at]],
+            "y": [float(v) for v in shares[at]], "line": {"color": colour(number), "width": 3},
+        })  # fmt: skip
+    if not traces:
+        return None
+    layout = {
+        "xaxis": {"title": {"text": chains.metric}},
+        "yaxis": {"title": {"text": "share of flights as near to failure or nearer"},
+                  "type": "log", "exponentformat": "power"},
+        "height": 420,
+    }  # fmt: skip
+    said = "Each level goes on from the flights of the one before that came nearest to failure."
+    return _plot("levels", "How near to failure", said, traces, layout)
 
 
 def sensitivity_plot(made: list[Sensitivity]) -> Plot:

@@ -14,10 +14,11 @@ import pyarrow.compute as pc
 import lunarsim
 from lunarsim.campaign.analysis import ArmFigures, column, differences, figures_of
 from lunarsim.campaign.files import write_whole
-from lunarsim.campaign.rare import rare_shares
+from lunarsim.campaign.rare import RareShare, rare_shares
 from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
+    levels_plot,
     rare_plot,
     reliability_plot,
     sensitivity_plot,
@@ -26,6 +27,7 @@ from lunarsim.campaign.report.figures import (
 )
 from lunarsim.campaign.results import Results, failures, load_results
 from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
+from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
 from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.sequences import share_sequence
 
@@ -118,27 +120,37 @@ def _content(found: Results) -> dict[str, Any]:
 
 
 def _rare_content(found: Results) -> dict[str, Any]:
-    """Return what the page shows of importance sampling: nothing that takes flights as alike."""
+    """Return what the page shows of rare failures: nothing that takes flights as alike."""
     shares = rare_shares(found)
+    chains = chains_of(found) if found.is_subset else None
     rows = [
         {
             "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
             "cells": {
-                "share that fails": f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]"
-                + (" (few failed: rough)" if s.few else ""),
-                "failed of these": str(s.failures),
+                "share that fails": _ranged_share(s),
+                "failed of the last level" if chains else "failed of these": str(s.failures),
                 "worth so many even flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
             },
         }
         for s in shares
     ]  # fmt: skip
-    return _common(found, [rare_plot(shares)]) | {
+    plots = [rare_plot(shares), levels_plot(chains) if chains else None]
+    return _common(found, plots) | {
+        "levels": levels_told(chains) if chains else [],
+        "ended": how_it_ended(chains) if chains else "",
         "stopped": False,
         "arms": rows,
         "differences": [],
         "sensitive": [],
         "no_sensitivity": "",
     }
+
+
+def _ranged_share(s: RareShare) -> str:
+    if s.value != s.value:
+        return "–"
+    rough = " (few failed: rough)" if s.few else ""
+    return f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]{rough}"
 
 
 def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
@@ -148,6 +160,9 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
     return {
         "m": found.manifest,
         "leaning": found.is_leaning,
+        "subset": found.is_subset,
+        "levels": [],
+        "ended": "",
         "blocks": found.manifest["identity"].get("method") == "saltelli",
         "done": len(found.table),
         "wanted": found.wanted,

@@ -49,7 +49,7 @@ class FixNavigation(Navigation):
 
     def __init__(self, start: StartEstimate, step: float) -> None:
         self._step = step
-        self._arrivals = Arrivals(step, lambda *told: self.events.append(NavigationEvent(*told)))
+        self._arrivals = Arrivals(step, self._note)
         self._rate = np.zeros(3)
         self.events: list[NavigationEvent] = []
         sigmas = np.repeat([start.position_sigma, start.velocity_sigma, start.attitude_sigma], 3)
@@ -61,6 +61,9 @@ class FixNavigation(Navigation):
     def site_to_local(self) -> Shift:
         """Fixes are of the site frame, and so is the local frame."""
         return Shift()
+
+    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+        self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Keep a fix, and the rate of gyroscopes.

@@ -100,9 +100,7 @@ class Navigator(Navigation):
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
         self._aids = Aids(self.state, known, level, self.events)
-        self._arrivals = Arrivals(
-            inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
-        )
+        self._arrivals = Arrivals(inertial.step, self._note)
         shared = Shared(self.state, self._aids, self.events, most_of(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
         self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
@@ -163,6 +161,9 @@ class Navigator(Navigation):
     def site_to_local(self) -> Shift:
         """Where the site frame is taken to lie in the local one."""
         return self.frame.shift
+
+    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+        self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.

@@ -167,9 +167,7 @@ class UnscentedFilter(Navigation):
         self._asked = 0.0
         self._ranges: dict[str, int] = {}
         self._offset = np.zeros(3)
-        self._arrivals = Arrivals(
-            inertial.step, lambda *told: self.events.append(NavigationEvent(*told))
-        )
+        self._arrivals = Arrivals(inertial.step, self._note)
 
     # --- what is known --------------------------------------------------------------------
 
@@ -284,6 +282,9 @@ class UnscentedFilter(Navigation):
         )  # fmt: skip
 
     # --- measurements ---------------------------------------------------------------------
+
+    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+        self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.

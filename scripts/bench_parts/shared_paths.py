@@ -1,0 +1,57 @@
+"""What it saves that flights of one index which differ in policy alone share their path."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from bench_parts.common import ROOT
+
+# Scenario, policies, indices.
+_CASES = (
+    ("hard", ("no-divert", "nearest-safe", "fuel-aware", "safest"), 4),
+    ("hirise", ("no-divert", "nearest-safe", "fuel-aware", "safest"), 4),
+)
+
+
+def paths() -> None:
+    """Processor time of flights that differ in policy alone, on shared paths and apart."""
+    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.spec import CampaignSpec
+
+    for name, policies, flights in _CASES:
+        path = ROOT / "scenarios" / f"{name}.toml"
+        factors = {"policy": list(policies)}
+        spec = CampaignSpec.from_dict(
+            {"scenario": str(path), "flights": flights + 1, "seed": 21, "factors": factors}
+        )
+        study = plan_of(spec).work.study
+        shared = apart = 0.0
+        for index in range(flights + 1):
+            one, other = _took(study, index, len(policies))
+            if index:  # the first loads what is loaded late
+                shared, apart = shared + one, apart + other
+        each = flights * len(policies)
+        print(
+            f"  {name}, {len(policies)} policies, truth known: {shared / each:.2f} s of a core "
+            f"a flight on shared paths, {apart / each:.2f} s apart: {apart / shared:.1f} times"
+        )
+
+
+def _took(study: Any, index: int, arms: int) -> tuple[float, float]:
+    """Return the processor time of all arms of an index, on shared paths and apart."""
+    from dataclasses import replace
+
+    from lunarsim.campaign.flying import fly
+    from lunarsim.campaign.plan import Group
+
+    memory: dict[Any, Any] = {}
+    group, alone = Group(index, tuple(range(arms))), replace(study, paths=())
+    fly(alone, group, 0, memory)  # world and truth
+    took = []
+    for known in (study, alone):
+        began = time.process_time()
+        rows = [fly(known, group, arm, memory) for arm in group.arms]
+        took.append(time.process_time() - began)
+        assert len(rows) == arms
+    return took[0], took[1]

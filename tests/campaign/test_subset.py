@@ -1,0 +1,387 @@
+"""Rare failures by subset simulation, against closed forms and brute force."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.stats import norm
+
+from lunarsim.campaign import store
+from lunarsim.campaign.analysis import figures_of
+from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.engines.local import LocalEngine
+from lunarsim.campaign.fly_spec import write_files
+from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.outcomes import attempt, function_of
+from lunarsim.campaign.plan import Plan, Work
+from lunarsim.campaign.rare import rare_shares
+from lunarsim.campaign.replay import replay
+from lunarsim.campaign.results import load_results
+from lunarsim.campaign.run import run
+from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.campaign.subset import Level
+from lunarsim.campaign.subset_share import chains_of, share_of, variance_of
+from lunarsim.cli import main
+from lunarsim.errors import InputError
+from lunarsim.rng import flight_seed
+from tests.worlds import TINY_FLIGHT
+
+EAST, NORTH = "start.position_m.0", "start.position_m.1"
+LAWS = {
+    EAST: {"kind": "normal", "mean": -600.0, "sigma": 10.0},
+    NORTH: {"kind": "uniform", "low": -5.0, "high": 5.0},
+}
+BETA = float(norm.isf(1e-4))
+COLUMNS = {"safe": "bool", "slope_deg": "float"}
+
+
+def spec(flights: int = 300, seed: int = 1, **more: object) -> CampaignSpec:
+    given = {
+        "name": "s", "flights": flights, "seed": seed, "scenario": TINY_FLIGHT, "method": "subset",
+        "dispersions": LAWS, "subset": {"metric": "slope_deg", "above": BETA},
+    }  # fmt: skip
+    return CampaignSpec.from_dict(given | more)
+
+
+def scores(draws):
+    """Return independent normal scores of both keys."""
+    return np.array(
+        [(draws[EAST] + 600.0) / 10.0, norm.ppf((draws[NORTH] + 5.0) / 10.0)], dtype=float
+    )
+
+
+def chance(study, draws):
+    """Return a normal number that the world of a flight alone decides."""
+    return np.random.default_rng(flight_seed(study.seed, draws["world"])).standard_normal()
+
+
+def linear(study, group, arm, memory):
+    """Beyond BETA once in 10,000, whatever the world."""
+    score = float(scores(group.draws).sum() / np.sqrt(2.0))
+    return {"safe": score < BETA, "slope_deg": score}
+
+
+def noisy(study, group, arm, memory):
+    """As `linear`, 0.36 of the variance being the world's."""
+    score = float(0.8 * scores(group.draws).sum() / np.sqrt(2.0) + 0.6 * chance(study, group.draws))
+    return {"safe": score < BETA, "slope_deg": score}
+
+
+def curved(study, group, arm, memory):
+    """Fails on two sides of a parabola; see `test_two_sides_...` for how often."""
+    a, b = scores(group.draws)
+    return {"safe": True, "slope_deg": float(abs(a) + 0.2 * b * b)}
+
+
+def stepped(study, group, arm, memory):
+    return {"safe": True, "slope_deg": float(round(scores(group.draws)[0] > 2.5))}
+
+
+def patchy(study, group, arm, memory):
+    """Raises for one flight in ten, gives no slope for another."""
+    if group.flight % 10 == 3:
+        raise ValueError("no")
+    row = linear(study, group, arm, memory)
+    return row | ({"slope_deg": None} if group.flight % 10 == 4 else {})
+
+
+def planned(function: str, flights: int = 300, seed: int = 1, **more: object) -> Plan:
+    plan = plan_of(spec(flights, seed, **more))
+    work = Work(f"tests.campaign.test_subset:{function}", plan.work.study)
+    return replace(plan, work=work, columns=COLUMNS)
+
+
+def parts(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in sorted((folder / "results").glob("*.parquet"))}
+
+
+def in_memory(function: str, seed: int, flights: int, **more: object):
+    """Return what a campaign that keeps nothing finds."""
+    plan = planned(function, flights, seed, **more)
+    for group in plan.chains.groups(lambda flight, arm: False):
+        done = attempt(function_of(plan.work), plan.work, group, 0, {})
+        plan.chains.see(group.flight, done.metrics or {})
+    return share_of(plan.chains.levels)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole") / "c"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store, "PART_ROWS", 200)
+        ran = run(planned("linear"), InlineEngine(), folder)
+    assert (ran.state, ran.failed) == ("complete", 0)
+    return folder
+
+
+def test_one_in_ten_thousand_from_a_thousand_flights(whole):
+    found = load_results(whole)
+    (made,) = rare_shares(found)
+    assert made.low < 1e-4 < made.high and not made.few
+    assert made.high / made.low < 50.0 and made.worth > 3.0 * len(found.table)
+    levels = chains_of(found).levels
+    assert len(found.table) == 300 + 270 * (len(levels) - 1) < 1500
+    # Thresholds are what a linear limit state must have at 0.1, 0.01, ... of the flights.
+    for k, level in enumerate(levels[:-1]):
+        assert BETA - level.threshold == pytest.approx(norm.isf(0.1 ** (k + 1)), abs=0.35)
+        assert level.share == pytest.approx(0.1, abs=0.02)  # a state may be there twice
+    table = found.table.to_pandas()
+    assert list(table["level"].unique()) == list(range(len(levels)))
+    assert (table["world"] <= table["flight"]).all()
+    assert set(table.loc[table["level"] > 0, "chain"]) == set(range(30))
+    kept = (table["world"] < table["flight"])[table["level"] > 0].mean()
+    assert 0.35 < kept < 0.65
+
+
+def test_what_is_even_is_never_taken_from_it(whole, tmp_path):
+    found = load_results(whole)
+    with pytest.raises(InputError, match="count alike"):
+        figures_of(found)
+    with pytest.raises(InputError, match="the spec says what failure is"):
+        rare_shares(found, "slope_deg", above=1.0)
+    done = CliRunner().invoke(main, ["campaign", "rare", str(whole)])
+    (made,) = rare_shares(found)
+    assert done.exit_code == 0 and f"{made.value:.3g}" in done.output
+    assert "steps taken" in done.output
+    done = CliRunner().invoke(
+        main, ["campaign", "report", str(whole), "--out", str(tmp_path / "r.html")]
+    )
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "r.html").read_text()
+    assert "subset simulation" in page and "How near to failure" in page
+    assert f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]' in page
+
+
+@pytest.mark.parametrize("ends", [(40,), (290, 310), (333, 700, 900)])
+def test_it_goes_on_from_wherever_it_ended_and_gives_the_same_bytes(
+    tmp_path, whole, monkeypatch, ends
+):
+    monkeypatch.setattr(store, "PART_ROWS", 200)
+    folder = tmp_path / "c"
+    for end in ends:
+        done = len(load_results(folder).table) if folder.exists() else 0
+        came: list[int] = []
+
+        def progress(count: int, left: int = end - done, came: list[int] = came) -> None:
+            came.append(count)
+            if len(came) > left:
+                raise KeyboardInterrupt
+
+        assert run(planned("linear"), InlineEngine(), folder, progress=progress).state == (
+            "interrupted"
+        )
+    before = len(load_results(folder).table)
+    ran = run(planned("linear"), InlineEngine(), folder)
+    assert (ran.state, ran.before, ran.notes) == ("complete", before, ())
+    assert parts(folder) == parts(whole)
+
+
+def test_processes_give_the_same_bytes(tmp_path, whole, monkeypatch):
+    monkeypatch.setattr(store, "PART_ROWS", 200)
+    ran = run(planned("linear"), LocalEngine(2), tmp_path / "c")
+    assert ran.complete and parts(tmp_path / "c") == parts(whole)
+    again = run(planned("linear"), LocalEngine(2), tmp_path / "c")
+    assert (again.state, again.flown) == ("complete", 0)
+    assert parts(tmp_path / "c") == parts(whole)
+
+
+def test_what_chains_and_worlds_share_widens_and_errors_of_levels_add():
+    """By hand: 100 flights of which 10 are near, then chains that are near from end to end."""
+    apart = np.arange(100).reshape(100, 1)
+    first = Level(np.where(apart < 10, 1.0, 2.0), apart, 1.0, 0.1, np.nan, 0)
+    assert variance_of(first) == pytest.approx(0.9 / (0.1 * 100))
+    chains = np.repeat(np.arange(10)[:, None], 10, axis=1)
+    # Ten states of a chain are worth one, whether its world is the same all along or not.
+    for worlds in (chains, np.arange(100).reshape(10, 10)):
+        last = Level(np.where(chains < 1, -1.0, 1.0), worlds, 0.0, 0.1, 0.3, 0)
+        assert variance_of(last) == pytest.approx(0.9 / (0.1 * 10))
+        made = share_of([first, last])
+        assert made.value == pytest.approx(0.01)
+        assert made.variation == pytest.approx(0.3 + np.sqrt(0.9))
+        wide = np.exp(norm.ppf(0.975) * np.sqrt(np.log(1.0 + made.variation**2)))
+        assert (made.low, made.high) == pytest.approx((0.01 / wide, 0.01 * wide))
+    assert share_of([first, replace(last, worlds=chains)]).worlds == 10
+    # Two chains of one world, both near: their 20 states are worth less than two chains.
+    of_one = Level(np.where(chains < 2, -1.0, 1.0), np.maximum(chains, 1), 0.0, 0.2, 0.3, 0)
+    assert variance_of(of_one) == pytest.approx((16.0**2 + 8 * 2.0**2) / 20.0**2)
+
+
+def test_what_chance_decides_is_in_the_share():
+    """Rocks and noise as a third of the spread, which no dispersion tells: worlds are drawn too."""
+    made = [in_memory("noisy", seed, 300) for seed in range(6)]
+    held = [m.low < 1e-4 < m.high for m in made]
+    assert sum(held) >= 5
+    middle = float(np.exp(np.mean(np.log([m.value for m in made]))))
+    assert 0.2e-4 < middle < 5e-4
+    # Were worlds never drawn anew, those of the last level would be few.
+    kept = in_memory("noisy", 1, 300, subset={"metric": "slope_deg", "above": BETA,
+                                              "same_world": 1.0})  # fmt: skip
+    assert kept.worlds < min(m.worlds for m in made)
+
+
+def test_two_sides_of_a_curved_limit_against_brute_force():
+    limit = 4.3
+    rng = np.random.default_rng(7)
+    hits = count = 0
+    for _ in range(20):
+        a, b = rng.standard_normal((2, 500_000))
+        hits += int((np.abs(a) + 0.2 * b * b >= limit).sum())
+        count += len(a)
+    brute, error = hits / count, np.sqrt(hits) / count
+    assert 0.5e-4 < brute < 5e-4
+    made = [
+        in_memory("curved", seed, 300, subset={"metric": "slope_deg", "above": limit})
+        for seed in (1, 2, 3)
+    ]
+    for m in made:
+        assert m.low < brute + 2.0 * error and m.high > brute - 2.0 * error
+    assert np.mean([m.value for m in made]) == pytest.approx(brute, rel=0.8)
+
+
+def test_below_a_limit_is_as_above_the_other_way(tmp_path):
+    plan = planned("linear", subset={"metric": "slope_deg", "below": -2.0, "levels": 3})
+    run(plan, InlineEngine(), tmp_path / "c")
+    (made,) = rare_shares(load_results(tmp_path / "c"))
+    assert made.low < norm.cdf(-2.0) < made.high
+    assert made.value == pytest.approx(norm.cdf(-2.0), rel=0.5)
+
+
+def test_a_metric_with_steps_is_told_of(tmp_path):
+    ran = run(planned("stepped"), InlineEngine(), tmp_path / "c")
+    assert (ran.state, ran.flown) == ("complete", 300)
+    (made,) = rare_shares(load_results(tmp_path / "c"))
+    # Of 300 flights none has failed: what Clopper and Pearson say of the 300.
+    assert made.value == 0.0 and 0.001 < made.high < 0.2
+    done = CliRunner().invoke(main, ["campaign", "rare", str(tmp_path / "c")])
+    assert "does not tell how near failure is" in done.output
+
+
+def test_flights_without_the_metric_are_counted_and_taken_as_far_from_failure(tmp_path):
+    ran = run(planned("patchy"), InlineEngine(), tmp_path / "c")
+    (made,) = rare_shares(load_results(tmp_path / "c"))
+    assert made.left_out == pytest.approx(0.2 * (ran.flown), rel=0.1)
+    assert ran.failed == pytest.approx(0.1 * ran.flown, rel=0.1)
+    # Eight in ten of those that would have failed.
+    assert made.low < 0.8e-4 < made.high
+
+
+def test_failed_flights_flown_again_take_what_followed_from_them_along(tmp_path):
+    """Else chains would go on from flights that nobody has flown any more."""
+    folder = tmp_path / "c"
+    run(planned("patchy"), InlineEngine(), folder)
+    ran = run(planned("linear"), InlineEngine(), folder, retry=True)
+    assert "drawn from flights that are gone" in ran.notes[0]
+    run(planned("linear"), InlineEngine(), tmp_path / "d")
+    whole, again = (chains_of(load_results(f)).levels for f in (tmp_path / "d", folder))
+    # One flight in ten still has no slope in the folder, unlike in the whole one.
+    assert len(again) >= 3 and again[0].lost == 30 and whole[0].lost == 0
+    table = load_results(folder).table.to_pandas()
+    assert table["flight"].tolist() == list(range(len(table)))
+    assert set(table["outcome"]) == {"flown"}
+
+
+def test_a_part_that_is_lost_is_flown_again_with_what_followed(tmp_path, whole, monkeypatch):
+    monkeypatch.setattr(store, "PART_ROWS", 200)
+    run(planned("linear"), InlineEngine(), tmp_path / "c")
+    path = tmp_path / "c" / "results" / "part-00001.parquet"
+    path.write_bytes(path.read_bytes()[:-40])
+    ran = run(planned("linear"), InlineEngine(), tmp_path / "c")
+    assert (ran.state, ran.before) == ("complete", 200)
+    assert parts(tmp_path / "c") == parts(whole)
+
+
+def test_rows_that_do_not_follow_from_each_other_are_refused(tmp_path, whole):
+    found = load_results(whole)
+    place = found.table.column_names.index("slope_deg")
+    values = found.table["slope_deg"].to_numpy().copy()
+    values[5] += 9.0
+    other = replace(found, table=found.table.set_column(place, "slope_deg", [values]))
+    with pytest.raises(InputError, match="follow from each other"):
+        rare_shares(other)
+
+
+def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
+    """Tiny flights by the margin of their touchdowns; replay finds what they were drawn from."""
+    subset = {"metric": "touchdown_margin", "below": 0.0, "levels": 3, "keep": 0.5}
+    made = spec(20, subset=subset)
+    folder = tmp_path / "c"
+    progress = []
+
+    def stop(count: int) -> None:
+        progress.append(count)
+        if len(progress) == 21:
+            raise KeyboardInterrupt
+
+    plan = plan_of(made, folder)
+    run(plan, InlineEngine(), folder, files=lambda at: write_files(made, at), progress=stop)
+    found = load_results(folder)
+    table = found.table.to_pandas()
+    assert len(table) == 21 and table["touchdown_margin"].notna().all()
+    assert ((table["touchdown_margin"] < 0.0) == ~table["safe"]).all()
+    later = table[table["level"] == 1]
+    again = replay(folder, later["id"].iloc[-1])
+    assert again.differences == []
+    with pytest.raises(InputError, match="forerunners") as refused:
+        replay(folder, "35-0")
+    assert refused.value.field == "--flight"
+    (share,) = rare_shares(found)
+    assert np.isnan(share.value) == (chains_of(found).stop is None)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_at_least_as_often_as_they_say():
+    for function, least in (("linear", 0.95), ("noisy", 0.9)):
+        made = [in_memory(function, seed, 300) for seed in range(100)]
+        held = np.mean([m.low < 1e-4 < m.high for m in made])
+        values = np.array([m.value for m in made])
+        told = np.median([m.variation for m in made])
+        print(
+            f"{function}: intervals of 95 % hold p in {held:.2f}, mean {values.mean():.2e}, "
+            f"variation {values.std() / 1e-4:.2f}, told {told:.2f}"
+        )
+        assert held >= least
+        assert abs(values.mean() - 1e-4) < 3.0 * values.std() / 10.0 + 0.25e-4
+
+
+def test_the_plan_is_of_the_first_level(tmp_path):
+    (tmp_path / "s.toml").write_text(spec().to_toml())
+    done = CliRunner().invoke(main, ["campaign", "plan", str(tmp_path / "s.toml")])
+    assert done.exit_code == 0 and len(done.output.splitlines()) == 301
+    assert done.output.splitlines()[1].startswith("0-0,0,all,1,0,,0,")
+    again = CampaignSpec.load(tmp_path / "s.toml")
+    assert again.dispersions == spec().dispersions
+    assert json.dumps(again.identity) == json.dumps(spec().identity)
+
+
+@pytest.mark.parametrize(
+    ("more", "field"),
+    [
+        ({"subset": None}, "subset"),
+        ({"method": "monte-carlo"}, "subset"),
+        ({"subset": {"metric": "slope_deg"}}, "subset.below"),
+        ({"subset": {"metric": "slope_deg", "above": 1.0, "below": 0.0}}, "subset.below"),
+        ({"subset": {"metric": "safe", "below": 0.0}}, "subset.metric"),
+        ({"subset": {"metric": "slope_deg", "above": 1.0, "keep": 0.3}}, "subset.keep"),
+        ({"subset": {"metric": "slope_deg", "above": 1.0, "keep": 0.6}}, "subset.keep"),
+        ({"subset": {"metric": "slope_deg", "above": 1.0, "levels": 0}}, "subset.levels"),
+        ({"subset": {"metric": "slope_deg", "above": 1.0, "p0": 0.1}}, "subset.p0"),
+        ({"subset": 3}, "subset"),
+        ({"flights": 305}, "flights"),
+        ({"flights": 90}, "flights"),
+        ({"dispersions": {}}, "method"),
+        ({"factors": {"policy": ["safest", "no-divert"]}}, "factors"),
+        ({"arms": [{"name": "a"}, {"name": "b", "set": {"policy": "safest"}}]}, "arms"),
+        ({"stop": {"metric": "safe", "width": 0.1}}, "stop"),
+        ({"importance": {"shifts": {EAST: 1.0}}}, "importance"),
+    ],
+    ids=str,
+)
+def test_bad_subsets_are_refused(more, field):
+    with pytest.raises(InputError) as refused:
+        spec(**more)
+    assert refused.value.field == field
