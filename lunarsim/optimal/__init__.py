@@ -1,0 +1,1 @@
+"""Descents of least propellant: the yardstick of every guidance law."""
