@@ -149,7 +149,7 @@ def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
     near = nearest(planner, descent)
     if near is not None and near.miss < 10.0 * _NEAR:
         first = iter((near.duration, 1.01 * near.duration, 0.99 * near.duration))
-        path = _improved(planner, descent, first, walls, _COLD, near.log_mass)
+        path = search_about(planner, descent, first, walls=walls, log_mass=near.log_mass)
         if path is not None:
             return path
     why = "proven infeasible at every final time that was tried"
@@ -165,31 +165,45 @@ def _warm(
     first = last.duration - elapsed
     if not first > 0.0:
         return None
-    share = planner_shares(planner.intervals)
-    at = np.minimum(elapsed + share * first, last.duration)
-    log_mass = np.log(last.mass_at(at) / float(last.mass_at(min(elapsed, last.duration))))
-    return _improved(planner, descent, iter((first,)), walls, _WARM, log_mass)
+    log_mass = masses_left(last, elapsed, planner.intervals)
+    return search_about(planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass)
 
 
-def planner_shares(intervals: int) -> Array:
-    """Return the middles of so many intervals as shares of the whole (N,)."""
-    return np.asarray((np.arange(intervals) + 0.5) / intervals)
+def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
+    """Return ln(mass / mass now) in the middle of each interval (N,) of what is left of a path."""
+    share = (np.arange(intervals) + 0.5) / intervals
+    now = min(max(elapsed, 0.0), last.duration)
+    at = now + share * (last.duration - now)
+    return np.asarray(np.log(last.mass_at(at) / float(last.mass_at(now))))
 
 
 def _cold(planner: Planner, descent: Descent, walls: Walls | None) -> Path | None:
     first = first_time(descent)
-    return _improved(planner, descent, (s * first for s in _LADDER), walls, _COLD, None)
+    return search_about(planner, descent, (s * first for s in _LADDER), walls=walls)
 
 
-def _improved(
+def search_about(
     planner: Planner,
     descent: Descent,
     first: Iterator[float],
-    walls: Walls | None,
-    most: int,
-    log_mass: Array | None,
+    *,
+    walls: Walls | None = None,
+    most: int = _COLD,
+    log_mass: Array | None = None,
 ) -> Path | None:
-    """Return the best path found; None where no first time can be flown."""
+    """Return the best path found from first final times on; None where none of them can be flown.
+
+    Parameters
+    ----------
+    planner, descent, walls
+        See `least_propellant`.
+    first
+        Final times, s: the next one is tried while none could be flown.
+    most
+        Solves at most.
+    log_mass
+        Guess of ln(mass / mass at the start) in the middle of each interval (N,).
+    """
     search, best, budget = _Search(descent.gravity), None, planner.solves + most
     time: float | None = next(first)
     while time is not None and planner.solves < budget:

@@ -18,7 +18,6 @@ derives what is done otherwise here:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +31,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _NODE = 7  # variables: position, velocity, logarithm of mass, all scaled
+_THRIFT = 1e-3  # what a unit of the scaled increment counts beside all the spare thrust
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,13 @@ class Structure:
         Half-spaces for each control point.
     free
         Whether the end lies anywhere in a disc, whose radius is a variable.
+    spare
+        Whether more thrust than the greatest may be had, of which as little as possible is taken.
+
+    Raises
+    ------
+    InputError
+        If there are too few intervals, or both a disc and spare thrust.
     """
 
     intervals: int
@@ -55,10 +62,13 @@ class Structure:
     glideslope: bool
     planes: int
     free: bool
+    spare: bool = False
 
     def __post_init__(self) -> None:
         if self.intervals < 4:
             raise InputError("optimal.intervals", self.intervals, "at least 4")
+        if self.free and self.spare:
+            raise InputError("optimal.spare", True, "a single end where spare thrust may be taken")
 
 
 @dataclass(frozen=True)
@@ -113,7 +123,7 @@ class Transcription:
     def __init__(self, structure: Structure) -> None:
         self.structure = s = structure
         n = s.intervals
-        self.variables = _NODE * (n + 1) + (1 if s.free else 0)
+        self.variables = _NODE * (n + 1) + (1 if s.free or s.spare else 0)
         self._node = _NODE * np.arange(n + 1)
         self.inner = np.arange(1, n - 1)  # control points of the first and last are given
         self.rows: dict[str, slice] = {}
@@ -137,7 +147,8 @@ class Transcription:
         """Write the columns of each family of rows, those of the orthant first."""
         s, node = self.structure, self._node
         z0, z1 = node[:-1] + 6, node[1:] + 6
-        self._add("high", np.column_stack((z0, z1)))
+        last = np.full(s.intervals, self.variables - 1)
+        self._add("high", np.column_stack((z0, z1, last) if s.spare else (z0, z1)))
         self._add("low", np.column_stack((z0, z1)))
         if s.tilt:
             self._add("tilt", np.column_stack((z0, z1, node[:-1] + 5, node[1:] + 5)))
@@ -146,6 +157,8 @@ class Transcription:
             self._add("planes", np.repeat(self._point(np.arange(3)), s.planes, axis=0))
         if s.free:
             self._add("reach", np.array([[self.variables - 1]]))
+        if s.spare:
+            self._add("spare", np.full((2, 1), self.variables - 1))
         self.orthant = sum(len(c) for c in self._columns.values())
         speeds = [np.column_stack((node[1:] + c, node[:-1] + c)) for c in (3, 4, 5)]
         thrust = np.stack([np.column_stack((z0, z1)), *speeds], axis=1)
@@ -203,6 +216,7 @@ class Transcription:
         walls: Walls | None = None,
         *,
         nearest: bool = False,
+        spare: float = 0.0,
     ) -> Program:
         """Return the program of a descent.
 
@@ -219,15 +233,25 @@ class Transcription:
             Half-spaces; as many as the structure has.
         nearest
             Ask for the least distance of the end from its place, not for the least propellant.
+        spare
+            Thrust above the greatest that may be had, N: the least share of it is asked for.
         """
         units = Scales.of(descent, duration)
         families = self._values(descent, units, log_mass, walls, nearest)
+        if self.structure.spare:
+            entries, h = families["high"]
+            more = spare * self._unit_force(descent, units) * np.exp(-log_mass)
+            families["high"] = np.column_stack((entries, -more)), h
+            families["spare"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
         values = np.concatenate([families[name][0].ravel() for name in self.rows])
         h = np.concatenate([families[name][1] for name in self.rows])
         p = self._pattern
         g = sparse.csc_matrix((values[self._order], p.indices, p.indptr), shape=p.shape)
         c = np.zeros(self.variables)
-        c[-1 if nearest else self._node[-1] + 6] = 1.0 if nearest else -1.0
+        if nearest or self.structure.spare:
+            c[-1] = 1.0
+        if not nearest:
+            c[self._node[-1] + 6] = -_THRIFT if self.structure.spare else -1.0
         b = np.concatenate((np.zeros(3 * self.structure.intervals), self._ends(descent, units)))
         return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
 
@@ -278,8 +302,8 @@ class Transcription:
 
     def _bounds(self, d: Descent, units: Scales, log_mass: Array) -> dict[str, tuple[Array, Array]]:
         """Return the rows of the greatest and least thrust, in the middle of each interval."""
-        n, k = self.structure.intervals, units.kappa
-        whole = units.time**2 / (units.length * n * d.mass) * np.exp(-log_mass)
+        k = units.kappa
+        whole = self._unit_force(d, units) * np.exp(-log_mass)
         out = {}
         for name, sign, force in (("high", 1.0, d.thrust_max), ("low", -1.0, d.thrust_min)):
             most = force * whole
@@ -288,8 +312,6 @@ class Transcription:
             out[name] = entries, sign * most * (1.0 + log_mass)
         return out
 
-    @cached_property
-    def middle(self) -> Array:
-        """Share of the final time in the middle of each interval (N,)."""
-        n = self.structure.intervals
-        return (np.arange(n) + 0.5) / n
+    def _unit_force(self, d: Descent, units: Scales) -> float:
+        """Return what a newton adds to the scaled velocity in an interval at the first mass."""
+        return units.time**2 / (units.length * self.structure.intervals * d.mass)
