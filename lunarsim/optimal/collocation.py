@@ -98,7 +98,9 @@ def collocate(
     import casadi
 
     if descent.region > 0.0 or descent.cone is not None:
-        raise InputError("optimal.region", descent.region, "a single end, and no cone but the glideslope")
+        raise InputError(
+            "optimal.region", descent.region, "a single end, and no cone but the glideslope"
+        )
     if duration is not None and not 0.0 < duration < np.inf:
         raise InputError("optimal.duration", duration, "a positive final time in s")
     guess = duration or 0.9 * first_time(descent)
@@ -186,7 +188,9 @@ def _derivatives(tau: Array) -> Array:
     return out
 
 
-def _limits(casadi: Any, descent: Descent, units: _Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
+def _limits(
+    casadi: Any, descent: Descent, units: _Units, thrust: Any
+) -> list[tuple[Any, Any, Any]]:
     """Return the limits of size and lean of a thrust."""
     least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
     rows = [(casadi.sumsqr(thrust), least**2, most**2)]

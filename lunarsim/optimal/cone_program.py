@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 Array = NDArray[np.float64]
-Status = Literal["solved", "infeasible", "failed"]
+Status = Literal["solved", "infeasible", "unsolved", "failed"]
 
 _WIDER = 1e-6  # cones that must be widened by more hold nothing: lengths are scaled to about 1
 
@@ -54,7 +54,7 @@ class Answer:
     Attributes
     ----------
     status
-        "infeasible" is proven.
+        "infeasible" is proven, "unsolved" one or the other of it and "failed".
     x, y, z
         Variables, multipliers of the equalities and of the cones.
     iterations
@@ -198,3 +198,21 @@ class Judged:
             if wider.status == "solved" and wider.x[-1] > _WIDER:
                 answer = replace(answer, status="infeasible")
         return answer
+
+
+class Unjudged:
+    """QOCO alone: what it does not solve in so many iterations is "unsolved", whatever the reason.
+
+    Parameters
+    ----------
+    most
+        Iterations after which it gives up.
+    """
+
+    def __init__(self, most: int = 30) -> None:
+        self.fast = Qoco(most)
+
+    def solve(self, program: Program) -> Answer:
+        """Return the answer to a program of the same structure as the first."""
+        answer = self.fast.solve(program)
+        return answer if answer.status == "solved" else replace(answer, status="unsolved")

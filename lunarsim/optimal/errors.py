@@ -34,7 +34,14 @@ class InfeasibleError(InputError):
         super().__init__("optimal.end_position", target.tolist(), f"{expected} ({why})")
 
     def __reduce__(self) -> tuple[type[InfeasibleError], tuple[object, ...]]:  # type: ignore[override]
-        return _again, (self.args[0], self.field, self.value, self.expected, self.nearest, self.miss)
+        return _again, (
+            self.args[0],
+            self.field,
+            self.value,
+            self.expected,
+            self.nearest,
+            self.miss,
+        )
 
 
 def _again(

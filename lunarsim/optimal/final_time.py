@@ -54,6 +54,8 @@ class _Search:
         What the slope tends to where the lander only hovers longer, m/s^2: the slope is about
         ``limit (1 - A / (T - T_0)^2)``, so that ``(limit - slope)^(-1/2)`` is about linear in T.
         inf: the slope is taken for linear itself.
+    step
+        Share of the first final time by which it is left.
     low, high
         Final times between which it is.
     known
@@ -61,6 +63,7 @@ class _Search:
     """
 
     limit: float = np.inf
+    step: float = _STEP
     low: float = 0.0
     high: float = np.inf
     known: list[tuple[float, float]] = field(default_factory=list)
@@ -90,7 +93,7 @@ class _Search:
     def next(self) -> float:
         """Return the time to try next."""
         time, slope = self.known[-1]
-        wanted = time * (1.0 - np.copysign(_STEP, slope))
+        wanted = time * (1.0 - np.copysign(self.step, slope))
         if len(self.known) > 1:
             before, s0 = self.known[-2]
             rise = self._straight(slope) - self._straight(s0)
@@ -166,7 +169,9 @@ def _warm(
     if not first > 0.0:
         return None
     log_mass = masses_left(last, elapsed, planner.intervals)
-    return search_about(planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass)
+    return search_about(
+        planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass
+    )
 
 
 def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
@@ -190,6 +195,7 @@ def search_about(
     walls: Walls | None = None,
     most: int = _COLD,
     log_mass: Array | None = None,
+    step: float = _STEP,
 ) -> Path | None:
     """Return the best path found from first final times on; None where none of them can be flown.
 
@@ -203,8 +209,10 @@ def search_about(
         Solves at most.
     log_mass
         Guess of ln(mass / mass at the start) in the middle of each interval (N,).
+    step
+        Share of the final time by which the first one that can be flown is left.
     """
-    search, best, budget = _Search(descent.gravity), None, planner.solves + most
+    search, best, budget = _Search(descent.gravity, step), None, planner.solves + most
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
         path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
@@ -220,10 +228,10 @@ def search_about(
             time = 0.5 * (time + best.duration)
             continue
         log_mass = path.log_mass
-        if best is None or path.increment < best.increment:
+        if best is None or path.cost < best.cost:
             best = path
         search.add(time, path.slope)
-        if path.slope**2 < 2.0 * search.curvature * _GAIN * path.increment:
+        if path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost:
             break
         time = search.next()
     return best

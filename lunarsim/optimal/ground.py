@@ -130,7 +130,10 @@ class Relief:
         spans = np.linalg.norm(np.diff(path.position[:, :2], axis=0), axis=1)
         posts = self.posts
         planes = np.array(
-            [self._plane(posts, c, s + 2.0 * self.grid.posting) for c, s in zip(control, spans, strict=True)]
+            [
+                self._plane(posts, c, s + 2.0 * self.grid.posting)
+                for c, s in zip(control, spans, strict=True)
+            ]
         )
         n = len(control)
         near = np.clip(np.arange(n)[:, None] + [-1, 0, 1], 0, n - 1)

@@ -33,9 +33,10 @@ class Path:
         What the program takes for its size (N,): the same where nothing was lost by relaxing.
     increment
         Integral of `bound`, m/s.
+    cost
+        What was made least: increment and the price of spare thrust, m/s, or the landing error, m.
     slope
-        Derivative of the least increment with the final time, m/s^2, or of the least landing error,
-        m/s, where that was asked for; zero at the best one.
+        Derivative of the least cost with the final time, m/s^2 or m/s; zero at the best one.
     hamiltonian
         Minus the derivative with the length of each interval (N,), as `slope`.
     primer
@@ -54,6 +55,7 @@ class Path:
     thrust: Array
     bound: Array
     increment: float
+    cost: float
     slope: float
     hamiltonian: Array
     primer: Array
@@ -79,7 +81,7 @@ class Path:
 
     @property
     def propellant(self) -> float:
-        """kg."""
+        """Kg."""
         return self.descent.burnt(self.increment)
 
     @property
@@ -109,7 +111,9 @@ class Path:
     def excess(self) -> float:
         """By how much the thrust breaks its limits at most, over the greatest thrust."""
         d, f = self.descent, self.forces
-        return float(max((f - d.thrust_max).max(), (d.thrust_min - f).max()) / d.thrust_max)
+        return float(
+            max((f - d.thrust_max - d.spare).max(), (d.thrust_min - f).max()) / d.thrust_max
+        )
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
         """Return position, velocity and thrust over mass (..., 3) at times `t` (...), s.

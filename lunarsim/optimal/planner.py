@@ -60,9 +60,10 @@ class Planner:
         log_mass: Array | None = None,
         walls: Walls | None = None,
         nearest: bool = False,
-        spare: float = 0.0,
     ) -> Path | None:
-        """Return the best path of a final time; None: there is none, which is proven.
+        """Return the best path of a final time; None: there is none.
+
+        That is proven, unless the solver is one that does not ask why.
 
         Parameters
         ----------
@@ -76,9 +77,6 @@ class Planner:
             Half-spaces in place of the descent's cone.
         nearest
             The least distance of the end from its place is asked for, not the least propellant.
-        spare
-            Thrust above the greatest that may be had, N. Where it is not 0 the path is asked for
-            that takes the least share of it; `slope` and `hamiltonian` then mean nothing.
 
         Raises
         ------
@@ -92,9 +90,9 @@ class Planner:
         walls = Walls.over(descent, self.intervals) if walls is None else walls
         if log_mass is None:
             log_mass = self._burning(descent, duration)
-        path = self._solved(descent, duration, log_mass, walls, nearest, spare)
+        path = self._solved(descent, duration, log_mass, walls, nearest)
         if path is not None and np.abs(path.log_mass - log_mass).max() > _MASS_OFF:
-            again = self._solved(descent, duration, path.log_mass, walls, nearest, spare)
+            again = self._solved(descent, duration, path.log_mass, walls, nearest)
             path = None if again is None else replace(again, solves=2)
         return path
 
@@ -114,26 +112,23 @@ class Planner:
         log_mass: Array,
         walls: Walls | None,
         nearest: bool,
-        spare: float,
     ) -> Path | None:
         structure = Structure(
             self.intervals,
-            descent.max_tilt is not None,
+            descent.max_tilt is not None or descent.end_tilt is not None,
             descent.glideslope is not None,
             0 if walls is None else walls.normals.shape[1],
             nearest or descent.region > 0.0,
-            spare > 0.0,
+            descent.spare > 0.0 and not nearest,
         )
         if structure not in self._made:
             self._made[structure] = Transcription(structure), self._solver()
         made, solver = self._made[structure]
-        program = made.program(
-            descent, duration, log_mass, walls, nearest=nearest, spare=spare
-        )
+        program = made.program(descent, duration, log_mass, walls, nearest=nearest)
         answer = solver.solve(program)
         self.solves += 1
         self.iterations += answer.iterations
-        if answer.status == "infeasible":
+        if answer.status in ("infeasible", "unsolved"):
             return None
         if answer.status == "failed":
             raise SolverError(

@@ -62,6 +62,9 @@ class Descent:
         Least mass at the end, reserve included, kg.
     max_tilt
         Of the thrust from the vertical, rad; None for none.
+    end_tilt, tilt_rate
+        Greatest tilt at the end, rad, and by how much it may grow a second before it, rad/s: a lander
+        that has to be upright soon cannot turn at once. None: `max_tilt` to the end.
     glideslope
         Least elevation of the path as seen from its end, rad; None: it may pass under its end.
     drop
@@ -70,6 +73,11 @@ class Descent:
         Half-spaces over the end besides (a majorant of the terrain); None for none.
     region
         Radius about `end_position` within which the path may end, level, m; 0: there alone.
+    spare
+        Thrust above `thrust_max` that may be had at a price, N.
+    spare_price
+        Increment that all of it is worth, however long it is had, m/s: the most of it that is had
+        at any time counts.
 
     Raises
     ------
@@ -92,6 +100,10 @@ class Descent:
     drop: float = 0.0
     cone: Cone | None = None
     region: float = 0.0
+    end_tilt: float | None = None
+    tilt_rate: float = np.deg2rad(10.0)
+    spare: float = 0.0
+    spare_price: float = 5.0
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
@@ -102,14 +114,19 @@ class Descent:
         for name in ("mass", "gravity", "thrust_max", "exhaust_velocity", "dry_mass"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"optimal.{name}", getattr(self, name), "a positive number")
-        for name in ("thrust_min", "drop", "region"):
+        for name in ("thrust_min", "drop", "region", "spare", "spare_price"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"optimal.{name}", getattr(self, name), "0 or more")
         if not self.thrust_min < self.thrust_max:
             raise InputError("optimal.thrust_min", self.thrust_min, f"under {self.thrust_max} N")
         if not self.dry_mass < self.mass:
             raise InputError("optimal.mass", self.mass, f"more than the {self.dry_mass} kg left")
-        for name, angle in (("max_tilt", self.max_tilt), ("glideslope", self.glideslope)):
+        if self.region > 0.0 and self.spare > 0.0:
+            raise InputError("optimal.spare", self.spare, "0 where the end is a region")
+        if not 0.0 <= self.tilt_rate < np.inf:
+            raise InputError("optimal.tilt_rate", self.tilt_rate, "0 or more, in rad/s")
+        for name in ("max_tilt", "glideslope", "end_tilt"):
+            angle = getattr(self, name)
             if angle is not None and not 0.0 <= angle < 0.5 * np.pi:
                 raise InputError(f"optimal.{name}", angle, "an angle from 0 to 90 deg, in rad")
 
@@ -117,6 +134,16 @@ class Descent:
     def gap(self) -> Array:
         """From the end to the start (3,), m."""
         return np.asarray(self.position - self.end_position)
+
+    def tilts(self, left: Array) -> Array | None:
+        """Return the greatest tilts (n,), rad, with so much time left (n,), s; None for none."""
+        if self.max_tilt is None and self.end_tilt is None:
+            return None
+        # A right angle: any more is no convex set, and none is needed to land.
+        most = np.full(len(left), 0.5 * np.pi if self.max_tilt is None else self.max_tilt)
+        if self.end_tilt is None:
+            return most
+        return np.asarray(np.minimum(most, self.end_tilt + self.tilt_rate * left))
 
     @property
     def tanks(self) -> float:

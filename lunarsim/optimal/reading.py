@@ -34,9 +34,10 @@ def path_of(
     push = np.diff(velocity, axis=0) * (n / duration) + np.array([0.0, 0.0, descent.gravity])
     spent = -np.diff(nodes[:, 6]) * speed
     s, z = made.rows["thrust"], answer.z
-    lengths = _lengths(made, program, answer) * units.length / duration
-    if program.c[-1] != 1.0 or not made.structure.free:
-        lengths = lengths / duration
+    # Of the landing error a unit is a length, of the increment a speed.
+    landing = made.structure.free and program.c[-1] == 1.0
+    unit = units.length if landing else speed
+    lengths = _lengths(made, program, answer) * unit / duration
     planes = made.structure.planes
     return Path(
         descent=descent,
@@ -47,6 +48,7 @@ def path_of(
         thrust=push,
         bound=spent * n / duration,
         increment=float(-nodes[-1, 6] * speed),
+        cost=float(program.c @ answer.x) * unit,
         slope=float(lengths.mean()),
         hamiltonian=-lengths,
         primer=-z[s].reshape(n, 4)[:, 1:],

@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _NODE = 7  # variables: position, velocity, logarithm of mass, all scaled
-_THRIFT = 1e-3  # what a unit of the scaled increment counts beside all the spare thrust
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Structure:
     free
         Whether the end lies anywhere in a disc, whose radius is a variable.
     spare
-        Whether more thrust than the greatest may be had, of which as little as possible is taken.
+        Whether more thrust than the greatest may be had at a price; its share is a variable.
 
     Raises
     ------
@@ -216,7 +215,6 @@ class Transcription:
         walls: Walls | None = None,
         *,
         nearest: bool = False,
-        spare: float = 0.0,
     ) -> Program:
         """Return the program of a descent.
 
@@ -233,14 +231,12 @@ class Transcription:
             Half-spaces; as many as the structure has.
         nearest
             Ask for the least distance of the end from its place, not for the least propellant.
-        spare
-            Thrust above the greatest that may be had, N: the least share of it is asked for.
         """
         units = Scales.of(descent, duration)
         families = self._values(descent, units, log_mass, walls, nearest)
         if self.structure.spare:
             entries, h = families["high"]
-            more = spare * self._unit_force(descent, units) * np.exp(-log_mass)
+            more = descent.spare * self._unit_force(descent, units) * np.exp(-log_mass)
             families["high"] = np.column_stack((entries, -more)), h
             families["spare"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
         values = np.concatenate([families[name][0].ravel() for name in self.rows])
@@ -248,10 +244,9 @@ class Transcription:
         p = self._pattern
         g = sparse.csc_matrix((values[self._order], p.indices, p.indptr), shape=p.shape)
         c = np.zeros(self.variables)
-        if nearest or self.structure.spare:
-            c[-1] = 1.0
-        if not nearest:
-            c[self._node[-1] + 6] = -_THRIFT if self.structure.spare else -1.0
+        if self.structure.spare:
+            c[-1] = descent.spare_price * units.time / units.length
+        c[-1 if nearest else self._node[-1] + 6] = 1.0 if nearest else -1.0
         b = np.concatenate((np.zeros(3 * self.structure.intervals), self._ends(descent, units)))
         return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
 
@@ -271,9 +266,11 @@ class Transcription:
         weight = d.gravity * units.time**2 / units.length / n
         drop = d.drop / units.length
         if s.tilt:
-            lean = np.cos(d.max_tilt if d.max_tilt is not None else 0.0)
-            row = np.array([lean, -lean, 1.0, -1.0])
-            out["tilt"] = np.broadcast_to(row, (n, 4)), np.full(n, weight)
+            # The middles of the intervals, where thrust is bounded too.
+            tilts = d.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
+            lean = np.cos(tilts if tilts is not None else np.zeros(n))
+            ones = np.ones(n)
+            out["tilt"] = np.column_stack((lean, -lean, ones, -ones)), np.full(n, weight)
         least = np.log(d.dry_mass / d.mass) / units.kappa
         out["mass"] = np.array([[-1.0]]), np.array([-least])
         if s.planes and walls is not None:

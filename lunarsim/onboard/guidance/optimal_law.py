@@ -2,8 +2,8 @@
 
 The lossless convexification of `lunarsim.optimal` is solved from where the lander will be once
 attitude and engine have answered, with the final time free. A path of least propellant brakes as late
-as it can, so that after a disturbance none may keep the throttle margin: then the one is flown that
-takes the least share of it. What a flight does depends on counts of iterations, never on a clock: a
+as it can, so that after a disturbance none may keep the throttle margin: what the margin keeps back
+above may be had at a price, which is high enough that it is left alone while there is another way. What a flight does depends on counts of iterations, never on a clock: a
 plan that takes more than it may is late. Where no plan is in time, or none exists even with all of the
 engine, the Apollo law flies until the next one.
 """
@@ -25,7 +25,7 @@ from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.optimal.cone_program import Judged
+from lunarsim.optimal.cone_program import Unjudged
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import masses_left, search_about
 from lunarsim.optimal.path import Path
@@ -37,9 +37,8 @@ Array = NDArray[np.float64]
 
 _DROP = 0.5  # of the glideslope's tip under the end, m: as the polynomial laws have it
 _MOVED = 1.0  # of the end, m: a divert
-_TIMES = (1.0, 1.05)  # shares of the expected time that are tried in turn
-_SPARE_TIMES = (1.0, 1.04, 0.97)
-_SOLVES = 5
+_TIMES = (1.0, 1.04, 1.12)  # shares of the expected time that are tried in turn
+_SOLVES, _STEP = 3, 0.015  # solves of a search about the last final time, and its first step
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,9 @@ class OptimalLaw(PathLaw):
         Of the solver that a plan may take: with more it is late.
     frequency
         Of tracking a plan, rad/s; critically damped.
+    end_tilt, tilt_rate
+        Greatest tilt at the end of the approach, rad, and by how much it may grow a second before it,
+        rad/s: the vertical descent after it leans little, and attitude takes time to follow.
     """
 
     least_time_to_go: float = quantity(
@@ -70,6 +72,10 @@ class OptimalLaw(PathLaw):
     intervals: int = quantity(30, ge=8, le=200, help="of constant thrust over mass in a plan")
     iterations: int = quantity(400, ge=1, help="of the solver; a plan that takes more is late")
     frequency: float = quantity(0.5, "rad/s", ge=0, le=3, help="with which plans are tracked")
+    end_tilt: float = quantity(8.0, "deg", ge=0, lt=85, help="greatest at the end of the approach")
+    tilt_rate: float = quantity(
+        10.0, "deg/s", gt=0, le=180, help="by which it may grow a second before the end"
+    )
 
     @property
     def shape(self) -> PathShape:
@@ -87,11 +93,6 @@ class _Plan:
 
     path: Path
     begins: float
-    end: PhaseEnd
-
-    @property
-    def arrival(self) -> float:
-        return self.begins + self.path.duration
 
 
 class OptimalGuidance:
@@ -115,7 +116,7 @@ class OptimalGuidance:
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plans = 0
-        self._planner = Planner(settings.intervals, Judged)
+        self._planner = Planner(settings.intervals, Unjudged)
         self._answering = Answering(lag)
         # It flies what the plan's last seconds leave open, as it does by itself.
         self._apollo = PathGuidance(
@@ -150,9 +151,8 @@ class OptimalGuidance:
 
     def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, fresh: bool) -> None:
         """Make a plan from where commands take effect; fall back where there is none."""
-        begins = time + self._answering.lead
         before = self._planner.iterations
-        path, why = self._path(estimate, end, begins, None if fresh else self._plan)
+        path, why = self._path(estimate, end, time, None if fresh else self._plan)
         spent = self._planner.iterations - before
         if path is not None and spent > self.settings.iterations:
             path, why = None, "late"
@@ -163,38 +163,44 @@ class OptimalGuidance:
         if self._fallen:
             self.events.append((time, "guidance-planned", {"iterations": spent}))
         self._fallen = False
-        self._plan = _Plan(path, begins, end)
-        self.arrival = self._plan.arrival
+        self._plan = _Plan(path, time + self._answering.lead)
+        # What is commanded a lag before the end of the path takes effect at its end, where the next
+        # phase is to begin.
+        self.arrival = time + path.duration
 
     def _path(
-        self, estimate: Estimate, end: PhaseEnd, begins: float, last: _Plan | None
+        self, estimate: Estimate, end: PhaseEnd, time: float, last: _Plan | None
     ) -> tuple[Path | None, str]:
         """Return a path, or why there is none."""
         position, velocity = self._answering.ahead(estimate)
-        expected = max((self.arrival or 0.0) - begins, 1.0)
+        expected = max((self.arrival or 0.0) - time, 1.0)
         masses = None
         if last is not None:
-            masses = masses_left(last.path, begins - last.begins, self._planner.intervals)
+            elapsed = time + self._answering.lead - last.begins
+            masses = masses_left(last.path, elapsed, self._planner.intervals)
         try:
-            descent, spare = self._descent(estimate.mass, position, velocity, end)
+            descent = self._descent(estimate.mass, position, velocity, end)
             times = (s * expected for s in _TIMES)
-            path = search_about(self._planner, descent, times, most=_SOLVES, log_mass=masses)
-            for share in _SPARE_TIMES:
-                if path is not None or spare <= 0.0:
-                    break
-                path = self._planner.at_time(
-                    descent, share * expected, log_mass=masses, spare=spare
-                )
-        except SolverError:
-            return None, "solver"
+            most, step = (_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
+            path = search_about(
+                self._planner, descent, times, most=most, log_mass=masses, step=step
+            )
         except InputError as error:
             return None, str(error)
-        return path, "" if path is not None else "infeasible"
+        return path, "" if path is not None else self._why(descent, expected)
 
-    def _descent(
-        self, mass: float, position: Array, velocity: Array, end: PhaseEnd
-    ) -> tuple[Descent, float]:
-        """Return the problem, and the thrust that the throttle margin keeps back above, N."""
+    def _why(self, descent: Descent, duration: float) -> str:
+        """Return why there is no path: told once, where the Apollo law takes over."""
+        if self._fallen:
+            return ""
+        try:
+            path = Planner(self.settings.intervals).at_time(descent, duration)
+        except SolverError:
+            return "solver"
+        return "infeasible" if path is None else "solver"
+
+    def _descent(self, mass: float, position: Array, velocity: Array, end: PhaseEnd) -> Descent:
+        """Return the problem; what the throttle margin keeps back above may be had at a price."""
         lander, limits = self.lander, self.limits
         margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
         gap = position - end.position
@@ -202,13 +208,13 @@ class OptimalGuidance:
         # One that is under the glideslope already has to come in under it.
         own = float(np.arctan2(gap[2] + _DROP, aside + 1e-9))
         glideslope = max(min(limits.glideslope, own - np.deg2rad(0.5)), 0.0)
-        descent = Descent(
+        return Descent(
             position, velocity, mass, end.position, end.velocity, self.gravity,
             lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
-            limits.max_tilt, glideslope, _DROP,
+            limits.max_tilt, glideslope, _DROP, spare=margin,
+            end_tilt=self.settings.end_tilt, tilt_rate=self.settings.tilt_rate,
         )  # fmt: skip
-        return descent, margin
 
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int
