@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +21,8 @@ from lunarsim.optimal.final_time import first_time
 from lunarsim.optimal.problem import Descent
 
 Array = NDArray[np.float64]
+
+_Row = tuple[Any, Any, Any]  # an expression and its bounds
 
 _DEGREE = 3
 _STATES = 7
@@ -80,7 +83,7 @@ def collocate(
     Parameters
     ----------
     descent
-        The problem; its `region` has to be 0 and its cone None.
+        The problem, with neither region, cone, end tilt nor spare thrust.
     intervals
         N.
     duration
@@ -91,22 +94,23 @@ def collocate(
     Raises
     ------
     InputError
-        If the descent has a region or a cone, or the final time is no positive number.
+        If the descent has what it may not, or the final time is no positive number.
     SolverError
         If IPOPT does not converge.
     """
-    import casadi
-
-    if descent.region > 0.0 or descent.cone is not None:
-        raise InputError(
-            "optimal.region", descent.region, "a single end, and no cone but the glideslope"
-        )
+    for name, other in (("region", 0.0), ("spare", 0.0), ("cone", None), ("end_tilt", None)):
+        if getattr(descent, name) != other:
+            raise InputError(f"optimal.{name}", getattr(descent, name), f"{other}: none but that")
     if duration is not None and not 0.0 < duration < np.inf:
         raise InputError("optimal.duration", duration, "a positive final time in s")
     guess = duration or 0.9 * first_time(descent)
     units = _Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
-    variables, constraints, low, high = _program(casadi, descent, units, intervals, duration)
-    problem = {"x": variables, "f": -variables[_STATES * intervals + 6], "g": constraints}
+    variables, constraints, low, high = _program(descent, units, intervals, duration)
+    problem: dict[str, Any] = {
+        "x": variables,
+        "f": -variables[_STATES * intervals + 6],
+        "g": constraints,
+    }
     options = {
         "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": most,
         "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
@@ -133,7 +137,7 @@ def _start(descent: Descent, units: _Units, n: int) -> Array:
     return np.concatenate((nodes.ravel(), inner.ravel(), np.tile(lift, n), [1.0]))
 
 
-def _rates(casadi: Any, descent: Descent, units: _Units, x: Any, thrust: Any) -> Any:
+def _rates(descent: Descent, units: _Units, x: Any, thrust: Any) -> Any:
     """Return the derivative of a scaled state."""
     weight = descent.gravity * units.time**2 / units.length
     speed = units.length / units.time
@@ -143,7 +147,7 @@ def _rates(casadi: Any, descent: Descent, units: _Units, x: Any, thrust: Any) ->
 
 
 def _program(
-    casadi: Any, descent: Descent, units: _Units, n: int, duration: float | None
+    descent: Descent, units: _Units, n: int, duration: float | None
 ) -> tuple[Any, Any, Array, Array]:
     """Return variables, constraints and their bounds."""
     tau = np.concatenate(([0.0], casadi.collocation_points(_DEGREE, "radau")))
@@ -152,7 +156,7 @@ def _program(
     inner = [[casadi.SX.sym(f"x{k}_{j}", _STATES) for j in range(_DEGREE)] for k in range(n)]
     thrust = [casadi.SX.sym(f"u{k}", 3) for k in range(n)]
     total = casadi.SX.sym("T")
-    rows: list[tuple[Any, Any, Any]] = []
+    rows: list[_Row] = []
     first = np.concatenate((descent.gap, descent.velocity, [descent.mass])) / units.state
     last = np.concatenate((np.zeros(3), descent.end_velocity)) / units.state[:6]
     rows += [(nodes[0] - first, 0.0, 0.0), (nodes[n][:6] - last, 0.0, 0.0)]
@@ -163,12 +167,12 @@ def _program(
         points = [nodes[k], *inner[k]]
         for j in range(1, _DEGREE + 1):
             moved = sum(slopes[i, j] * points[i] for i in range(_DEGREE + 1))
-            rate = _rates(casadi, descent, units, points[j], thrust[k])
+            rate = _rates(descent, units, points[j], thrust[k])
             rows.append((moved - total / n * rate, 0.0, 0.0))
         rows.append((nodes[k + 1] - points[-1], 0.0, 0.0))
-        rows += _limits(casadi, descent, units, thrust[k])
+        rows += _limits(descent, units, thrust[k])
         if descent.glideslope is not None and k < n - 1:
-            rows += [_above(casadi, descent, units, x) for x in inner[k]]
+            rows += [_above(descent, units, x) for x in inner[k]]
     constraints = casadi.vertcat(*(row[0] for row in rows))
     low, high = (
         np.concatenate([np.full(row[0].numel(), row[side]) for row in rows]) for side in (1, 2)
@@ -188,9 +192,7 @@ def _derivatives(tau: Array) -> Array:
     return out
 
 
-def _limits(
-    casadi: Any, descent: Descent, units: _Units, thrust: Any
-) -> list[tuple[Any, Any, Any]]:
+def _limits(descent: Descent, units: _Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
     """Return the limits of size and lean of a thrust."""
     least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
     rows = [(casadi.sumsqr(thrust), least**2, most**2)]
@@ -200,7 +202,7 @@ def _limits(
     return rows
 
 
-def _above(casadi: Any, descent: Descent, units: _Units, x: Any) -> tuple[Any, Any, Any]:
+def _above(descent: Descent, units: _Units, x: Any) -> _Row:
     """Return the glideslope at one point."""
     aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
     up = x[2] + descent.drop / units.length

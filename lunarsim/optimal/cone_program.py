@@ -12,7 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import clarabel
 import numpy as np
+import qoco
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -86,8 +88,6 @@ class Qoco:
 
     def solve(self, program: Program) -> Answer:
         """Return the answer to a program of the same structure as the first."""
-        import qoco
-
         p = program
         if self._held is None:
             self._held = qoco.QOCO()
@@ -123,8 +123,6 @@ class Clarabel:
 
     def solve(self, program: Program) -> Answer:
         """Return the answer to a program."""
-        import clarabel
-
         p = program
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.most

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,19 +35,12 @@ class InfeasibleError(InputError):
             expected += f"; the nearest one is ({at}), {self.miss:.1f} m off"
         super().__init__("optimal.end_position", target.tolist(), f"{expected} ({why})")
 
-    def __reduce__(self) -> tuple[type[InfeasibleError], tuple[object, ...]]:  # type: ignore[override]
-        return _again, (
-            self.args[0],
-            self.field,
-            self.value,
-            self.expected,
-            self.nearest,
-            self.miss,
-        )
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return _again, (self.field, self.value, self.expected, self.nearest, self.miss)
 
 
 def _again(
-    said: str, field: str, value: object, expected: str, nearest: object, miss: float
+    field: str, value: object, expected: str, nearest: object, miss: float
 ) -> InfeasibleError:
     """Return an error as it was before it was sent to another process."""
     made = InfeasibleError.__new__(InfeasibleError)

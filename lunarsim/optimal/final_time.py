@@ -38,7 +38,13 @@ def first_time(descent: Descent) -> float:
     d, v, w = descent.gap, descent.velocity, descent.end_velocity
     squares = float(v @ v + v @ w + w @ w)
     roots = np.roots(
-        [0.5 * descent.gravity**2, 0.0, -2.0 * squares, -12.0 * float((v + w) @ d), -18.0 * d @ d]
+        [
+            0.5 * descent.gravity**2,
+            0.0,
+            -2.0 * squares,
+            -12.0 * float((v + w) @ d),
+            -18.0 * float(d @ d),
+        ]
     )
     real = roots.real[(np.abs(roots.imag) < 1e-6 * np.abs(roots)) & (roots.real > 0.0)]
     return float(real.min()) if real.size else 1.0
@@ -247,8 +253,10 @@ def nearest(planner: Planner, descent: Descent) -> Path | None:
     while time is not None and planner.solves < budget:
         path = planner.at_time(descent, time, log_mass=log_mass, nearest=True)
         if path is None:
-            half = None if best is None else 0.5 * (time + best.duration)
-            time = half if best is not None else (times.pop(0) if times else None)
+            if best is not None:
+                time = 0.5 * (time + best.duration)
+            else:
+                time = times.pop(0) if times else None
             continue
         log_mass = path.log_mass
         if best is None or path.miss < best.miss:

@@ -1,10 +1,10 @@
 """Terrain under an optimal path: a convex majorant that touches the end, then the terrain itself.
 
 A path may not pass through the ground, and the space above terrain is not convex. What is above a
-cone of half-spaces over the end, one slope an azimuth sector, is; the slopes are the least with which
-each sector's plane lies above all terrain in its sector. Where that costs something, the terrain is
-taken as it is about the last path: over each interval by a plane above all posts about it, anew
-until path and planes agree. The terrain itself has the last word.
+cone of half-spaces over the end, one slope an azimuth sector, is; the slopes are the least with
+which each sector's plane lies above all terrain in its sector. Where that costs something, the
+terrain is taken as it is about the last path: over each interval by a plane above all posts about
+it, anew until path and planes agree. The terrain itself has the last word.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Relief:
         return float((points[:, 2] - height).min())
 
     def walls(self, path: Path, clearance: float) -> Walls:
-        """Return three planes for each control point: above the terrain about it and its neighbours.
+        """Return three planes for each control point, above the terrain about it and the next.
 
         The piece of the path over an interval lies between its own control point and its
         neighbours', and all three keep above the plane of that interval.
@@ -191,7 +191,7 @@ def least_propellant_over(
     if not descent.end_position[2] >= height + clearance - 1e-9:
         raise InputError(
             "optimal.end_position", descent.end_position.tolist(),
-            f"an end on the posts, at least {clearance} m above the ground, which is at {height:.2f} m",
+            f"an end on the posts, at least {clearance} m above the ground at {height:.2f} m",
         )  # fmt: skip
     path, best = None, None
     try:
@@ -219,7 +219,7 @@ def _linearised(
     path: Path | None,
     rounds: int,
 ) -> Path | None:
-    """Take the terrain about the last path until path and planes agree; None where none is above."""
+    """Take the terrain about the last path until both agree; None where no path is above it."""
     path = path or least_propellant(planner, descent)
     best: Path | None = None
     for _ in range(rounds):

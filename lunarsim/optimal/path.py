@@ -40,7 +40,7 @@ class Path:
     hamiltonian
         Minus the derivative with the length of each interval (N,), as `slope`.
     primer
-        Multipliers of the thrust in each interval (N, 3); along the thrust where tilt does not bind.
+        Multipliers of the thrust in each interval (N, 3), along it where tilt does not bind.
     bars
         Multipliers of the half-spaces (N - 2, planes), of any unit: more than 0 where one binds.
     solves, iterations, solver
@@ -103,7 +103,7 @@ class Path:
 
     @property
     def loss(self) -> float:
-        """By how much the bound exceeds the thrust at most, over the thrust: 0 if convex is exact."""
+        """By how much the bound exceeds the thrust at most, over the thrust: 0 if none is lost."""
         size = np.linalg.norm(self.thrust, axis=1)
         return float((self.bound / np.maximum(size, 1e-12)).max() - 1.0)
 

@@ -63,8 +63,8 @@ class Descent:
     max_tilt
         Of the thrust from the vertical, rad; None for none.
     end_tilt, tilt_rate
-        Greatest tilt at the end, rad, and by how much it may grow a second before it, rad/s: a lander
-        that has to be upright soon cannot turn at once. None: `max_tilt` to the end.
+        Greatest tilt at the end, rad, and by how much it may grow a second before it, rad/s: a
+        lander that has to be upright soon cannot turn at once. None: `max_tilt` to the end.
     glideslope
         Least elevation of the path as seen from its end, rad; None: it may pass under its end.
     drop

@@ -3,7 +3,7 @@
 The multiplier of an interval's length is minus the Hamiltonian there, since the cost's derivative
 with the length of an interval is what the program's Lagrangian gives (envelope theorem). Along an
 optimum under autonomous dynamics it is constant, and zero where the final time is free. The
-multipliers of the thrust are the primer vector, linear in time while no bound on the state is active.
+multipliers of the thrust are the primer vector, linear in time while no bound on the state binds.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ def _lengths(made: Transcription, program: Program, answer: Answer) -> Array:
     n, x, z = made.structure.intervals, answer.x, answer.z
     nodes = x[: 7 * (n + 1)].reshape(n + 1, 7)
     speeds = nodes[:, 3:6]
-    out = -0.5 * np.einsum("ij,ij->i", answer.y[: 3 * n].reshape(n, 3), speeds[1:] + speeds[:-1])
+    out: Array = -0.5 * np.einsum(
+        "ij,ij->i", answer.y[: 3 * n].reshape(n, 3), speeds[1:] + speeds[:-1]
+    )
     short = program.g @ x - program.h
     spent = -np.diff(nodes[:, 6])
     out += z[made.rows["high"]] * n * (short[made.rows["high"]] - spent)

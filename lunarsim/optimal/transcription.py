@@ -6,7 +6,7 @@ Blackmore, IEEE Transactions on Control Systems Technology 21(6), 2013. `docs/th
 derives what is done otherwise here:
 
 - Thrust over mass is constant in each of N intervals, so that it is a difference of velocities and
-  no variable; nor is its bound, a difference of logarithms of mass. Seven variables a node are left.
+  no variable; nor is its bound, a difference of logarithms of mass. Seven variables a node remain.
 - Time is counted in final times: no coefficient of the dynamics depends on the final time.
 - What a path keeps between its nodes: in each interval it is a parabola, within the triangle of its
   nodes and its control point ``r + v h / 2``. A node is the middle of two control points, so a

@@ -1,11 +1,12 @@
 """The law of least propellant: a cone program solved anew once a second, tracked in between.
 
 The lossless convexification of `lunarsim.optimal` is solved from where the lander will be once
-attitude and engine have answered, with the final time free. A path of least propellant brakes as late
-as it can, so that after a disturbance none may keep the throttle margin: what the margin keeps back
-above may be had at a price, which is high enough that it is left alone while there is another way. What a flight does depends on counts of iterations, never on a clock: a
-plan that takes more than it may is late. Where no plan is in time, or none exists even with all of the
-engine, the Apollo law flies until the next one.
+attitude and engine have answered, with the final time free. A path of least propellant brakes as
+late as it can, so that after a disturbance none may keep the throttle margin: what the margin keeps
+back above may be had at a price, high enough that it is left alone while there is another way. What
+a flight does depends on counts of iterations, never on a clock: a plan that takes more than it may
+is late. Where no plan is in time, or none exists even with all of the engine, the Apollo law flies
+until the next one.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ class OptimalLaw(PathLaw):
     frequency
         Of tracking a plan, rad/s; critically damped.
     end_tilt, tilt_rate
-        Greatest tilt at the end of the approach, rad, and by how much it may grow a second before it,
-        rad/s: the vertical descent after it leans little, and attitude takes time to follow.
+        Greatest tilt at the end of the approach, rad, and by how much it may grow a second before
+        it, rad/s: the vertical descent after it leans little, and attitude takes time to follow.
     """
 
     least_time_to_go: float = quantity(
@@ -219,7 +220,7 @@ class OptimalGuidance:
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int
     ) -> None:
-        """Let the Apollo law fly on, with a time-to-go of its own where it has an admissible one."""
+        """Let the Apollo law fly on, with its own time-to-go where it has an admissible one."""
         if not self._fallen:
             self.events.append((time, "guidance-fallback", {"reason": why, "iterations": spent}))
             one = replace(end, position=end.position[None, :])
