@@ -111,7 +111,7 @@ def collocate(
         "f": -variables[_STATES * intervals + 6],
         "g": constraints,
     }
-    options = {
+    options: dict[str, Any] = {
         "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": most,
         "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
     }  # fmt: skip
