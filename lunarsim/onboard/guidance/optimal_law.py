@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 _DROP = 0.5  # of the glideslope's tip under the end, m: as the polynomial laws have it
 _MOVED = 1.0  # of the end, m: a divert
 _TIMES = (1.0, 1.04, 1.12)  # shares of the expected time that are tried in turn
+_FRESH = (1.0, 0.93, 1.06, 0.86, 1.13, 0.8, 1.25)  # where there is no plan to go by
 _SOLVES, _STEP = 3, 0.015  # solves of a search about the last final time, and its first step
 
 
@@ -73,9 +74,9 @@ class OptimalLaw(PathLaw):
     intervals: int = quantity(30, ge=8, le=200, help="of constant thrust over mass in a plan")
     iterations: int = quantity(400, ge=1, help="of the solver; a plan that takes more is late")
     frequency: float = quantity(0.5, "rad/s", ge=0, le=3, help="with which plans are tracked")
-    end_tilt: float = quantity(8.0, "deg", ge=0, lt=85, help="greatest at the end of the approach")
+    end_tilt: float = quantity(10.0, "deg", ge=0, lt=85, help="greatest at the end of the approach")
     tilt_rate: float = quantity(
-        10.0, "deg/s", gt=0, le=180, help="by which it may grow a second before the end"
+        15.0, "deg/s", gt=0, le=180, help="by which it may grow a second before the end"
     )
 
     @property
@@ -181,7 +182,7 @@ class OptimalGuidance:
             masses = masses_left(last.path, elapsed, self._planner.intervals)
         try:
             descent = self._descent(estimate.mass, position, velocity, end)
-            times = (s * expected for s in _TIMES)
+            times = (s * expected for s in (_FRESH if last is None else _TIMES))
             most, step = (_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
             path = search_about(
                 self._planner, descent, times, most=most, log_mass=masses, step=step
