@@ -61,7 +61,9 @@ class _Search:
         ``limit (1 - A / (T - T_0)^2)``, so that ``(limit - slope)^(-1/2)`` is about linear in T.
         inf: the slope is taken for linear itself.
     step
-        Share of the first final time by which it is left.
+        Share of the first final time by which it is left at most.
+    bend
+        The slope's derivative in a problem like this one; 0: not known.
     low, high
         Final times between which it is.
     known
@@ -70,6 +72,7 @@ class _Search:
 
     limit: float = np.inf
     step: float = _STEP
+    bend: float = 0.0
     low: float = 0.0
     high: float = np.inf
     known: list[tuple[float, float]] = field(default_factory=list)
@@ -88,7 +91,7 @@ class _Search:
         (t1, s1) = self.known[-1]
         (t0, s0) = self.known[-2] if len(self.known) > 1 else (t1, s1)
         found = (s1 - s0) / (t1 - t0) if t1 != t0 else 0.0
-        return found if found > 0.0 else 2.0 / t1
+        return found if found > 0.0 else self.bend or 2.0 / t1
 
     def _straight(self, slope: float) -> float:
         """Return what of a slope is about linear in the time, zero with the slope."""
@@ -99,7 +102,8 @@ class _Search:
     def next(self) -> float:
         """Return the time to try next."""
         time, slope = self.known[-1]
-        wanted = time * (1.0 - np.copysign(self.step, slope))
+        by = min(self.step * time, abs(slope) / self.bend if self.bend else np.inf)
+        wanted = time - np.copysign(by, slope)
         if len(self.known) > 1:
             before, s0 = self.known[-2]
             rise = self._straight(slope) - self._straight(s0)
@@ -176,8 +180,9 @@ def _warm(
         return None
     log_mass = masses_left(last, elapsed, planner.intervals)
     return search_about(
-        planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass
-    )
+        planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass,
+        bend=last.curvature,
+    )  # fmt: skip
 
 
 def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
@@ -202,6 +207,7 @@ def search_about(
     most: int = _COLD,
     log_mass: Array | None = None,
     step: float = _STEP,
+    bend: float = 0.0,
 ) -> Path | None:
     """Return the best path found from first final times on; None where none of them can be flown.
 
@@ -216,9 +222,11 @@ def search_about(
     log_mass
         Guess of ln(mass / mass at the start) in the middle of each interval (N,).
     step
-        Share of the final time by which the first one that can be flown is left.
+        Share of the final time by which the first one that can be flown is left at most.
+    bend
+        `curvature` of the path of a problem like this one; 0: not known.
     """
-    search, best, budget = _Search(descent.gravity, step), None, planner.solves + most
+    search, best, budget = _Search(descent.gravity, step, bend), None, planner.solves + most
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
         path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
@@ -240,6 +248,8 @@ def search_about(
         if path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost:
             break
         time = search.next()
+    if best is not None and search.known:
+        best = replace(best, curvature=search.curvature)
     return best
 
 

@@ -43,6 +43,8 @@ class Path:
         Multipliers of the thrust in each interval (N, 3), along it where tilt does not bind.
     bars
         Multipliers of the half-spaces (N - 2, planes), of any unit: more than 0 where one binds.
+    curvature
+        Second derivative of the least cost with the final time, as a search saw it; 0: not known.
     solves, iterations, solver
         What it took, and who gave the answer.
     """
@@ -60,6 +62,7 @@ class Path:
     hamiltonian: Array
     primer: Array
     bars: Array
+    curvature: float = 0.0
     solves: int = 1
     iterations: int = 0
     solver: str = ""

@@ -185,8 +185,9 @@ class OptimalGuidance:
             times = (s * expected for s in (_FRESH if last is None else _TIMES))
             most, step = (_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
             path = search_about(
-                self._planner, descent, times, most=most, log_mass=masses, step=step
-            )
+                self._planner, descent, times, most=most, log_mass=masses, step=step,
+                bend=0.0 if last is None else last.path.curvature,
+            )  # fmt: skip
         except InputError as error:
             return None, str(error)
         return path, "" if path is not None else self._why(descent, expected)
