@@ -61,6 +61,18 @@ def test_a_path_keeps_everything_between_its_nodes():
     assert path.mass_at(path.duration) == pytest.approx(path.mass[-1])
 
 
+def test_a_glideslope_that_binds_is_kept_between_the_nodes():
+    """The path touches the cone; asked of its nodes alone it would sag through."""
+    slope = np.deg2rad(4.0)
+    path = Planner(20).at_time(mars(glideslope=slope), 81.0)
+    r = path.at(np.linspace(0.0, path.duration, 2001))[0]
+    above = r[:, 2] - np.tan(slope) * np.hypot(r[:, 0], r[:, 1])
+    assert above.min() > -1e-3
+    control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
+    skims = control[:, 2] - np.tan(slope) * np.hypot(control[:, 0], control[:, 1]) < 0.05
+    assert skims[1:-1].any()
+
+
 def test_a_last_solution_leaves_four_solves_at_most():
     planner = Planner(40)
     first = least_propellant(planner, moon())

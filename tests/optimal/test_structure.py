@@ -86,7 +86,7 @@ def test_the_hamiltonian_is_constant_and_zero_at_the_best_final_time():
 def test_the_slope_is_the_derivative_of_the_cost():
     for descent, duration in (
         (mars(), 80.0), (mars(glideslope=np.deg2rad(4.0), max_tilt=np.deg2rad(80.0)), 81.0),
-        (moon(), 30.0), (moon(spare=400.0), 27.2),
+        (moon(), 30.0), (moon(spare=400.0), 27.2), (moon(max_tilt=np.deg2rad(25.0)), 34.0),
     ):  # fmt: skip
         planner = Planner(40)
         here = planner.at_time(descent, duration)
