@@ -84,16 +84,21 @@ def test_the_hamiltonian_is_constant_and_zero_at_the_best_final_time():
 
 
 def test_the_slope_is_the_derivative_of_the_cost():
+    low, lean = np.deg2rad(4.0), np.deg2rad(25.0)
     for descent, duration in (
-        (mars(), 80.0), (mars(glideslope=np.deg2rad(4.0), max_tilt=np.deg2rad(80.0)), 81.0),
-        (moon(), 30.0), (moon(spare=400.0), 27.2), (moon(max_tilt=np.deg2rad(25.0)), 34.0),
-    ):  # fmt: skip
+        (mars(), 80.0),
+        (mars(glideslope=low, max_tilt=np.deg2rad(80.0)), 81.0),
+        (mars(glideslope=1.25 * low, dry_mass=1300.0), 79.46),
+        (moon(), 30.0),
+        (moon(max_tilt=lean), 34.0),
+        (moon(spare=400.0), 27.2),
+    ):
         planner = Planner(40)
         here = planner.at_time(descent, duration)
-        step = 1e-3 * duration
+        step = 3e-4 * duration
         costs = [
             planner.at_time(descent, duration + s, log_mass=here.log_mass).cost
             for s in (-step, step)
         ]
         here = planner.at_time(descent, duration, log_mass=here.log_mass)
-        assert here.slope == pytest.approx((costs[1] - costs[0]) / (2.0 * step), rel=2e-2, abs=2e-3)
+        assert here.slope == pytest.approx((costs[1] - costs[0]) / (2.0 * step), rel=5e-3, abs=1e-3)
