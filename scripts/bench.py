@@ -20,6 +20,7 @@ from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
 from bench_parts.navigation import navigation
+from bench_parts.optimal import optimal
 from bench_parts.quadtree import lidar_inertial, quadtree
 from bench_parts.sensing import lidar, render, terrain
 from bench_parts.shadows import shadows
@@ -39,6 +40,7 @@ PARTS: dict[str, Callable[[], None]] = {
         lidar_inertial,
         navigation,
         guidance,
+        optimal,
         campaign,
         paths,
     )

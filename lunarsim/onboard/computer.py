@@ -24,7 +24,7 @@ from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.climb import climb
-from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
@@ -129,7 +129,7 @@ class OnboardComputer:
         self._next_decision = 0.0
         self._decided = False
         self._aim: tuple[FloatMap, FloatMap] | None = None
-        self._events = 0
+        self._events = self._told = 0
         self._arrivals = Arrivals(briefing.step, self._note)
         self._barred, self._mapped_lost = False, False
         self._levelled = np.eye(3)
@@ -461,6 +461,7 @@ class OnboardComputer:
             end = self.approach.end(self.site, self.lander)
             wanted = self.guidance.command(self.estimate, end, self.time, self.time_to_go)
             tilt = self.approach.max_tilt
+            self._follow_guidance()
         elif self.phase == VERTICAL:
             end = self.approach.ground(self.site, self.lander)
             wanted = self.vertical.command(self.estimate, end, self.time)
@@ -475,6 +476,15 @@ class OnboardComputer:
         self._thrust = command.thrust
         self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
         return command
+
+    def _follow_guidance(self) -> None:
+        """Take over when a law means to arrive, if it says so, and what it reports."""
+        if not isinstance(self.guidance, PlansArrival):
+            return
+        if self.guidance.arrival is not None:
+            self._arrival = self.guidance.arrival
+        self.telemetry += self.guidance.events[self._told :]
+        self._told = len(self.guidance.events)
 
     def _tasks(self) -> tuple[SensorTask, ...]:
         """Return what pointed sensors are to measure at the end of the cycle."""

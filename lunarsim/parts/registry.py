@@ -123,6 +123,7 @@ CONTRACTS: dict[str, Contract] = {
             "fractional-polynomial": (
                 "lunarsim.onboard.guidance.fractional:FractionalPolynomialLaw"
             ),
+            "optimal": "lunarsim.onboard.guidance.optimal_law:OptimalLaw",
         },
         ("build", "cost"),
     ),

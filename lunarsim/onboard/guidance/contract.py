@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,3 +63,19 @@ class GuidanceLaw(Protocol):
             Now, and what is left until the end is to be reached, s.
         """
         ...
+
+
+@runtime_checkable
+class PlansArrival(Protocol):
+    """A law that chooses when it arrives, and reports what happens to it.
+
+    Attributes
+    ----------
+    arrival
+        When it means to be at the end of the phase, s; None: not known yet.
+    events
+        What happened so far: time (s), name, details.
+    """
+
+    arrival: float | None
+    events: list[tuple[float, str, dict[str, Any]]]

@@ -18,6 +18,39 @@ Array = NDArray[np.float64]
 Feedback = Callable[[Array, Array, PhaseEnd, float], Array]
 
 
+class Answering:
+    """How the vehicle answers commands: through a first-order lag, as far as guidance knows.
+
+    Parameters
+    ----------
+    lead
+        The lag, s.
+    """
+
+    def __init__(self, lead: float) -> None:
+        self.lead = lead
+        self._lagged = np.zeros(3)
+        self._command = np.zeros(3)
+        self._time: float | None = None
+
+    def follow(self, time: float) -> None:
+        """Let the modelled acceleration follow the last command up to `time`."""
+        if self.lead > 0.0 and self._time is not None:
+            keep = np.exp(-(time - self._time) / self.lead)
+            self._lagged = self._command + keep * (self._lagged - self._command)
+        self._time = time
+
+    def ask(self, acceleration: Array) -> None:
+        """Note what the vehicle is asked for (3,), gravity included, m/s^2."""
+        self._command = acceleration
+
+    def ahead(self, estimate: Estimate) -> tuple[Array, Array]:
+        """Return position and velocity (3,) a lag from now, when the next command takes effect."""
+        a, lead = self._lagged, self.lead
+        position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
+        return position, estimate.velocity + lead * a
+
+
 class PathGuidance:
     """A law whose paths are of one shape, in flight.
 
@@ -38,6 +71,8 @@ class PathGuidance:
         Below this time-to-go the loop is open, s.
     feedback
         The law's own formula; None: the start of the path.
+    answering
+        How the vehicle answers, where another law flies it as well; it has the lead then.
 
     Raises
     ------
@@ -53,15 +88,14 @@ class PathGuidance:
         lead: float = 0.0,
         least_time_to_go: float = 1.5,
         feedback: Feedback | None = None,
+        answering: Answering | None = None,
     ) -> None:
         self.shape = shape
         self.gravity = np.array([0.0, 0.0, -gravity])
-        self.lead = lead
         self.least_time_to_go = least_time_to_go
         self.feedback = feedback
-        self._lagged = np.zeros(3)
-        self._command = np.zeros(3)
-        self._time: float | None = None
+        self._answering = answering or Answering(lead)
+        self.lead = self._answering.lead
         self._last: tuple[float, Path] | None = None
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
@@ -69,30 +103,22 @@ class PathGuidance:
 
         While there is no path to fly out, a time-to-go under the least one is taken for that.
         """
-        self._follow(time)
+        self._answering.follow(time)
         left = time_to_go - self.lead
         if not np.isfinite(left):
             raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
         if left >= self.least_time_to_go or self._last is None:
-            a, lead = self._lagged, self.lead
-            position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
-            velocity = estimate.velocity + lead * a
+            position, velocity = self._answering.ahead(estimate)
             left = max(left, self.least_time_to_go)
             path = self.shape.path(position, velocity, end, left)
             self._last = (time, path)
-            self._command = (
+            wanted = (
                 path.command
                 if self.feedback is None
                 else np.asarray(self.feedback(position, velocity, end, left))
             )
         else:
             since, path = self._last
-            self._command = path.at(min(time - since, path.time_to_go))[2]
-        return np.asarray(self._command - self.gravity)
-
-    def _follow(self, time: float) -> None:
-        """Let the modelled acceleration follow the last command up to `time`."""
-        if self.lead > 0.0 and self._time is not None:
-            keep = np.exp(-(time - self._time) / self.lead)
-            self._lagged = self._command + keep * (self._lagged - self._command)
-        self._time = time
+            wanted = path.at(min(time - since, path.time_to_go))[2]
+        self._answering.ask(wanted)
+        return np.asarray(wanted - self.gravity)

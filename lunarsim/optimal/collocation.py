@@ -1,0 +1,224 @@
+"""The same descent without any convexification: direct collocation, solved by IPOPT.
+
+A yardstick that shares nothing with the cone programs: thrust, its limits and its pointing as they
+are, the mass by its own equation, a free final time as a variable. Radau points of degree three,
+thrust constant in each interval. CasADi (Andersson and others 2019) differentiates, IPOPT (Waechter
+and Biegler 2006) solves; it finds a local optimum, and takes a few hundred times as long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.errors import SolverError
+from lunarsim.optimal.final_time import first_time
+from lunarsim.optimal.problem import Descent
+
+Array = NDArray[np.float64]
+
+_Row = tuple[Any, Any, Any]  # an expression and its bounds
+
+_DEGREE = 3
+_STATES = 7
+
+
+@dataclass(frozen=True)
+class Collocated:
+    """A path by collocation.
+
+    Attributes
+    ----------
+    duration
+        Final time, s.
+    propellant
+        kg.
+    position, velocity
+        At the nodes (N + 1, 3), m and m/s.
+    mass
+        At the nodes (N + 1,), kg.
+    thrust
+        In the intervals (N, 3), N.
+    iterations
+        Of IPOPT.
+    """
+
+    duration: float
+    propellant: float
+    position: Array
+    velocity: Array
+    mass: Array
+    thrust: Array
+    iterations: int
+
+
+@dataclass(frozen=True)
+class _Units:
+    """What one is: length, time, mass; a force follows."""
+
+    length: float
+    time: float
+    mass: float
+
+    @property
+    def force(self) -> float:
+        return self.mass * self.length / self.time**2
+
+    @property
+    def state(self) -> Array:
+        speed = self.length / self.time
+        return np.array([self.length] * 3 + [speed] * 3 + [self.mass])
+
+
+def collocate(
+    descent: Descent, intervals: int = 50, *, duration: float | None = None, most: int = 400
+) -> Collocated:
+    """Return the path of least propellant by direct collocation.
+
+    Parameters
+    ----------
+    descent
+        The problem, with neither region, cone, end tilt nor spare thrust.
+    intervals
+        N.
+    duration
+        Final time, s; None: free.
+    most
+        Iterations of IPOPT.
+
+    Raises
+    ------
+    InputError
+        If the descent has what it may not, or the final time is no positive number.
+    SolverError
+        If IPOPT does not converge.
+    """
+    for name, other in (("region", 0.0), ("spare", 0.0), ("cone", None), ("end_tilt", None)):
+        if getattr(descent, name) != other:
+            raise InputError(f"optimal.{name}", getattr(descent, name), f"{other}: none but that")
+    if duration is not None and not 0.0 < duration < np.inf:
+        raise InputError("optimal.duration", duration, "a positive final time in s")
+    guess = duration or 0.9 * first_time(descent)
+    units = _Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
+    variables, constraints, low, high = _program(descent, units, intervals, duration)
+    problem: dict[str, Any] = {
+        "x": variables,
+        "f": -variables[_STATES * intervals + 6],
+        "g": constraints,
+    }
+    options: dict[str, Any] = {
+        "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": most,
+        "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
+    }  # fmt: skip
+    solver = casadi.nlpsol("descent", "ipopt", problem, options)
+    start = _start(descent, units, intervals)
+    got = solver(x0=start, lbg=low, ubg=high)
+    stats = solver.stats()
+    if not stats["success"]:
+        raise SolverError(f"IPOPT: {stats['return_status']} after {stats['iter_count']} iterations")
+    return _read(np.asarray(got["x"]).ravel(), descent, units, intervals, stats["iter_count"])
+
+
+def _start(descent: Descent, units: _Units, n: int) -> Array:
+    """Return a first guess: straight from start to end, hovering thrust."""
+    share = np.linspace(0.0, 1.0, n + 1)[:, None]
+    position = (1.0 - share) * descent.gap
+    velocity = (1.0 - share) * descent.velocity + share * descent.end_velocity
+    mass = descent.mass - 0.5 * share * (descent.mass - descent.dry_mass)
+    nodes = np.column_stack((position, velocity, mass)) / units.state
+    inner = np.repeat(nodes[1:], _DEGREE, axis=0)
+    hover = np.array([0.0, 0.0, descent.mass * descent.gravity])
+    lift = np.clip(hover, 0.0, descent.thrust_max) / units.force
+    return np.concatenate((nodes.ravel(), inner.ravel(), np.tile(lift, n), [1.0]))
+
+
+def _rates(descent: Descent, units: _Units, x: Any, thrust: Any) -> Any:
+    """Return the derivative of a scaled state."""
+    weight = descent.gravity * units.time**2 / units.length
+    speed = units.length / units.time
+    burn = casadi.norm_2(thrust) * speed / descent.exhaust_velocity
+    down = casadi.vertcat(0.0, 0.0, -weight)
+    return casadi.vertcat(x[3:6], thrust / x[6] + down, -burn)
+
+
+def _program(
+    descent: Descent, units: _Units, n: int, duration: float | None
+) -> tuple[Any, Any, Array, Array]:
+    """Return variables, constraints and their bounds."""
+    tau = np.concatenate(([0.0], casadi.collocation_points(_DEGREE, "radau")))
+    slopes = _derivatives(tau)
+    nodes = [casadi.SX.sym(f"x{k}", _STATES) for k in range(n + 1)]
+    inner = [[casadi.SX.sym(f"x{k}_{j}", _STATES) for j in range(_DEGREE)] for k in range(n)]
+    thrust = [casadi.SX.sym(f"u{k}", 3) for k in range(n)]
+    total = casadi.SX.sym("T")
+    rows: list[_Row] = []
+    first = np.concatenate((descent.gap, descent.velocity, [descent.mass])) / units.state
+    last = np.concatenate((np.zeros(3), descent.end_velocity)) / units.state[:6]
+    rows += [(nodes[0] - first, 0.0, 0.0), (nodes[n][:6] - last, 0.0, 0.0)]
+    rows += [(nodes[n][6], descent.dry_mass / units.mass, np.inf), (total, 0.05, 20.0)]
+    if duration is not None:
+        rows += [(total - duration / units.time, 0.0, 0.0)]
+    for k in range(n):
+        points = [nodes[k], *inner[k]]
+        for j in range(1, _DEGREE + 1):
+            moved = sum(slopes[i, j] * points[i] for i in range(_DEGREE + 1))
+            rate = _rates(descent, units, points[j], thrust[k])
+            rows.append((moved - total / n * rate, 0.0, 0.0))
+        rows.append((nodes[k + 1] - points[-1], 0.0, 0.0))
+        rows += _limits(descent, units, thrust[k])
+        if descent.glideslope is not None and k < n - 1:
+            rows += [_above(descent, units, x) for x in inner[k]]
+    constraints = casadi.vertcat(*(row[0] for row in rows))
+    low, high = (
+        np.concatenate([np.full(row[0].numel(), row[side]) for row in rows]) for side in (1, 2)
+    )
+    variables = casadi.vertcat(*nodes, *(x for some in inner for x in some), *thrust, total)
+    return variables, constraints, low, high
+
+
+def _derivatives(tau: Array) -> Array:
+    """Return the derivative of each Lagrange polynomial (first index) at each point."""
+    count = len(tau)
+    out = np.empty((count, count))
+    for i in range(count):
+        others = np.delete(tau, i)
+        basis = np.poly1d(np.poly(others) / np.prod(tau[i] - others))
+        out[i] = np.polyder(basis)(tau)
+    return out
+
+
+def _limits(descent: Descent, units: _Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
+    """Return the limits of size and lean of a thrust."""
+    least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
+    rows = [(casadi.sumsqr(thrust), least**2, most**2)]
+    if descent.max_tilt is not None:
+        lean = np.cos(descent.max_tilt) * casadi.norm_2(thrust)
+        rows.append((thrust[2] - lean, 0.0, np.inf))
+    return rows
+
+
+def _above(descent: Descent, units: _Units, x: Any) -> _Row:
+    """Return the glideslope at one point."""
+    aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
+    up = x[2] + descent.drop / units.length
+    return up - np.tan(descent.glideslope or 0.0) * aside, 0.0, np.inf
+
+
+def _read(x: Array, descent: Descent, units: _Units, n: int, iterations: int) -> Collocated:
+    """Return what the variables stand for."""
+    nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * units.state
+    begin = _STATES * (n + 1) + _STATES * _DEGREE * n
+    return Collocated(
+        duration=float(x[-1] * units.time),
+        propellant=float(descent.mass - nodes[-1, 6]),
+        position=nodes[:, :3] + descent.end_position,
+        velocity=nodes[:, 3:6],
+        mass=nodes[:, 6],
+        thrust=x[begin : begin + 3 * n].reshape(n, 3) * units.force,
+        iterations=int(iterations),
+    )

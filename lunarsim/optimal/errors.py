@@ -1,0 +1,53 @@
+"""What can go wrong with an optimal path: there is none, or the solver did not find it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+
+
+class InfeasibleError(InputError):
+    """No path keeps all that is asked: proven by the solver, not guessed.
+
+    Attributes
+    ----------
+    nearest
+        The nearest end that can be reached (3,), m, ENU; None where none was found.
+    miss
+        How far that is off, m.
+    """
+
+    def __init__(
+        self,
+        target: NDArray[np.float64],
+        why: str,
+        nearest: NDArray[np.float64] | None = None,
+    ) -> None:
+        self.nearest = nearest
+        self.miss = np.inf if nearest is None else float(np.linalg.norm(nearest - target))
+        expected = "an end that can be reached within thrust, tilt, glideslope and propellant"
+        if nearest is not None:
+            at = ", ".join(f"{x:.1f}" for x in nearest)
+            expected += f"; the nearest one is ({at}), {self.miss:.1f} m off"
+        super().__init__("optimal.end_position", target.tolist(), f"{expected} ({why})")
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return _again, (self.field, self.value, self.expected, self.nearest, self.miss)
+
+
+def _again(
+    field: str, value: object, expected: str, nearest: object, miss: float
+) -> InfeasibleError:
+    """Return an error as it was before it was sent to another process."""
+    made = InfeasibleError.__new__(InfeasibleError)
+    InputError.__init__(made, field, value, expected)
+    made.nearest, made.miss = nearest, miss  # type: ignore[assignment]
+    return made
+
+
+class SolverError(RuntimeError):
+    """The solver ended without an answer: whether there is a path is not known."""

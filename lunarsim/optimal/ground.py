@@ -1,0 +1,238 @@
+"""Terrain under an optimal path: a convex majorant that touches the end, then the terrain itself.
+
+A path may not pass through the ground, and the space above terrain is not convex. What is above a
+cone of half-spaces over the end, one slope an azimuth sector, is; the slopes are the least with
+which each sector's plane lies above all terrain in its sector. Where that costs something, the
+terrain is taken as it is about the last path: over each interval by a plane above all posts about
+it, anew until path and planes agree. The terrain itself has the last word.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.optimal.errors import InfeasibleError, SolverError
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.path import Path
+from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.problem import Cone, Descent
+from lunarsim.optimal.transcription import Walls
+
+Array = NDArray[np.float64]
+
+_BINDS = 1e-4  # share of the greatest multiplier of a half-space under which none costs anything
+_SAME = 1e-4  # change of the increment under which rounds have settled
+_SAMPLES = 16  # of an interval, where the terrain is looked at
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Elevations of posts, bilinear between them.
+
+    Attributes
+    ----------
+    grid
+        Of the posts.
+    elevation
+        m (rows, cols).
+
+    Raises
+    ------
+    InputError
+        If elevations are missing or of another shape.
+    """
+
+    grid: Grid
+    elevation: Array
+
+    def __post_init__(self) -> None:
+        if np.shape(self.elevation) != self.grid.shape:
+            raise InputError(
+                "optimal.elevation", np.shape(self.elevation), f"an array of {self.grid.shape}"
+            )
+        missing = int((~np.isfinite(self.elevation)).sum())
+        if missing:
+            raise InputError("optimal.elevation", f"{missing} posts without one", "finite heights")
+
+    @property
+    def posts(self) -> Array:
+        """All posts (n, 3), m."""
+        east = np.tile(self.grid.x, self.grid.rows)
+        north = np.repeat(self.grid.y, self.grid.cols)
+        return np.column_stack((east, north, np.asarray(self.elevation, dtype=np.float64).ravel()))
+
+    def height(self, points: ArrayLike) -> Array:
+        """Return the elevation (n,) under points (n, 2) or (n, 3); NaN off the posts."""
+        xy = np.asarray(points, dtype=np.float64)[:, :2]
+        g = self.grid
+        u, v = (xy[:, 0] - g.x0) / g.posting, (xy[:, 1] - g.y0) / g.posting
+        inside = (u >= 0.0) & (v >= 0.0) & (u <= g.cols - 1) & (v <= g.rows - 1)
+        col = np.clip(np.floor(np.where(inside, u, 0.0)).astype(int), 0, max(g.cols - 2, 0))
+        row = np.clip(np.floor(np.where(inside, v, 0.0)).astype(int), 0, max(g.rows - 2, 0))
+        s, t = u - col, v - row
+        z = np.asarray(self.elevation, dtype=np.float64)
+        right, up = np.minimum(col + 1, g.cols - 1), np.minimum(row + 1, g.rows - 1)
+        low = (1.0 - s) * z[row, col] + s * z[row, right]
+        high = (1.0 - s) * z[up, col] + s * z[up, right]
+        return np.where(inside, (1.0 - t) * low + t * high, np.nan)
+
+    def majorant(self, end: ArrayLike, sectors: int = 12, clearance: float = 0.0) -> Cone:
+        """Return half-spaces over an end (3,) that all terrain with its clearance lies under.
+
+        Terrain below the end asks for nothing: no slope is negative.
+        """
+        end = np.asarray(end, dtype=np.float64)
+        gap = self.posts - end
+        far = np.hypot(gap[:, 0], gap[:, 1])
+        seen = far > 1e-9
+        azimuth = np.arctan2(gap[seen, 1], gap[seen, 0])
+        width = 2.0 * np.pi / sectors
+        sector = np.round(azimuth / width).astype(int) % sectors
+        off = np.cos(azimuth - sector * width)
+        steep = (gap[seen, 2] + clearance) / (far[seen] * off)
+        slopes = np.zeros(sectors)
+        np.maximum.at(slopes, sector, steep)
+        angles = width * np.arange(sectors)
+        return Cone(
+            np.column_stack((-slopes * np.cos(angles), -slopes * np.sin(angles), np.ones(sectors)))
+        )
+
+    def above(self, path: Path) -> float:
+        """Return the least height of a path above the terrain between its nodes, m.
+
+        Raises
+        ------
+        InputError
+            If it leaves the posts.
+        """
+        times = np.linspace(0.0, path.duration, _SAMPLES * path.intervals + 1)
+        points = path.at(times)[0]
+        height = self.height(points)
+        if np.isnan(height).any():
+            at = points[np.isnan(height)][0]
+            raise InputError(
+                "optimal.terrain", self.grid.extent, f"elevations under the path, at {at[:2]} too"
+            )
+        return float((points[:, 2] - height).min())
+
+    def walls(self, path: Path, clearance: float) -> Walls:
+        """Return three planes for each control point, above the terrain about it and the next.
+
+        The piece of the path over an interval lies between its own control point and its
+        neighbours', and all three keep above the plane of that interval.
+        """
+        control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
+        spans = np.linalg.norm(np.diff(path.position[:, :2], axis=0), axis=1)
+        posts = self.posts
+        planes = np.array(
+            [
+                self._plane(posts, c, s + 2.0 * self.grid.posting)
+                for c, s in zip(control, spans, strict=True)
+            ]
+        )
+        n = len(control)
+        near = np.clip(np.arange(n)[:, None] + [-1, 0, 1], 0, n - 1)
+        normals = np.concatenate((-planes[near][..., :2], np.ones((n, 3, 1))), axis=2)
+        level = planes[near][..., 2] + clearance
+        return Walls(normals, level - normals @ path.descent.end_position)
+
+    @staticmethod
+    def _plane(posts: Array, about: Array, reach: float) -> Array:
+        """Return slopes and height at the origin (3,) of a plane above all posts within reach."""
+        near = posts[np.hypot(*(posts[:, :2] - about[:2]).T) <= reach]
+        if len(near) < 3:
+            raise InputError("optimal.terrain", about[:2].tolist(), "elevations under the path")
+        rows = np.column_stack((near[:, :2] - about[:2], np.ones(len(near))))
+        slope = np.linalg.lstsq(rows, near[:, 2], rcond=None)[0][:2]
+        return np.array([*slope, (near[:, 2] - near[:, :2] @ slope).max()])
+
+
+def least_propellant_over(
+    planner: Planner,
+    descent: Descent,
+    relief: Relief,
+    *,
+    clearance: float = 0.0,
+    sectors: int = 12,
+    rounds: int = 10,
+) -> Path:
+    """Return the path of least propellant that keeps above the terrain.
+
+    Parameters
+    ----------
+    planner
+        Solves.
+    descent
+        The problem, without a cone of its own.
+    relief
+        The terrain; the end lies at least `clearance` above it.
+    clearance
+        Height of the path above it, m.
+    sectors
+        Of the majorant.
+    rounds
+        Of taking the terrain anew about the last path.
+
+    Raises
+    ------
+    InputError
+        If the end lies lower, or the path leaves the posts.
+    InfeasibleError
+        If there is no path even over flat ground.
+    SolverError
+        If no path above the terrain was found.
+    """
+    height = float(relief.height(descent.end_position[None])[0])
+    if not descent.end_position[2] >= height + clearance - 1e-9:
+        raise InputError(
+            "optimal.end_position", descent.end_position.tolist(),
+            f"an end on the posts, at least {clearance} m above the ground at {height:.2f} m",
+        )  # fmt: skip
+    path, best = None, None
+    try:
+        cone = relief.majorant(descent.end_position, sectors, clearance)
+        path = least_propellant(planner, replace(descent, cone=cone))
+    except InfeasibleError:
+        pass  # a majorant may leave no way in where the terrain does
+    if path is not None:
+        if path.bars.max(initial=0.0) < _BINDS * np.linalg.norm(path.primer, axis=1).max():
+            return path
+        best = path
+    found = _linearised(planner, descent, relief, clearance, path, rounds)
+    if best is None or (found is not None and found.increment < best.increment):
+        best = found
+    if best is None:
+        raise SolverError(f"no path {clearance} m above the terrain was found in {rounds} rounds")
+    return best
+
+
+def _linearised(
+    planner: Planner,
+    descent: Descent,
+    relief: Relief,
+    clearance: float,
+    path: Path | None,
+    rounds: int,
+) -> Path | None:
+    """Take the terrain about the last path until both agree; None where no path is above it."""
+    path = path or least_propellant(planner, descent)
+    best: Path | None = None
+    for _ in range(rounds):
+        try:
+            walls = relief.walls(path, clearance)
+            found = least_propellant(planner, descent, last=path, walls=walls)
+        except InfeasibleError:
+            return best
+        settled = abs(found.increment - path.increment) < _SAME * path.increment
+        keeps = relief.above(found) > clearance - 1e-3
+        if keeps and (best is None or found.increment < best.increment):
+            best = found
+        if settled and keeps:
+            return best
+        path = found
+    return best

@@ -1,0 +1,138 @@
+"""Paths of least propellant or of least landing error at a final time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.cone_program import Answer, Judged, Program
+from lunarsim.optimal.errors import SolverError
+from lunarsim.optimal.path import Path
+from lunarsim.optimal.problem import Descent
+from lunarsim.optimal.reading import path_of
+from lunarsim.optimal.transcription import Structure, Transcription, Walls
+
+Array = NDArray[np.float64]
+
+# exp(-z) is convex: linear about a mass that is off by this share, it errs by 2e-4 of the thrust.
+_MASS_OFF = 0.02
+
+
+class ConeSolver(Protocol):
+    """Anything that answers programs of one structure."""
+
+    def solve(self, program: Program) -> Answer:
+        """Return the answer."""
+        ...
+
+
+class Planner:
+    """Plans descents; programs of a structure that was met before are updated, not built.
+
+    Parameters
+    ----------
+    intervals
+        N of the paths.
+    solver
+        Makes what answers the programs of a structure.
+
+    Attributes
+    ----------
+    solves, iterations
+        So far.
+    """
+
+    def __init__(self, intervals: int = 40, solver: type[ConeSolver] = Judged) -> None:
+        self.intervals = intervals
+        self.solves = self.iterations = 0
+        self._solver = solver
+        self._made: dict[Structure, tuple[Transcription, ConeSolver]] = {}
+
+    def at_time(
+        self,
+        descent: Descent,
+        duration: float,
+        *,
+        log_mass: Array | None = None,
+        walls: Walls | None = None,
+        nearest: bool = False,
+    ) -> Path | None:
+        """Return the best path of a final time; None: there is none.
+
+        That is proven, unless the solver is one that does not ask why.
+
+        Parameters
+        ----------
+        descent
+            The problem.
+        duration
+            Final time, s.
+        log_mass
+            Guess of ln(mass / mass at the start) in the middle of each interval (N,).
+        walls
+            Half-spaces in place of the descent's cone.
+        nearest
+            The least distance of the end from its place is asked for, not the least propellant.
+
+        Raises
+        ------
+        InputError
+            If the final time is no positive number.
+        SolverError
+            If the solver fails.
+        """
+        if not 0.0 < duration < np.inf:
+            raise InputError("optimal.duration", duration, "a positive final time in s")
+        walls = Walls.over(descent, self.intervals) if walls is None else walls
+        if log_mass is None:
+            log_mass = self._burning(descent, duration)
+        path = self._solved(descent, duration, log_mass, walls, nearest)
+        if path is not None and np.abs(path.log_mass - log_mass).max() > _MASS_OFF:
+            again = self._solved(descent, duration, path.log_mass, walls, nearest)
+            path = None if again is None else replace(again, solves=2)
+        return path
+
+    def _burning(self, descent: Descent, duration: float) -> Array:
+        """Return a first guess of ln(mass): what gravity and the change of speed want, evenly."""
+        change = descent.end_velocity - descent.velocity
+        change = change + np.array([0.0, 0.0, descent.gravity * duration])
+        rates = np.array([descent.thrust_min, descent.thrust_max]) / descent.mass
+        wanted = np.clip(np.linalg.norm(change), *(rates * duration))
+        spent = min(float(wanted), descent.tanks) / descent.exhaust_velocity
+        return np.asarray(-spent * (np.arange(self.intervals) + 0.5) / self.intervals)
+
+    def _solved(
+        self,
+        descent: Descent,
+        duration: float,
+        log_mass: Array,
+        walls: Walls | None,
+        nearest: bool,
+    ) -> Path | None:
+        structure = Structure(
+            self.intervals,
+            descent.max_tilt is not None or descent.end_tilt is not None,
+            descent.glideslope is not None,
+            0 if walls is None else walls.normals.shape[1],
+            nearest or descent.region > 0.0,
+            descent.spare > 0.0 and not nearest,
+        )
+        if structure not in self._made:
+            self._made[structure] = Transcription(structure), self._solver()
+        made, solver = self._made[structure]
+        program = made.program(descent, duration, log_mass, walls, nearest=nearest)
+        answer = solver.solve(program)
+        self.solves += 1
+        self.iterations += answer.iterations
+        if answer.status in ("infeasible", "unsolved"):
+            return None
+        if answer.status == "failed":
+            raise SolverError(
+                f"{answer.solver} gave up after {answer.iterations} iterations on a descent of "
+                f"{duration:.1f} s"
+            )
+        return path_of(made, program, answer, descent, duration)

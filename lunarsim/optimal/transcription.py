@@ -1,0 +1,314 @@
+"""The descent as a cone program: matrices built once for a structure, and what changes filled in.
+
+Acikmese and Ploen, "Convex programming approach to powered descent guidance for Mars landing",
+Journal of Guidance, Control, and Dynamics 30(5), 2007, with pointing as in Acikmese, Carson and
+Blackmore, IEEE Transactions on Control Systems Technology 21(6), 2013. `docs/theory/optimal.md`
+derives what is done otherwise here:
+
+- Thrust over mass is constant in each of N intervals, so that it is a difference of velocities and
+  no variable; nor is its bound, a difference of logarithms of mass. Seven variables a node remain.
+- Time is counted in final times: no coefficient of the dynamics depends on the final time.
+- What a path keeps between its nodes: in each interval it is a parabola, within the triangle of its
+  nodes and its control point ``r + v h / 2``. A node is the middle of two control points, so a
+  convex set that holds all of these holds the path.
+- exp(-z) in the bounds of the thrust is linear about the mass of the solution before, not about
+  that of full thrust all the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.cone_program import Program
+from lunarsim.optimal.problem import Descent
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_NODE = 7  # variables: position, velocity, logarithm of mass, all scaled
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Which rows a program has.
+
+    Attributes
+    ----------
+    intervals
+        N.
+    tilt, glideslope
+        Whether there are such rows.
+    planes
+        Half-spaces for each control point.
+    free
+        Whether the end lies anywhere in a disc, whose radius is a variable.
+    spare
+        Whether more thrust than the greatest may be had at a price; its share is a variable.
+
+    Raises
+    ------
+    InputError
+        If there are too few intervals, or both a disc and spare thrust.
+    """
+
+    intervals: int
+    tilt: bool
+    glideslope: bool
+    planes: int
+    free: bool
+    spare: bool = False
+
+    def __post_init__(self) -> None:
+        if self.intervals < 4:
+            raise InputError("optimal.intervals", self.intervals, "at least 4")
+        if self.free and self.spare:
+            raise InputError("optimal.spare", True, "a single end where spare thrust may be taken")
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Half-spaces ``normals @ r >= offsets`` for the control points of each interval.
+
+    Attributes
+    ----------
+    normals
+        (N, planes, 3).
+    offsets
+        From the end of the descent (N, planes), m.
+    """
+
+    normals: Array
+    offsets: Array
+
+    @classmethod
+    def over(cls, descent: Descent, intervals: int) -> Walls | None:
+        """Return the descent's cone for every interval; None without one."""
+        if descent.cone is None:
+            return None
+        normals = np.broadcast_to(descent.cone.normals, (intervals, *descent.cone.normals.shape))
+        return cls(normals, np.full(normals.shape[:2], -descent.cone.drop))
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Units of a program: length and time, and what a unit of Z is in ln(mass)."""
+
+    length: float
+    time: float
+    kappa: float
+
+    @classmethod
+    def of(cls, descent: Descent, duration: float) -> Scales:
+        """Return units of which the descent spans a few; the length knows no duration."""
+        fall = float(descent.velocity @ descent.velocity) / (2.0 * descent.gravity)
+        length = float(np.linalg.norm(descent.gap)) + fall + 1.0
+        return cls(length, duration, length / (duration * descent.exhaust_velocity))
+
+
+class Transcription:
+    """Programs of one structure.
+
+    Parameters
+    ----------
+    structure
+        Which rows there are.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        self.structure = s = structure
+        n = s.intervals
+        self.variables = _NODE * (n + 1) + (1 if s.free or s.spare else 0)
+        self._node = _NODE * np.arange(n + 1)
+        self.inner = np.arange(1, n - 1)  # control points of the first and last are given
+        self.rows: dict[str, slice] = {}
+        self._columns: dict[str, Indices] = {}
+        self._lay_out()
+        columns = [self._columns[name] for name in self.rows]
+        self._height = sum(len(c) for c in columns)
+        wide = np.concatenate([np.full(len(c), c.shape[1]) for c in columns])
+        row = np.repeat(np.arange(self._height), wide)
+        col = np.concatenate([c.ravel() for c in columns])
+        order = np.arange(1, len(row) + 1)
+        shape = (self._height, self.variables)
+        pattern = sparse.csc_matrix((order, (row, col)), shape=shape)
+        pattern.sort_indices()
+        self._order, self._pattern = pattern.data - 1, pattern
+        self._equalities = self._dynamics()
+
+    # --- structure ------------------------------------------------------------------------
+
+    def _lay_out(self) -> None:
+        """Write the columns of each family of rows, those of the orthant first."""
+        s, node = self.structure, self._node
+        z0, z1 = node[:-1] + 6, node[1:] + 6
+        last = np.full(s.intervals, self.variables - 1)
+        self._add("high", np.column_stack((z0, z1, last) if s.spare else (z0, z1)))
+        self._add("low", np.column_stack((z0, z1)))
+        if s.tilt:
+            self._add("tilt", np.column_stack((z0, z1, node[:-1] + 5, node[1:] + 5)))
+        self._add("mass", np.array([[node[-1] + 6]]))
+        if s.planes:
+            self._add("planes", np.repeat(self._point(np.arange(3)), s.planes, axis=0))
+        if s.free:
+            self._add("reach", np.array([[self.variables - 1]]))
+        if s.spare:
+            self._add("spare", np.full((2, 1), self.variables - 1))
+        self.orthant = sum(len(c) for c in self._columns.values())
+        speeds = [np.column_stack((node[1:] + c, node[:-1] + c)) for c in (3, 4, 5)]
+        thrust = np.stack([np.column_stack((z0, z1)), *speeds], axis=1)
+        self._add("thrust", thrust.reshape(-1, 2))
+        cones = [4] * s.intervals
+        if s.glideslope:
+            axes = [self._point(np.array([c])) for c in (2, 0, 1)]
+            self._add("glideslope", np.stack(axes, axis=1).reshape(-1, axes[0].shape[1]))
+            cones += [3] * len(self.inner)
+        if s.free:
+            self._add("end", np.array([[self.variables - 1], [node[-1]], [node[-1] + 1]]))
+            cones += [3]
+        self.cones = tuple(cones)
+
+    def _add(self, name: str, columns: Indices) -> None:
+        begin = max((r.stop for r in self.rows.values()), default=0)
+        self.rows[name] = slice(begin, begin + len(columns))
+        self._columns[name] = columns
+
+    def _point(self, axes: Indices) -> Indices:
+        """Return the columns of some coordinates of each inner control point, less the end's."""
+        node = self._node[self.inner][:, None]
+        parts = [node + axes, node + axes + 3]
+        if self.structure.free:
+            parts.append(np.broadcast_to(self._node[-1] + axes, parts[0].shape))
+        return np.concatenate(parts, axis=1)
+
+    def _dynamics(self) -> sparse.csc_matrix:
+        """Return the matrix of the equalities: positions from speeds, then both ends."""
+        n, node, s = self.structure.intervals, self._node, self.structure
+        half = 0.5 / n
+        row, col, value = [], [], []
+        for c in range(3):
+            for columns, v in (
+                (node[1:] + c, 1.0), (node[:-1] + c, -1.0),
+                (node[:-1] + c + 3, -half), (node[1:] + c + 3, -half),
+            ):  # fmt: skip
+                row.append(3 * np.arange(n) + c)
+                col.append(columns)
+                value.append(np.full(n, v))
+        fixed = np.concatenate((np.arange(_NODE), node[-1] + np.arange(2 if s.free else 0, 6)))
+        row.append(3 * n + np.arange(len(fixed)))
+        col.append(fixed)
+        value.append(np.ones(len(fixed)))
+        entries = np.concatenate(value), (np.concatenate(row), np.concatenate(col))
+        return sparse.csc_matrix(entries, shape=(3 * n + len(fixed), self.variables))
+
+    # --- values ---------------------------------------------------------------------------
+
+    def program(
+        self,
+        descent: Descent,
+        duration: float,
+        log_mass: Array,
+        walls: Walls | None = None,
+        *,
+        nearest: bool = False,
+    ) -> Program:
+        """Return the program of a descent.
+
+        Parameters
+        ----------
+        descent
+            The problem.
+        duration
+            Final time, s.
+        log_mass
+            z = ln(mass / mass at the start) in the middle of each interval (N,), about which
+            exp(-z) is linear.
+        walls
+            Half-spaces; as many as the structure has.
+        nearest
+            Ask for the least distance of the end from its place, not for the least propellant.
+        """
+        units = Scales.of(descent, duration)
+        families = self._values(descent, units, log_mass, walls, nearest)
+        if self.structure.spare:
+            entries, h = families["high"]
+            more = descent.spare * self._unit_force(descent, units) * np.exp(-log_mass)
+            families["high"] = np.column_stack((entries, -more)), h
+            families["spare"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
+        values = np.concatenate([families[name][0].ravel() for name in self.rows])
+        h = np.concatenate([families[name][1] for name in self.rows])
+        p = self._pattern
+        g = sparse.csc_matrix((values[self._order], p.indices, p.indptr), shape=p.shape)
+        c = np.zeros(self.variables)
+        if self.structure.spare:
+            c[-1] = descent.spare_price * units.time / units.length
+        c[-1 if nearest else self._node[-1] + 6] = 1.0 if nearest else -1.0
+        b = np.concatenate((np.zeros(3 * self.structure.intervals), self._ends(descent, units)))
+        return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
+
+    def _ends(self, descent: Descent, units: Scales) -> Array:
+        """Return both ends of the path, scaled."""
+        speed = units.time / units.length
+        end = np.concatenate((np.zeros(3), descent.end_velocity * speed))
+        start = (descent.gap / units.length, descent.velocity * speed, [0.0])
+        return np.concatenate((*start, end[2 if self.structure.free else 0 :]))
+
+    def _values(
+        self, d: Descent, units: Scales, log_mass: Array, walls: Walls | None, nearest: bool
+    ) -> dict[str, tuple[Array, Array]]:
+        """Return entries and right-hand side of each family of rows."""
+        s, n = self.structure, self.structure.intervals
+        out = self._bounds(d, units, log_mass)
+        weight = d.gravity * units.time**2 / units.length / n
+        drop = d.drop / units.length
+        if s.tilt:
+            # The middles of the intervals, where thrust is bounded too.
+            tilts = d.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
+            lean = np.cos(tilts if tilts is not None else np.zeros(n))
+            ones = np.ones(n)
+            out["tilt"] = np.column_stack((lean, -lean, ones, -ones)), np.full(n, weight)
+        least = np.log(d.dry_mass / d.mass) / units.kappa
+        out["mass"] = np.array([[-1.0]]), np.array([-least])
+        if s.planes and walls is not None:
+            a = walls.normals[self.inner].reshape(-1, 3)
+            offsets = walls.offsets[self.inner].ravel() / units.length
+            out["planes"] = self._weighed(-a), -offsets
+        if s.free:
+            most = 2.0 if nearest else d.region / units.length
+            out["reach"] = np.array([[1.0]]), np.array([most])
+            out["end"] = np.full((3, 1), -1.0), np.zeros(3)
+        thrust = np.zeros((n, 4))
+        thrust[:, 3] = weight
+        out["thrust"] = np.broadcast_to([-1.0, 1.0], (4 * n, 2)), thrust.ravel()
+        if s.glideslope:
+            tan = np.tan(d.glideslope if d.glideslope is not None else 0.0)
+            count = len(self.inner)
+            row = self._weighed(np.array([[-1.0], [-tan], [-tan]]))
+            out["glideslope"] = np.tile(row, (count, 1)), np.tile([drop, 0.0, 0.0], count)
+        return out
+
+    def _weighed(self, a: Array) -> Array:
+        """Return entries (n, 2 m or 3 m) of coefficients (n, m) of control points."""
+        half = 0.5 / self.structure.intervals
+        parts = [a, half * a] + ([-a] if self.structure.free else [])
+        return np.concatenate(parts, axis=1)
+
+    def _bounds(self, d: Descent, units: Scales, log_mass: Array) -> dict[str, tuple[Array, Array]]:
+        """Return the rows of the greatest and least thrust, in the middle of each interval."""
+        k = units.kappa
+        whole = self._unit_force(d, units) * np.exp(-log_mass)
+        out = {}
+        for name, sign, force in (("high", 1.0, d.thrust_max), ("low", -1.0, d.thrust_min)):
+            most = force * whole
+            half = 0.5 * k * most
+            entries = sign * np.column_stack((1.0 + half, half - 1.0))
+            out[name] = entries, sign * most * (1.0 + log_mass)
+        return out
+
+    def _unit_force(self, d: Descent, units: Scales) -> float:
+        """Return what a newton adds to the scaled velocity in an interval at the first mass."""
+        return units.time**2 / (units.length * self.structure.intervals * d.mass)

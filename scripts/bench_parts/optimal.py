@@ -1,0 +1,111 @@
+"""Optimal descents: a solve at a fixed and at a free final time, and the same by other ways."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from bench_parts.common import median_ms
+
+_G = 1.622
+
+
+def _descent(rng: Any = None, **changes: Any) -> Any:
+    """Return the approach of the default lander, scattered where a generator is given."""
+    from lunarsim.models.lander import Lander
+    from lunarsim.optimal.problem import Descent
+
+    lander = Lander()
+    margin = 0.08 * (lander.thrust_max - lander.thrust_min)
+    position, velocity = np.array([-600.0, 0.0, 500.0]), np.array([28.0, 0.0, -18.0])
+    if rng is not None:
+        position = position + rng.normal(0.0, 20.0, 3)
+        velocity = velocity + rng.normal(0.0, 1.5, 3)
+    given = {"position": position, "velocity": velocity, "mass": lander.wet_mass, **changes}
+    return Descent(
+        end_position=np.array([0.0, 0.0, 11.6]), end_velocity=np.array([0.0, 0.0, -2.0]),
+        gravity=_G, thrust_min=lander.thrust_min + margin, thrust_max=lander.thrust_max - margin,
+        exhaust_velocity=lander.exhaust_velocity, dry_mass=lander.dry_mass + 15.0,
+        max_tilt=np.deg2rad(40.0), glideslope=np.deg2rad(8.0), drop=0.5, **given,
+    )  # fmt: skip
+
+
+def _fixed() -> float:
+    """Print solves at a fixed final time; return Clarabel's from nothing, ms."""
+    from lunarsim.optimal.cone_program import Clarabel, Qoco
+    from lunarsim.optimal.transcription import Structure, Transcription
+
+    made = Transcription(Structure(40, True, True, 0, False))
+    masses = -0.025 * (np.arange(40) + 0.5) / 40
+    descents = [_descent(np.random.default_rng(n)) for n in range(8)]
+    programs = [made.program(d, 30.0, masses) for d in descents]
+    kept, counts = Qoco(), []
+    kept.solve(programs[0])
+
+    def each(solve: Any) -> float:
+        counts.append([solve(p).iterations for p in programs])
+        return median_ms(lambda: [solve(p) for p in programs], 7) / len(programs)
+
+    clarabel = each(Clarabel().solve)
+    updated = each(kept.solve)
+    anew = each(lambda p: Qoco().solve(p))
+    filled = median_ms(lambda: [made.program(d, 30.0, masses) for d in descents], 7) / len(descents)
+    print(
+        f"  40 intervals, fixed final time: {made.variables} variables, "
+        f"{len(programs[0].h)} cone rows; iterations {np.median(counts[0]):.0f} and "
+        f"{np.median(counts[1]):.0f}"
+    )
+    print(f"    Clarabel from nothing           {clarabel:7.2f} ms")
+    print(f"    QOCO from nothing               {anew:7.2f} ms  {anew / clarabel:5.2f} of it")
+    print(f"    QOCO updated and solved         {updated:7.2f} ms  {updated / clarabel:5.2f} of it")
+    whole = updated + filled
+    print(f"    with filling in the matrices    {whole:7.2f} ms  {whole / clarabel:5.2f} of it")
+    return clarabel
+
+
+def _free(clarabel: float) -> None:
+    """Print searches of the best final time: from a solution a second ago, and from nothing."""
+    from lunarsim.optimal.final_time import least_propellant
+    from lunarsim.optimal.planner import Planner
+
+    planner = Planner(40)
+    first = least_propellant(planner, _descent())
+    r, v, _ = first.at(1.0)
+    mass = float(first.mass_at(1.0))
+    warm, cold, solves, colds = [], [], [], []
+    for n in range(12):
+        rng = np.random.default_rng(n)
+        here = _descent(
+            position=r + rng.normal(0.0, 0.5, 3), velocity=v + rng.normal(0.0, 0.1, 3), mass=mass
+        )
+        for times, counts, last in ((warm, solves, first), (cold, colds, None)):
+            began = time.perf_counter()
+            found = least_propellant(planner, here, last=last, elapsed=1.0)
+            times.append(1e3 * (time.perf_counter() - began))
+            counts.append(found.solves)
+    for name, times, counts in (("a second later", warm, solves), ("from nothing", cold, colds)):
+        took = float(np.median(times))
+        print(
+            f"  free final time, {name:15s}{took:9.2f} ms  {took / clarabel:5.2f} of it; solves "
+            f"{np.median(counts):.0f}, at most {max(counts)}"
+        )
+
+
+def optimal() -> None:
+    """Optimal descents: fixed and free final time, one thread, against Clarabel from nothing."""
+    from lunarsim.optimal.collocation import collocate
+    from lunarsim.optimal.final_time import least_propellant
+    from lunarsim.optimal.planner import Planner
+
+    clarabel = _fixed()
+    _free(clarabel)
+    path = least_propellant(Planner(40), _descent())
+    began = time.perf_counter()
+    other = collocate(_descent(), 40)
+    took = 1e3 * (time.perf_counter() - began)
+    print(
+        f"  collocation by IPOPT, free final time {took:7.0f} ms; propellant {path.propellant:.3f} "
+        f"and {other.propellant:.3f} kg"
+    )

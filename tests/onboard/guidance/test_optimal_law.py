@@ -1,0 +1,156 @@
+"""The law of least propellant in flight: what it spends, when it falls back, what it tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.apollo import ApolloLaw
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
+from lunarsim.onboard.guidance.optimal_law import OptimalLaw
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.planner import Planner
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.optimal.cases import MOON, moon
+from tests.worlds import SMALL_FLIGHT
+
+UP = np.array([0.0, 0.0, MOON])
+LANDER = Lander()
+BRIEFING = SimpleNamespace(
+    weight=MOON,
+    lander=LANDER,
+    software=SimpleNamespace(approach=Approach().__class__(max_tilt=0.7)),
+)
+END = PhaseEnd(np.array([0.0, 0.0, 11.6]), np.array([0.0, 0.0, -2.0]))
+R, V = np.array([-600.0, 0.0, 500.0]), np.array([28.0, 0.0, -18.0])
+
+
+def estimate(position=R, velocity=V, mass=1500.0, time=0.0) -> Estimate:
+    return Estimate(
+        time, np.asarray(position, float), np.asarray(velocity, float),
+        np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), mass, np.eye(9),
+    )  # fmt: skip
+
+
+def flown(law, time_to_go=34.0, ends=lambda t: END, until=80.0):
+    """Fly a point mass with commands held for 0.1 s; return its state and the law."""
+    flight = law.build(BRIEFING, 0.0)
+    r, v, mass, t, cycle = R.copy(), V.copy(), 1500.0, 0.0, 0.1
+    while t < until:
+        wanted = flight.command(estimate(r, v, mass, t), ends(t), t, time_to_go - t)
+        wanted = wanted * min(1.0, LANDER.thrust_max / mass / np.linalg.norm(wanted))
+        if flight.arrival - t <= 0.0:
+            break
+        step = min(cycle, flight.arrival - t)
+        a = wanted - UP
+        r, v = r + step * v + 0.5 * step**2 * a, v + step * a
+        mass *= np.exp(-step * float(np.linalg.norm(wanted)) / LANDER.exhaust_velocity)
+        t += step
+        if step < cycle:
+            break
+    return r, v, mass, flight
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return flown(OptimalLaw())
+
+
+def test_it_spends_the_optimum_and_ends_where_it_should(nominal):
+    r, v, mass, flight = nominal
+    assert np.linalg.norm(r - END.position) < 0.5
+    assert np.linalg.norm(v - END.velocity) < 0.3
+    best = least_propellant(Planner(60), moon()).propellant
+    assert 0.995 * best < 1500.0 - mass < 1.02 * best
+    assert flight.events == []
+    assert flight.plans >= 20
+    assert isinstance(flight, PlansArrival)
+
+
+def test_it_repeats_bit_for_bit(nominal):
+    again = flown(OptimalLaw())
+    for mine, other in zip(nominal[:3], again[:3], strict=True):
+        assert np.array_equal(mine, other)
+
+
+def test_a_plan_that_takes_too_long_is_late_and_the_apollo_law_flies():
+    late = OptimalLaw(iterations=1, intervals=10).build(BRIEFING, 0.0)
+    apollo = ApolloLaw().build(BRIEFING, 0.0)
+    for t in (0.0, 0.1, 1.1, 2.1):
+        got = late.command(estimate(time=t), END, t, 34.0 - t)
+        assert np.array_equal(got, apollo.command(estimate(), END, t, late.arrival - t))
+    assert [(t, name, told["reason"]) for t, name, told in late.events] == [
+        (0.0, "guidance-fallback", "late")
+    ]
+    assert late.plans == 0
+
+
+def test_what_cannot_be_reached_falls_back_once_and_plans_again_when_it_can():
+    far = PhaseEnd(END.position + [0.0, 900.0, 0.0], END.velocity)
+
+    def ends(t):
+        return far if t < 0.95 else END
+
+    _, _, _, flight = flown(OptimalLaw(intervals=15), ends=ends, until=1.25)
+    names = [(round(t, 3), name) for t, name, _ in flight.events]
+    assert names == [(0.0, "guidance-fallback"), (1.0, "guidance-planned")]
+    assert flight.events[0][2]["reason"] == "infeasible"
+
+
+def test_a_divert_is_planned_at_once():
+    other = PhaseEnd(END.position + [40.0, -30.0, 0.0], END.velocity)
+
+    def ends(t):
+        return END if t < 5.25 else other
+
+    r, v, mass, flight = flown(OptimalLaw(), ends=ends)
+    assert np.linalg.norm(r - other.position) < 0.6
+    assert flight.events == []
+
+
+@pytest.mark.parametrize("which", range(8))
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused(which, value):
+    state = [*R, *V, 1500.0, 30.0]
+    state[which] = value
+    flight = OptimalLaw().build(BRIEFING, 0.3)
+    with pytest.raises(InputError, match="guidance"):
+        flight.command(estimate(state[:3], state[3:6], state[6]), END, 0.0, state[7])
+
+
+def test_states_that_nobody_lands_from_still_have_finite_commands():
+    rng = np.random.default_rng(8)
+    for _ in range(12):
+        scale = 10.0 ** rng.uniform(-1.0, 5.0)
+        here = estimate(scale * rng.normal(size=3), 0.1 * scale * rng.normal(size=3))
+        flight = OptimalLaw(intervals=10).build(BRIEFING, rng.choice([0.0, 0.4]))
+        for t in (0.0, 0.1, 1.2):
+            assert np.isfinite(flight.command(here, END, t, rng.choice([0.5, 30.0]) - t)).all()
+
+
+def test_reach_is_told_by_the_law_that_it_falls_back_to():
+    sites = np.array([[0.0, 0.0, 11.6], [80.0, 40.0, 11.6]])
+    ends = replace(END, position=sites)
+    mine = OptimalLaw().cost(estimate(), ends, LANDER, MOON)
+    apollo = ApolloLaw().cost(estimate(), ends, LANDER, MOON)
+    assert np.array_equal(mine.propellant, apollo.propellant)
+
+
+def test_a_flight_records_what_happened_to_guidance():
+    table = {**SMALL_FLIGHT, "guidance": {"kind": "optimal", "iterations": 1}}
+    flight = Simulation(Scenario.from_dict(table), 3, "no-divert")
+    while not flight.computer.telemetry:
+        flight.step()
+    assert flight.computer.telemetry[0][1] == "guidance-fallback"
+    assert flight.computer.time_to_go == pytest.approx(
+        flight.computer.guidance.arrival - flight.computer.time
+    )
+    assert any(event["name"] == "guidance-fallback" for event in flight.flight().events)

@@ -1,0 +1,102 @@
+"""Terrain under a path: a majorant lies above it, planes about the path do better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.optimal.errors import InfeasibleError
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.ground import Relief, least_propellant_over
+from lunarsim.optimal.planner import Planner
+from tests.optimal.cases import moon
+
+GRID = Grid.centred((0.0, 0.0), 1500.0, 10.0)
+
+
+def hill(height: float, west: float, width: float) -> Relief:
+    east, north = np.meshgrid(GRID.x, GRID.y)
+    gap = (east + west) ** 2 + north**2
+    return Relief(GRID, height * np.exp(-0.5 * gap / width**2))
+
+
+def test_the_majorant_lies_above_all_terrain_and_touches_in_every_sector():
+    rng = np.random.default_rng(1)
+    relief = Relief(GRID, rng.normal(0.0, 20.0, GRID.shape))
+    end = np.array([3.0, -4.0, 5.0])
+    cone = relief.majorant(end, 12, clearance=2.0)
+    lift = np.array([0.0, 0.0, 2.0])
+    above = (relief.posts + lift - end) @ cone.normals.T
+    assert above.min(axis=1).max() < 1e-9, "each post lies under one plane at least"
+    steep = np.hypot(cone.normals[:, 0], cone.normals[:, 1])
+    for plane in np.flatnonzero(steep > 0.0):
+        assert np.abs(above[:, plane]).min() < 1e-9, "and each plane that rises touches one"
+    flat = Relief(GRID, np.zeros(GRID.shape)).majorant(end)
+    assert np.allclose(flat.normals, [0.0, 0.0, 1.0]), "what lies below asks for nothing"
+
+
+def test_heights_are_bilinear_and_missing_off_the_posts():
+    east, north = np.meshgrid(GRID.x, GRID.y)
+    relief = Relief(GRID, 0.1 * east - 0.2 * north + 1e-3 * east * north)
+    at = np.random.default_rng(2).uniform(-740.0, 740.0, (50, 2))
+    wanted = 0.1 * at[:, 0] - 0.2 * at[:, 1] + 1e-3 * at[:, 0] * at[:, 1]
+    assert np.allclose(relief.height(at), wanted)
+    assert np.isnan(relief.height([[800.0, 0.0]])[0])
+
+
+def test_a_path_within_the_majorant_keeps_above_the_ground_between_its_nodes():
+    """A knoll 60 m before the site: the path over flat ground goes through it."""
+    relief, planner = hill(60.0, 60.0, 20.0), Planner(30)
+    free = least_propellant(planner, moon())
+    assert relief.above(free) < 0.0
+    cone = relief.majorant(moon().end_position, 16, 1.0)
+    kept = least_propellant(planner, replace(moon(), cone=cone))
+    assert relief.above(kept) > 0.9
+    assert kept.increment > free.increment
+    assert kept.bars.max() > 1e-3
+
+
+def test_planes_about_the_path_undercut_a_majorant_that_blocks_the_way():
+    """Posts beside the site make a wall of the knoll's foot; planes about the path lead over it."""
+    fine = Grid.centred((0.0, 0.0), 1400.0, 5.0)
+    east, north = np.meshgrid(fine.x, fine.y)
+    knoll = 60.0 * np.exp(-0.5 * ((east + 60.0) ** 2 + north**2) / 20.0**2)
+    relief, planner = Relief(fine, knoll), Planner(24)
+    kept = least_propellant(
+        planner, replace(moon(), cone=relief.majorant(moon().end_position, 12, 1.0))
+    )
+    found = least_propellant_over(planner, moon(), relief, clearance=1.0, rounds=4)
+    assert relief.above(found) > 1.0 - 2e-3
+    free = least_propellant(planner, moon())
+    assert relief.above(free) < 0.0
+    assert free.increment * (1.0 - 1e-4) <= found.increment < kept.increment - 1.0
+
+
+def test_where_no_terrain_rises_nothing_changes():
+    planner = Planner(30)
+    over = least_propellant_over(planner, moon(), Relief(GRID, np.zeros(GRID.shape)))
+    assert over.increment == pytest.approx(least_propellant(planner, moon()).increment, rel=1e-4)
+
+
+def test_bad_terrain_is_refused():
+    with pytest.raises(InputError, match="elevation"):
+        Relief(GRID, np.zeros((3, 3)))
+    holed = np.zeros(GRID.shape)
+    holed[3, 4] = np.nan
+    with pytest.raises(InputError, match="1 posts"):
+        Relief(GRID, holed)
+    with pytest.raises(InputError, match="end_position"):
+        least_propellant_over(Planner(20), moon(), Relief(GRID, np.full(GRID.shape, 20.0)))
+    small = Grid.centred((0.0, 0.0), 100.0, 5.0)
+    with pytest.raises(InputError, match="terrain"):
+        Relief(small, np.zeros(small.shape)).above(least_propellant(Planner(20), moon()))
+
+
+def test_no_way_at_all_is_infeasible_not_a_failure():
+    with pytest.raises(InfeasibleError):
+        flat = Relief(GRID, np.zeros(GRID.shape))
+        least_propellant_over(Planner(10), moon(dry_mass=1495.0), flat)

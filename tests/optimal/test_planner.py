@@ -1,0 +1,186 @@
+"""Programs that are updated, solvers that fail, and what is asked amiss."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.cone_program import Answer, Clarabel, Judged, Qoco, Unjudged
+from lunarsim.optimal.errors import InfeasibleError, SolverError
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.problem import Cone
+from lunarsim.optimal.transcription import Structure
+from tests.optimal.cases import mars, moon
+
+
+def test_an_updated_program_is_solved_as_one_made_anew_and_by_another_solver():
+    rng = np.random.default_rng(7)
+    kept, other = Planner(30), Planner(30, Clarabel)
+    for _ in range(4):
+        descent = moon(rng, mass=rng.uniform(1300.0, 1500.0))
+        duration = least_propellant(kept, descent).duration
+        paths = [p.at_time(descent, duration) for p in (kept, Planner(30), other)]
+        for path in paths[1:]:
+            assert path.increment == pytest.approx(paths[0].increment, rel=1e-6)
+            assert np.allclose(path.position, paths[0].position, atol=0.1)
+            assert path.slope == pytest.approx(paths[0].slope, abs=0.02)
+
+
+def test_flights_repeat_bit_for_bit():
+    """Whatever was solved before by another planner."""
+    rng = np.random.default_rng(8)
+    descents = [moon(rng) for _ in range(3)]
+    runs = []
+    for _ in range(2):
+        planner = Planner(25)
+        runs.append([least_propellant(planner, d).thrust.tobytes() for d in descents])
+        least_propellant(Planner(25), mars())
+    assert runs[0] == runs[1]
+
+
+def test_a_path_keeps_everything_between_its_nodes():
+    d = moon()
+    path = least_propellant(Planner(40), d)
+    t = np.linspace(0.0, path.duration, 4001)
+    r, v, push = path.at(t)
+    gap = r - d.end_position
+    above = gap[:, 2] + d.drop - np.tan(d.glideslope) * np.hypot(gap[:, 0], gap[:, 1])
+    assert above[t > path.step].min() > -1e-3
+    tilt = np.arccos(push[:, 2] / np.linalg.norm(push, axis=1))
+    assert tilt.max() < d.max_tilt + 1e-5
+    force = path.mass_at(t) * np.linalg.norm(push, axis=1)
+    assert force.max() < d.thrust_max * 1.01
+    assert force.min() > d.thrust_min * 0.99
+    assert np.allclose(r[-1], d.end_position, atol=1e-3)
+    assert np.allclose(v[-1], d.end_velocity, atol=1e-4)
+    assert np.allclose(np.gradient(r, t, axis=0)[1:-1], v[1:-1], atol=0.02)
+    assert path.mass_at(path.duration) == pytest.approx(path.mass[-1])
+
+
+def test_a_glideslope_that_binds_is_kept_between_the_nodes():
+    """The path touches the cone; asked of its nodes alone it would sag through."""
+    slope = np.deg2rad(4.0)
+    path = Planner(20).at_time(mars(glideslope=slope), 81.0)
+    r = path.at(np.linspace(0.0, path.duration, 2001))[0]
+    above = r[:, 2] - np.tan(slope) * np.hypot(r[:, 0], r[:, 1])
+    assert above.min() > -1e-3
+    control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
+    skims = control[:, 2] - np.tan(slope) * np.hypot(control[:, 0], control[:, 1]) < 0.05
+    assert skims[1:-1].any()
+
+
+def test_a_last_solution_leaves_four_solves_at_most():
+    planner = Planner(40)
+    first = least_propellant(planner, moon())
+    worst = 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        r, v, _ = first.at(1.0)
+        here = moon(
+            position=r + rng.normal(0.0, 0.5, 3), velocity=v + rng.normal(0.0, 0.1, 3),
+            mass=float(first.mass_at(1.0)),
+        )  # fmt: skip
+        warm = least_propellant(planner, here, last=first, elapsed=1.0)
+        cold = least_propellant(planner, here)
+        worst = max(worst, warm.solves)
+        assert warm.increment == pytest.approx(cold.increment, rel=1e-3)
+    assert worst <= 4
+
+
+def test_the_end_may_have_to_be_upright():
+    upright = least_propellant(Planner(40), moon(end_tilt=np.deg2rad(5.0)))
+    free = least_propellant(Planner(40), moon())
+    tilts = [np.arccos(p.thrust[-1, 2] / np.linalg.norm(p.thrust[-1])) for p in (upright, free)]
+    assert tilts[0] < np.deg2rad(10.0) < np.deg2rad(30.0) < tilts[1]
+    assert free.increment < upright.increment < 1.05 * free.increment
+
+
+def test_spare_thrust_is_left_alone_while_there_is_another_way():
+    calm = least_propellant(Planner(40), moon(spare=400.0))
+    assert calm.forces.max() < 5568.0 * (1.0 + 1e-4)
+    planner = Planner(40)
+    short = 0.96 * calm.duration
+    assert planner.at_time(moon(), short) is None
+    hard = planner.at_time(moon(spare=400.0), short)
+    assert 5568.0 * 1.002 < hard.forces.max() < 5968.0
+
+
+class Failing:
+    """A solver that gives up."""
+
+    def solve(self, program):
+        nothing = np.zeros(0)
+        return Answer("failed", nothing, nothing, nothing, 7, "failing")
+
+
+def test_infeasible_and_failed_are_told_apart():
+    with pytest.raises(SolverError, match="failing gave up after 7 iterations"):
+        least_propellant(Planner(20, Failing), moon())
+    assert Planner(20).at_time(moon(), 5.0) is None
+    with pytest.raises(SolverError, match="qoco gave up after 2"):
+        Planner(20, lambda: Qoco(2)).at_time(moon(), 30.0)
+    assert Planner(20, lambda: Unjudged(2)).at_time(moon(), 30.0) is None
+    referred = Judged(2)
+    path = Planner(20, lambda: referred).at_time(moon(), 30.0)
+    assert path.solver == "clarabel"
+    assert referred.referred >= 1
+    below = moon(position=np.array([-600.0, 0.0, 5.0]))
+    with pytest.raises(InfeasibleError):
+        least_propellant(Planner(20), below)
+
+
+def test_after_a_failure_the_solver_begins_anew():
+    planner = Planner(20, Unjudged)
+    before = planner.at_time(moon(), 30.0)
+    assert planner.at_time(moon(), 5.0) is None
+    after = planner.at_time(moon(), 30.0)
+    assert after.thrust.tobytes() == before.thrust.tobytes()
+
+
+def test_infeasible_errors_travel_between_processes():
+    error = InfeasibleError(np.zeros(3), "why", np.array([3.0, 4.0, 0.0]))
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.miss, str(again)) == (5.0, str(error))
+    assert "(3.0, 4.0, 0.0), 5.0 m off" in str(again)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"position": np.array([np.nan, 0.0, 1.0])}, "position"),
+        ({"velocity": np.zeros(2)}, "velocity"),
+        ({"mass": np.nan}, "mass"),
+        ({"mass": 1000.0}, "mass"),
+        ({"gravity": 0.0}, "gravity"),
+        ({"thrust_min": 6000.0}, "thrust_min"),
+        ({"thrust_max": np.inf}, "thrust_max"),
+        ({"dry_mass": -1.0}, "dry_mass"),
+        ({"max_tilt": 1.6}, "max_tilt"),
+        ({"glideslope": -0.1}, "glideslope"),
+        ({"end_tilt": np.nan}, "end_tilt"),
+        ({"tilt_rate": np.nan}, "tilt_rate"),
+        ({"region": np.inf}, "region"),
+        ({"region": 5.0, "spare": 10.0}, "spare"),
+    ],
+)
+def test_bad_problems_are_refused_by_name(changes, field):
+    with pytest.raises(InputError, match=f"optimal.{field}"):
+        moon(**changes)
+
+
+def test_bad_times_cones_and_grids_are_refused():
+    for duration in (0.0, -3.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="duration"):
+            Planner(20).at_time(moon(), duration)
+    with pytest.raises(InputError, match="intervals"):
+        Planner(3).at_time(moon(), 30.0)
+    with pytest.raises(InputError, match="spare"):
+        Structure(20, True, True, 0, True, spare=True)
+    with pytest.raises(InputError, match="cone"):
+        Cone(np.zeros((0, 3)))
+    with pytest.raises(InputError, match="cone"):
+        Cone(np.array([[np.nan, 0.0, 1.0]]))

@@ -1,0 +1,24 @@
+"""The study of what each law spends over the optimum, small."""
+
+from __future__ import annotations
+
+import json
+
+from click.testing import CliRunner
+
+
+def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
+    study = script("guidance", "propellant")
+    out = tmp_path / "flown.json"
+    arguments = ["--flights", "1", "--laws", "apollo", "--laws", "optimal", "--json", str(out)]
+    done = CliRunner().invoke(study.main, arguments)
+    assert done.exit_code == 0, done.output
+    assert "over the optimum" in done.output
+    apollo, optimal = json.loads(out.read_text())
+    assert (apollo["law"], optimal["law"]) == ("apollo", "optimal")
+    assert apollo["optimum"] == optimal["optimum"]
+    assert apollo["safe"]
+    assert optimal["safe"]
+    assert optimal["approach"] < 1.02 * optimal["optimum"] < 0.95 * apollo["approach"]
+    assert optimal["plans"] > 15
+    assert optimal["fallbacks"] == apollo["plans"] == 0
