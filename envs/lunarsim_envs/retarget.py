@@ -147,7 +147,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             invalid=invalid,
         )
         info = self._info(simulation) | {"reward_terms": terms}
-        self._last = (int(action), sum(terms.values()))
+        self._last = (0 if invalid else int(action), sum(terms.values()))
         return self._encode(simulation), sum(terms.values()), simulation.done, False, info
 
     def render(self) -> NDArray[np.uint8] | None:

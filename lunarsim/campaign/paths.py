@@ -136,6 +136,8 @@ def _keep(
     while decisions:
         first = next(iter(decisions.values()))
         alike = {i: said for i, said in decisions.items() if not _apart(said, first)}
+        # Who climbs away does so alone: what is recorded of it is not compared.
+        alike = alike or dict([next(iter(decisions.items()))])
         branch = Branch(at, alike)
         for i in alike:
             branches[i] = branch

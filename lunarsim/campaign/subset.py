@@ -33,8 +33,11 @@ LEVEL, CHAIN, WORLD = "level", "chain", "world"
 # Scale s of the first chains, and the share of steps that should be taken (Papaioannou et al.
 # 2015, section 4.2); each level's scale follows from what the one before has had.
 _SCALE, _TAKEN = 0.6, 0.44
-# A level that as many flights reach or more is no step towards failure: the metric has steps.
-_MOST_KEPT = 0.5
+# A level that such a part of those who are not to be kept reaches is no step towards failure: the
+# metric has steps. (States of chains are there more than once: a few more than asked for are kept.)
+_MOST_MORE = 0.45
+# Margin of a flight that is at the limit.
+_LEAST = float(np.nextafter(0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -181,7 +184,8 @@ class Chains:
         if value is None or not np.isfinite(value):
             return np.inf
         above, below = self._settings.above, self._settings.below
-        return float(value) - below if above is None else above - float(value)  # type: ignore[operator]
+        margin = float(value) - below if above is None else above - float(value)  # type: ignore[operator]
+        return margin or _LEAST  # at the limit is not beyond it
 
     def _close(self) -> None:
         """Note a complete level, and begin the next."""
@@ -192,7 +196,8 @@ class Chains:
         order = np.argsort(margins, axis=None, kind="stable")[: self.chains]
         threshold = max(0.0, float(margins.ravel()[order[-1]]))
         kept = float(np.mean(margins <= threshold))
-        self.stuck = threshold > 0.0 and kept > _MOST_KEPT
+        keep = self._settings.keep
+        self.stuck = threshold > 0.0 and kept > keep + _MOST_MORE * (1.0 - keep)
         last = threshold == 0.0 or self.stuck or number == self._settings.levels - 1
         if last:
             threshold, kept = 0.0, float(np.mean(margins <= 0.0))
@@ -205,6 +210,12 @@ class Chains:
             return
         if number:
             self._scale = min(1.0, self._scale * float(np.exp(taken - _TAKEN)))
+        if kept * margins.size > self.chains:
+            # As many as are needed of those near enough, whichever they are: were the nearest
+            # taken, chains would not begin by the law of all that are near enough.
+            near = np.flatnonzero(margins.ravel() <= threshold)
+            rng = Streams(flight_seed(self._laws.seed, end)).get("subset.seeds")
+            order = np.sort(rng.choice(near, self.chains, replace=False))
         self._states = [[int(states.ravel()[i])] for i in order]
         self._left = self.flights - self.chains
         self._waiting = deque(range(end, end + self.chains))

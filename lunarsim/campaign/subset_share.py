@@ -108,6 +108,13 @@ def share_of(levels: Sequence[Level]) -> SubsetShare:
         # As if the chains of the last level were all that tells of it.
         high = reached * _wide(spread) * greatest_share(0, len(last.margins))
         return SubsetShare(0.0, 0.0, min(1.0, high), np.inf, 0)
+    if not before:
+        # Flights as declared, each alone: Clopper and Pearson, both sides.
+        hits, count = int(failed.sum()), failed.size
+        low = 1.0 - greatest_share(count - hits, count, 0.975)
+        high = greatest_share(hits, count, 0.975)
+        spread = float(np.sqrt(variance_of(last)))
+        return SubsetShare(last.share, low, high, spread, len(np.unique(last.worlds)))
     value, spread = reached * last.share, float(spread + np.sqrt(variance_of(last)))
     wide, worlds = _wide(spread), len(np.unique(last.worlds))
     return SubsetShare(value, value / wide, min(1.0, value * wide), spread, worlds)

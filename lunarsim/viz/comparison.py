@@ -136,7 +136,9 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
             # Above the bar: the first policy is at the top.
             ax.text(0.0, place - 0.28, f" {better} better, {worse} worse", va="bottom", fontsize=7)
     ax.axvline(0.0, color="black", lw=0.8)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    low, high = ax.get_xlim()
+    ax.set_xlim(min(low, -1.0), max(high, 1.0))
+    ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
     ax.set_xlabel(f"flights that ended otherwise\nthan under {names[0]}")
     ax.legend(loc="best")
 
@@ -172,6 +174,7 @@ def _draw_shifts(
                 ax.plot([mean - half, mean + half], [at, at], color=colour, lw=3.0)
             ax.plot(mean, at, markers[n], color=colour, mec="black", mew=0.6)
     ax.axvline(0.0, color="black", lw=0.8)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"difference from {names[0]}\non the same world, over the limit")
     ax.legend(loc="upper left")
 

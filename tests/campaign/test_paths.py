@@ -116,3 +116,19 @@ def test_a_draw_that_another_arm_cannot_take_is_that_arms_alone():
     assert fly_whole(known, group, 0, memory)[2]["policy"] == "nearest-safe"
     with pytest.raises(InputError, match="enough"):
         fly_whole(known, group, 1, memory)
+
+
+def test_who_climbs_away_parts_from_who_lands():
+    """Two that abort alike part from each other too: neither waits for the other without end."""
+    away = {"kind": "safest-or-abort", "least": 0.9999, "altitude_m": 400.0}
+    arms = [{"name": "a", "set": {"policy": "safest"}}]
+    arms += [
+        {"name": n, "set": {"policy": away | {"worth": w}}} for n, w in (("b", 0.5), ("c", 0.4))
+    ]
+    given = {"name": "p", "flights": 4, "seed": 5, "scenario": ROUGH, "arms": arms}
+    known = plan_of(CampaignSpec.from_dict(given)).work.study
+    memory: dict = {}
+    shared = [fly_whole(known, Group(0, (0, 1, 2)), arm, memory)[2] for arm in range(3)]
+    alone = [fly_whole(known, Group(0, (arm,)), arm, {})[2] for arm in range(3)]
+    assert repr(shared) == repr(alone)
+    assert [row["aborted"] for row in shared] == [False, True, True]

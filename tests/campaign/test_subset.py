@@ -385,3 +385,40 @@ def test_bad_subsets_are_refused(more, field):
     with pytest.raises(InputError) as refused:
         spec(**more)
     assert refused.value.field == field
+
+
+def clipped(study, group, arm, memory):
+    """At the limit or beyond it, half of the flights each."""
+    return {"safe": True, "slope_deg": max(0.0, float(scores(group.draws)[0]))}
+
+
+def certain(study, group, arm, memory):
+    return {"safe": False, "slope_deg": 1.0}
+
+
+def test_at_the_limit_is_not_beyond_it_and_a_plain_share_has_a_plain_interval():
+    made = in_memory("clipped", 1, 300, subset={"metric": "slope_deg", "above": 0.0})
+    assert made.low < 0.5 < made.high < 0.6
+    all_of_them = in_memory("certain", 1, 300, subset={"metric": "slope_deg", "above": 0.0})
+    assert (all_of_them.value, all_of_them.high) == (1.0, 1.0) and 0.98 < all_of_them.low < 0.995
+
+
+def test_half_of_each_level_may_be_kept():
+    """States that are there twice make it more than half: that is no metric with steps."""
+    subset = {"metric": "slope_deg", "above": BETA, "keep": 0.5, "levels": 20}
+    made = in_memory("linear", 1, 200, subset=subset)
+    assert 0.0 < made.low < 1e-4 < made.high
+
+
+def test_of_flights_equally_near_those_that_go_on_are_drawn():
+    """Ten are nearer than a hundred others: were all ten to go on, 0.09 would count as a third."""
+    chains = planned("linear").chains
+    for group in chains.groups(lambda flight, arm: False):
+        if group.flight == 300:
+            break
+        value = 2.0 if group.flight < 10 else 1.0 if group.flight < 110 else 0.0
+        chains.see(group.flight, {"slope_deg": value})
+    begin = [states[0] for states in chains._states]
+    assert len(set(begin)) == 30 and max(begin) < 110
+    assert sum(flight < 10 for flight in begin) < 8
+    assert chains.levels[0].share == pytest.approx(110 / 300)

@@ -145,7 +145,9 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
         if ground.sigma is not None and type(instrument) in beams:
             out[_feet(name)] = ground.sigma**2 * np.eye(beams[type(instrument)])
         if isinstance(instrument, FixedBeams):
-            out[_speeds(name)] = _bias_of(instrument) ** 2 * np.eye(len(instrument.directions))
+            out[_speeds(name)] = speed_errors(instrument)[0] ** 2 * np.eye(
+                len(instrument.directions)
+            )
         if isinstance(instrument, StarInstrument):
             out[_mount(name)] = instrument.misalignment**2 * np.eye(3)
     return out
@@ -166,9 +168,15 @@ def _speeds(sensor: str) -> str:
     return f"speeds of {sensor}"
 
 
-def _bias_of(velocimeter: FixedBeams) -> float:
-    """Return the standard deviation of what the speeds of a beam are off by, m/s."""
-    return max(velocimeter.speed_bias, _LEAST_SPEED_BIAS)
+def speed_errors(velocimeter: FixedBeams) -> tuple[float, float]:
+    """Return what the speeds of a beam are off by at the start, and what that wanders in a second.
+
+    Standard deviations, m/s: as stated, and not less than is likely.
+    """
+    return (
+        max(velocimeter.speed_bias, _LEAST_SPEED_BIAS),
+        max(velocimeter.speed_wander, _LEAST_SPEED_WANDER),
+    )
 
 
 def one_each(sensor: str, reading: AltimeterReading) -> None:
@@ -216,12 +224,11 @@ class Aids:
             for n, i in instruments.items() if isinstance(i, FixedBeams)
         }  # fmt: skip
         self._speed_bias = {
-            n: _bias_of(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
+            n: speed_errors(i)[0] for n, i in instruments.items() if isinstance(i, FixedBeams)
         }
         self._wanders = {
-            n: max(i.speed_wander, _LEAST_SPEED_WANDER)
-            for n, i in instruments.items() if isinstance(i, FixedBeams)
-        }  # fmt: skip
+            n: speed_errors(i)[1] for n, i in instruments.items() if isinstance(i, FixedBeams)
+        }
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
         self._place = state.inertial.position[:2].copy()

@@ -39,7 +39,7 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of, one_each
+from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of, one_each, speed_errors
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
@@ -147,6 +147,13 @@ class UnscentedFilter(Navigation):
         self._beams = {n: i.boresight for n, i in known.items() if isinstance(i, FixedBeam)}
         self._cones = {
             n: np.array(i.directions) for n, i in known.items() if isinstance(i, FixedBeams)
+        }
+        # Variance of what the beams' speeds are off by, lasting for that time.
+        self._lasting = {
+            n: b**2 + _LASTING * w**2
+            for n, (b, w) in (
+                (n, speed_errors(i)) for n, i in known.items() if isinstance(i, FixedBeams)
+            )
         }
         self._mounts = {
             n: i.misalignment for n, i in known.items() if isinstance(i, StarInstrument)
@@ -337,10 +344,11 @@ class UnscentedFilter(Navigation):
         rays = beams[seen] @ quat_to_matrix(self.inertial.attitude).T
         own = quat_to_matrix(self.inertial.attitude).T @ self.inertial.velocity
         by_turn = np.cross(beams[seen], own)
-        often = _LASTING / 0.1 * self._turn[:3, :3]
+        uses = _LASTING / 0.1
+        noise = np.diag(sigma[seen] ** 2 + uses * self._lasting[sensor])
         found = self._update(
             speed[seen], lambda x: rays @ x[3:6],
-            np.diag(sigma[seen] ** 2) + by_turn @ often @ by_turn.T, gate_of(int(seen.sum())),
+            noise + by_turn @ (uses * self._turn[:3, :3]) @ by_turn.T, gate_of(int(seen.sum())),
         )  # fmt: skip
         white = np.full(len(beams), np.nan)
         if found.taken:

@@ -76,7 +76,8 @@ class Linear:
     def speeds(self, z, sigma) -> None:
         h = np.zeros((3, 9))
         h[:, 3:6] = np.array(BEAMS) @ self.r.T
-        self.correct(h, z, sigma**2 * np.eye(3))
+        # What beams are off by, 0.02 m/s and a walk of 0.005 m/s a second, lasts for 100 readings.
+        self.correct(h, z, (sigma**2 + 100.0 * (0.02**2 + 10.0 * 0.005**2)) * np.eye(3))
 
     def range(self, z, sigma, ground) -> None:
         down = -self.r[2, 2]
