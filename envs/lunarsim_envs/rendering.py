@@ -74,6 +74,11 @@ class Frames:
         away = np.hypot(rows["estimated_x"] - site[0], rows["estimated_y"] - site[1])
         return away, rows["estimated_z"] - site[2]
 
+    @property
+    def map_title(self) -> str:
+        """What the last frame said of its map."""
+        return str(self._map_title.get_text())
+
     def draw(
         self, observation: Observation, action: int | None, reward: float | None
     ) -> NDArray[np.uint8]:

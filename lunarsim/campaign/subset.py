@@ -105,6 +105,11 @@ class Chains:
         """Number of flights if all levels are flown."""
         return self._first(self._settings.levels)
 
+    @property
+    def states(self) -> list[list[int]]:
+        """Flights that are the states so far of each chain of the level that is being flown."""
+        return [list(states) for states in self._states]
+
     def reset(self) -> None:
         """Forget all rows."""
         self.levels: list[Level] = []

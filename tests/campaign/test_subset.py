@@ -418,7 +418,7 @@ def test_of_flights_equally_near_those_that_go_on_are_drawn():
             break
         value = 2.0 if group.flight < 10 else 1.0 if group.flight < 110 else 0.0
         chains.see(group.flight, {"slope_deg": value})
-    begin = [states[0] for states in chains._states]
+    begin = [states[0] for states in chains.states]
     assert len(set(begin)) == 30 and max(begin) < 110
     assert sum(flight < 10 for flight in begin) < 8
     assert chains.levels[0].share == pytest.approx(110 / 300)

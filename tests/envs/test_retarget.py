@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from lunarsim_envs.rendering import Frames
 from lunarsim_envs.retarget import RetargetEnv
 from tests.worlds import SCENARIOS
 
@@ -114,9 +115,8 @@ def test_frames_keep_their_axes_and_show_action_reward_and_the_last_metres(env):
 
 def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
     env.reset(seed=1)
-    env.render()
-    frames, drawn = env.unwrapped._frames, []
-    observation = env.unwrapped._observation
+    observation = env.unwrapped.simulation.observe()
+    frames, drawn = Frames(env.unwrapped.simulation, observation), []
     m = observation.hazard_map
     for observed, p, words in (
         (False, 0.9, "map saw nothing"),
@@ -127,7 +127,7 @@ def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
         told = replace(m, p_safe=flat, observed=np.full(m.grid.shape, observed), in_domain=None)
         picture = frames.draw(replace(observation, hazard_map=told), None, None)
         drawn.append(picture[24:70, 480:])
-        assert frames._map_title.get_text() == words
+        assert frames.map_title == words
     assert not np.array_equal(drawn[1], drawn[2])
     assert all((one[:4] > 200).all() and (one < 128).any() for one in drawn)  # whole, and there
 
