@@ -45,7 +45,10 @@ class Group(click.Group):
             _end(ctx, f"memory: {error or 'not enough'}; smaller sizes take less", 1)
         except OSError as error:
             if error.filename is None:
-                raise
+                # A pipe that its reader has closed is nobody's error: click ends the command.
+                if isinstance(error, BrokenPipeError):
+                    raise
+                _end(ctx, f"output: {error.strerror or error}", 1)
             _end(ctx, f"{error.filename}: {error.strerror}", 2)
 
 

@@ -6,6 +6,8 @@ import gc
 import os
 import subprocess
 import sys
+import time
+from pathlib import Path
 from typing import ClassVar
 
 import numba
@@ -105,3 +107,41 @@ def test_warming_compiles_what_maps_call(monkeypatch):
     }
     warm(exact=True)
     assert called[-1] == ("exact", np.float64)
+
+
+def runs(pid: int) -> bool:
+    """Tell whether a process is there, and not only its exit status."""
+    try:
+        return "zombie" not in Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except OSError:
+        return False
+
+
+def test_the_process_that_helps_ends_with_the_one_that_began_it():
+    helper = (
+        "import os; from lunarsim.safety.warming import end_with\n"
+        "print(flush=True)\n"
+        "end_with(os.getppid())\n"
+    )
+    parent = (
+        "import subprocess, sys\n"
+        f"helper = subprocess.Popen([sys.executable, '-c', {helper!r}], stdout=subprocess.PIPE)\n"
+        "helper.stdout.readline()\n"
+        "print(helper.pid, flush=True)\n"
+        "helper.wait()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE) as process:
+        pid = int(process.stdout.readline())
+        process.kill()
+    ends = time.monotonic() + 10.0
+    while runs(pid) and time.monotonic() < ends:
+        time.sleep(0.1)
+    assert not runs(pid)
+
+
+def test_a_full_disk_is_told_in_one_line():
+    command = [sys.executable, "-m", "lunarsim.cli", "scenario", "reference"]
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "error: output: No space left on device\n"

@@ -87,7 +87,7 @@ class Chains:
     stop
         Number of flights of the whole campaign, once it is known.
     stuck
-        Whether it ended because half of a level's flights or more were as near as each other.
+        Whether it ended because too many of a level's flights were as near as each other.
     """
 
     def __init__(self, dispersions: Dispersions) -> None:

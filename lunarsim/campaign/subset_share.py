@@ -5,6 +5,10 @@ takes in how alike the states of a chain are (Au and Beck 2001, eqs. 28 and 29) 
 of one world are, whichever says more; those of the levels are added as if they all erred to the
 same side, the bound of Au and Beck (after eq. 33): chains of one level go on from those of the one
 before, and where chance decides rather than what is drawn, their errors do go together.
+
+Where few worlds are left the share of the worlds that fail is not known: then the interval reaches
+up to the share that comes as far as the last level that many worlds had part in, of which failures
+are a part.
 """
 
 from __future__ import annotations
@@ -20,6 +24,9 @@ from lunarsim.campaign.spec import dispersions_of
 from lunarsim.campaign.subset import Chains, Level
 from lunarsim.errors import InputError
 from lunarsim.evaluation.comparisons import greatest_share
+
+# Fewer worlds do not tell how often a world fails.
+FEW_WORLDS = 20
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ def how_it_ended(chains: Chains) -> str:
         return f"not complete: level {len(chains.levels)} is being flown"
     if chains.stuck:
         return (
-            f"half of a level's flights or more were as near to failure as each other by "
+            f"too many of a level's flights were as near to failure as each other by "
             f"{chains.metric}: it does not tell how near failure is, and the levels ended there"
         )
     if chains.levels[-1].share == 0.0:
@@ -107,6 +114,7 @@ def share_of(levels: Sequence[Level]) -> SubsetShare:
     if not failed.any():
         # As if the chains of the last level were all that tells of it.
         high = reached * _wide(spread) * greatest_share(0, len(last.margins))
+        high = max(high, _share_that_many_reach(levels))
         return SubsetShare(0.0, 0.0, min(1.0, high), np.inf, 0)
     if not before:
         # Flights as declared, each alone: Clopper and Pearson, both sides.
@@ -117,7 +125,22 @@ def share_of(levels: Sequence[Level]) -> SubsetShare:
         return SubsetShare(last.share, low, high, spread, len(np.unique(last.worlds)))
     value, spread = reached * last.share, float(spread + np.sqrt(variance_of(last)))
     wide, worlds = _wide(spread), len(np.unique(last.worlds))
-    return SubsetShare(value, value / wide, min(1.0, value * wide), spread, worlds)
+    high = max(value * wide, _share_that_many_reach(levels))
+    return SubsetShare(value, value / wide, min(1.0, high), spread, worlds)
+
+
+def _share_that_many_reach(levels: Sequence[Level]) -> float:
+    """Return an upper bound of the share that reaches the last level of many worlds.
+
+    0 where the last level of all has many itself: its own error then says enough.
+    """
+    reached, spread, most = 1.0, 0.0, 1.0
+    for level in levels[:-1]:
+        if len(np.unique(level.worlds)) < FEW_WORLDS:
+            return most
+        reached, spread = reached * level.share, spread + float(np.sqrt(variance_of(level)))
+        most = reached * _wide(spread)
+    return most if len(np.unique(levels[-1].worlds)) < FEW_WORLDS else 0.0
 
 
 def _wide(variation: float) -> float:

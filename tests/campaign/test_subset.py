@@ -72,6 +72,13 @@ def noisy(study, group, arm, memory):
     return {"safe": score < BETA, "slope_deg": score}
 
 
+def rugged(study, group, arm, memory):
+    """As `linear`, 0.9 of the variance being the world's."""
+    own, world = scores(group.draws).sum() / np.sqrt(2.0), chance(study, group.draws)
+    score = float(np.sqrt(0.1) * own + np.sqrt(0.9) * world)
+    return {"safe": score < BETA, "slope_deg": score}
+
+
 def curved(study, group, arm, memory):
     """Fails on two sides of a parabola; see `test_two_sides_...` for how often."""
     a, b = scores(group.draws)
@@ -203,8 +210,12 @@ def test_what_chains_and_worlds_share_widens_and_errors_of_levels_add():
         made = share_of([first, last])
         assert made.value == pytest.approx(0.01)
         assert made.variation == pytest.approx(0.3 + np.sqrt(0.9))
-        wide = np.exp(norm.ppf(0.975) * np.sqrt(np.log(1.0 + made.variation**2)))
-        assert (made.low, made.high) == pytest.approx((0.01 / wide, 0.01 * wide))
+        wide, first_wide = (
+            np.exp(norm.ppf(0.975) * np.sqrt(np.log(1.0 + v**2))) for v in (made.variation, 0.3)
+        )
+        # Ten worlds do not tell how often one fails: up to what comes as far as the last level.
+        high = 0.1 * first_wide if worlds is chains else 0.01 * wide
+        assert (made.low, made.high) == pytest.approx((0.01 / wide, high))
     assert share_of([first, replace(last, worlds=chains)]).worlds == 10
     # Two chains of one world, both near: their 20 states are worth less than two chains.
     of_one = Level(np.where(chains < 2, -1.0, 1.0), np.maximum(chains, 1), 0.0, 0.2, 0.3, 0)
@@ -422,3 +433,12 @@ def test_of_flights_equally_near_those_that_go_on_are_drawn():
     assert len(set(begin)) == 30 and max(begin) < 110
     assert sum(flight < 10 for flight in begin) < 8
     assert chains.levels[0].share == pytest.approx(110 / 300)
+
+
+def test_where_worlds_decide_and_few_are_left_the_interval_says_so():
+    """Nine tenths of the variance are the world's: the value lies far under p, the interval not."""
+    made = [in_memory("rugged", seed, 200) for seed in range(12)]
+    assert sum(m.low <= 1e-4 <= m.high for m in made) >= 11
+    assert all(m.worlds < 20 for m in made)
+    # By the levels' own errors most would end too low.
+    assert sum(m.value < 5e-5 for m in made) >= 6
