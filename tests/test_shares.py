@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import time
 
 import numba
@@ -80,7 +79,6 @@ def _child(queue):
     queue.put(float(_squared(np.arange(100.0)).sum()))
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_starts_threads_of_its_own():
     _squared(np.arange(100.0))
     context = multiprocessing.get_context("fork")

@@ -135,9 +135,10 @@ def _keep(
         return  # they are flown from the start
     while decisions:
         first = next(iter(decisions.values()))
-        alike = {i: said for i, said in decisions.items() if not _apart(said, first)}
         # Who climbs away does so alone: what is recorded of it is not compared.
-        alike = alike or dict([next(iter(decisions.items()))])
+        alike = {
+            i: said for i, said in decisions.items() if said is first or not _apart(said, first)
+        }
         branch = Branch(at, alike)
         for i in alike:
             branches[i] = branch

@@ -6,8 +6,6 @@ whole control cycle; the loop calls its parts one by one where somebody outside 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +27,7 @@ from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
+from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.policies.candidates import candidate_sites
@@ -43,22 +42,6 @@ from lunarsim.onboard.tasking.contract import Situation
 Array = NDArray[np.float64]
 
 APPROACH, VERTICAL, ABORT, BRAKING = 0, 1, 2, 3
-_OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expected_rocks"}
-
-
-@contextmanager
-def _named(table: str) -> Iterator[None]:
-    """Put the scenario's table before a key that a part complains of.
-
-    What names another table, or a key of one (a sensor's, the mission's), is left as it is.
-    """
-    try:
-        yield
-    except InputError as error:
-        if error.field.partition(".")[0] in _OTHER_TABLES:
-            raise
-        key = error.field.rpartition(".")[2]
-        raise InputError(f"{table}.{key}", error.value, error.expected) from None
 
 
 class OnboardComputer:
@@ -90,11 +73,11 @@ class OnboardComputer:
         self.lander = briefing.lander
         self.approach = software.approach
         self.decisions = software.decisions
-        with _named("navigation"):
+        with named_in("navigation"):
             self.navigation = software.navigation.build(briefing)
         self.mappers: dict[str, HazardMapper] = {}
         for name, part in software.mappers.items():
-            with _named(f"mappers.{name}"):
+            with named_in(f"mappers.{name}"):
                 self.mappers[name] = part.build(briefing, self.navigation)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
@@ -295,7 +278,7 @@ class OnboardComputer:
         if self._barred != (lost or self._mapped_lost):
             self._barred = not self._barred
             name = "diverts-barred" if self._barred else "diverts-allowed"
-            self.telemetry.append((self.time, name, {"site": self.site.copy()}))
+            self._note(self.time, name, {"site": self.site.copy()})
 
     def _carry_on(self) -> None:
         """Let navigation know of inertial samples that did not come in this cycle."""
@@ -333,7 +316,7 @@ class OnboardComputer:
                     mapper.recentre(target)
         self._level_maps()
         for event in self.navigation.events[self._events :]:
-            self.telemetry.append((event.time, event.name, dict(event.details)))
+            self._note(event.time, event.name, dict(event.details))
             free = self.phase == APPROACH and self.approach.time_to_go is None
             if event.name in {"lock", "relock"} and free:
                 # A path planned from tens of metres off is planned afresh.
@@ -383,9 +366,8 @@ class OnboardComputer:
         self._next_decision = self.time + self.decisions.interval
         if decision.abort:
             self.phase = ABORT
-            self.telemetry.append(
-                (self.time, "abort", {"altitude": self.altitude, "reason": decision.reason})
-            )
+            told = {"altitude": self.altitude, "reason": decision.reason}
+            self._note(self.time, "abort", told)
             return True
         first, self._decided = not self._decided, True
         if decision.site is None:
@@ -406,7 +388,7 @@ class OnboardComputer:
         return True
 
     def _refuse(self, site: Array, reason: str) -> None:
-        self.telemetry.append((self.time, "divert-refused", {"site": site, "reason": reason}))
+        self._note(self.time, "divert-refused", {"site": site, "reason": reason})
 
     def _retime(self) -> None:
         """Choose the time-to-go to the present site afresh.
@@ -427,13 +409,13 @@ class OnboardComputer:
             return
         self.phase = APPROACH
         told = {"altitude": self.altitude}
-        self.telemetry.append((self.time, "approach", told))
+        self._note(self.time, "approach", told)
         fixed = self.approach.time_to_go
         time_to_go = fixed or float(self.cost_of(self.site[None, :]).time_to_go[0])
         if not np.isfinite(time_to_go):
             # Nothing within the limits: fly there all the same, as long as height and speed want.
             time_to_go = self._plain_time()
-            self.telemetry.append((self.time, "approach-out-of-limits", told))
+            self._note(self.time, "approach-out-of-limits", told)
         self._arrival = self.time + time_to_go
 
     def _plain_time(self) -> float:
@@ -451,7 +433,7 @@ class OnboardComputer:
             self.altitude <= self.approach.vertical_altitude or self.time_to_go <= 0.0
         ):
             self.phase = VERTICAL
-            self.telemetry.append((self.time, "vertical-descent", {"altitude": self.altitude}))
+            self._note(self.time, "vertical-descent", {"altitude": self.altitude})
         end: PhaseEnd
         if self.phase == BRAKING:
             end = self.braking.end(self.site)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -137,10 +136,3 @@ class Path:
         k = np.clip((t / self.step).astype(np.int64), 0, self.intervals - 1)
         burnt = (t - k * self.step) * self.bound[k] / self.descent.exhaust_velocity
         return np.asarray(self.mass[k] * np.exp(-burnt))
-
-    def told(self) -> dict[str, Any]:
-        """Return its figures in words for a record."""
-        return {
-            "duration": self.duration, "propellant": self.propellant, "solves": self.solves,
-            "iterations": self.iterations, "solver": self.solver,
-        }  # fmt: skip

@@ -7,8 +7,8 @@ import pytest
 
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.navigation.aids import GROUND
 from lunarsim.onboard.navigation.error_state import MAP
+from lunarsim.onboard.navigation.level_ground import GROUND
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

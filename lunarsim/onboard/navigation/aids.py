@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -13,7 +12,6 @@ from scipy.stats import chi2
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
-from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
@@ -25,8 +23,10 @@ from lunarsim.onboard.navigation.inertial import (
     POSITION,
     VELOCITY,
 )
+from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.measured import (
     LEAST_DOWN,
+    speed_errors,
     take_attitude,
     take_range,
     take_speeds,
@@ -59,68 +59,9 @@ _MOST_BIAS = 6.0
 # Fewer beams of a velocimeter do not tell which of them lies; and what one may have done to the
 # velocity before it was noticed, m/s.
 _FEWEST_BEAMS, _LIED = 3, 0.1
-# No beam's speeds are known to be off by less over a flight, m/s: of a beam that is off by a little
-# all measurements say the same, and together they would move the velocity by that.
-_LEAST_SPEED_BIAS = 0.02
-# Nor does that wander by less in a second, m/s.
-_LEAST_SPEED_WANDER = 0.005
 # Readings of each beam that were believed before: of a beam that has just come into sight, and one
 # that was believed for want of others, it cannot be told which is right.
 _PROVEN = 30
-# The block of what the ground lies above or below the target, and how it grows: heights of relief
-# differ by its slope times this length after as many metres, m.
-GROUND = "ground"
-_CORRELATION = 10.0
-# Heights of the ground so far apart differ by its slope over a metre times this power of the way:
-# lunar mare up to a kilometre (Rosenburg et al. 2011; highland is rougher yet, 0.95).
-_HURST = 0.76
-# Ground is never known better than this, m.
-_LEAST_GROUND = 0.1
-
-
-@dataclass(frozen=True)
-class LevelGround:
-    """What is known of the height of the ground, to make something of ranges.
-
-    Attributes
-    ----------
-    elevation
-        m.
-    sigma
-        Of that elevation under the lander at the start, m; None: it is taken to be so everywhere.
-    relief
-        Tangent of the slope by which it rises and falls from there.
-    """
-
-    elevation: float = 0.0
-    sigma: float | None = 10.0
-    relief: float = float(np.tan(np.deg2rad(5.0)))
-
-    def __post_init__(self) -> None:
-        for name, value in (("sigma", self.sigma), ("relief", self.relief)):
-            if value is not None and not (np.isfinite(value) and value >= 0.0):
-                raise InputError(
-                    f"navigation.ground_{name}", value, "a number that is not negative"
-                )
-        if not np.isfinite(self.elevation):
-            raise InputError("navigation.ground_elevation", self.elevation, "a finite height")
-
-    @classmethod
-    def of(cls, briefing: Briefing, relief: float) -> LevelGround:
-        """Return what a mission knows of the ground under the start.
-
-        That is the target's elevation, off by what the mission says of it and by how much relief,
-        whose slope over a metre has this tangent, lies higher or lower so far away.
-        """
-        away = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
-        rise = relief * away**_HURST
-        sigma = float(np.hypot(briefing.start.ground_sigma, rise))
-        return cls(float(briefing.target[2]), max(sigma, _LEAST_GROUND), relief)
-
-    @property
-    def growth(self) -> float:
-        """By how much the variance of the difference of two heights grows with a metre, m^2/m."""
-        return self.relief**2 * _CORRELATION
 
 
 @lru_cache
@@ -168,17 +109,6 @@ def _speeds(sensor: str) -> str:
     return f"speeds of {sensor}"
 
 
-def speed_errors(velocimeter: FixedBeams) -> tuple[float, float]:
-    """Return what the speeds of a beam are off by at the start, and what that wanders in a second.
-
-    Standard deviations, m/s: as stated, and not less than is likely.
-    """
-    return (
-        max(velocimeter.speed_bias, _LEAST_SPEED_BIAS),
-        max(velocimeter.speed_wander, _LEAST_SPEED_WANDER),
-    )
-
-
 def one_each(sensor: str, reading: AltimeterReading) -> None:
     """Refuse a reading that is not one range and one deviation.
 
@@ -223,11 +153,9 @@ class Aids:
             n: np.array(i.directions)
             for n, i in instruments.items() if isinstance(i, FixedBeams)
         }  # fmt: skip
-        self._speed_bias = {
-            n: speed_errors(i)[0] for n, i in instruments.items() if isinstance(i, FixedBeams)
-        }
-        self._wanders = {
-            n: speed_errors(i)[1] for n, i in instruments.items() if isinstance(i, FixedBeams)
+        # What beams are off by at the start, and what that wanders in a second.
+        self._speed_errors = {
+            n: speed_errors(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
         }
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
@@ -281,7 +209,7 @@ class Aids:
                 own.bias_sigma, strict=True,
             )
         ]  # fmt: skip
-        for sensor, stated in self._speed_bias.items():
+        for sensor, (stated, _) in self._speed_errors.items():
             block = _speeds(sensor)
             if self.state.has(block):
                 place, value = self.state.block(block), self.state.value(block)
@@ -353,7 +281,8 @@ class Aids:
         self._spoke[sensor] = time
         if self.state.has(block):
             own = np.arange(self.state.block(block).start, self.state.block(block).stop)
-            self.state.widen(own, self._wanders[sensor] ** 2 * (time - last) * np.eye(len(own)))
+            wander = self._speed_errors[sensor][1]
+            self.state.widen(own, wander**2 * (time - last) * np.eye(len(own)))
 
     def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> Outcome:
         one, block = slice(k, k + 1), _speeds(sensor)

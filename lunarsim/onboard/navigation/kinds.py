@@ -16,8 +16,8 @@ from lunarsim.messages.measurements import (
     InertialSamples,
     LidarScan,
 )
-from lunarsim.onboard.navigation.aids import LevelGround
 from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.parts.quantity import check_bounds, quantity
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.aids import Aids, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import BLAS, KEY, ErrorState
 from lunarsim.onboard.navigation.estimate import (
@@ -23,6 +23,7 @@ from lunarsim.onboard.navigation.estimate import (
     NavigationEvent,
 )
 from lunarsim.onboard.navigation.inertial import ATTITUDE, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
 from lunarsim.onboard.navigation.parts import Part, Shared, most_of, scanner_blocks

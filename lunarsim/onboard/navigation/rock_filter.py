@@ -16,9 +16,10 @@ from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import add_outer, measured_rows
-from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.aids import Aids, blocks_of
 from lunarsim.onboard.navigation.error_state import BLAS, KEY, MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse
 from lunarsim.onboard.navigation.rock_sight import Sight, sight_of

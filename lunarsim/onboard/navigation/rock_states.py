@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.aids import GROUND, LevelGround
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
+from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
 
 Array = NDArray[np.float64]

@@ -39,7 +39,7 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, LevelGround, gate_of, one_each, speed_errors
+from lunarsim.onboard.navigation.aids import WATCHED, gate_of, one_each
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
@@ -50,6 +50,8 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
+from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.measured import speed_errors
 from lunarsim.onboard.navigation.watch import Verdict, Watch
 from lunarsim.parts.quantity import check_bounds, quantity
 

@@ -13,9 +13,10 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import GROUND, Aids, LevelGround, blocks_of, gate_of
+from lunarsim.onboard.navigation.aids import Aids, blocks_of, gate_of
 from lunarsim.onboard.navigation.error_state import ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))

@@ -13,10 +13,11 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import planar
-from lunarsim.onboard.navigation.aids import Aids, LevelGround, blocks_of
+from lunarsim.onboard.navigation.aids import Aids, blocks_of
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter

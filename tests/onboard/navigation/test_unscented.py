@@ -15,8 +15,8 @@ from lunarsim.messages.measurements import (
 )
 from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import LevelGround
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.unscented import UnscentedFilter, UnscentedNavigation
 
 TILT = quat_from_rotation_vector([0.2, -0.1, 0.3])

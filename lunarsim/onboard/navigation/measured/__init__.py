@@ -2,6 +2,6 @@
 
 from lunarsim.onboard.navigation.measured.attitude import take_attitude
 from lunarsim.onboard.navigation.measured.ranges import LEAST_DOWN, take_range
-from lunarsim.onboard.navigation.measured.speeds import take_speeds
+from lunarsim.onboard.navigation.measured.speeds import speed_errors, take_speeds
 
-__all__ = ["LEAST_DOWN", "take_attitude", "take_range", "take_speeds"]
+__all__ = ["LEAST_DOWN", "speed_errors", "take_attitude", "take_range", "take_speeds"]

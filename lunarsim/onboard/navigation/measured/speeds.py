@@ -8,9 +8,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.frames import quat_to_matrix
+from lunarsim.models.instruments import FixedBeams
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 
 _COLUMNS = np.r_[3:6, 9:12]
+# No beam's speeds are known to be off by less over a flight, m/s: of a beam that is off by a little
+# all measurements say the same, and together they would move the velocity by that.
+_LEAST_SPEED_BIAS = 0.02
+# Nor does that wander by less in a second, m/s.
+_LEAST_SPEED_WANDER = 0.005
+
+
+def speed_errors(velocimeter: FixedBeams) -> tuple[float, float]:
+    """Return what the speeds of a beam are off by at the start, and what that wanders in a second.
+
+    Standard deviations, m/s: as stated, and not less than is likely.
+    """
+    return (
+        max(velocimeter.speed_bias, _LEAST_SPEED_BIAS),
+        max(velocimeter.speed_wander, _LEAST_SPEED_WANDER),
+    )
 
 
 def take_speeds(
