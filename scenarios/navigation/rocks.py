@@ -27,8 +27,8 @@ from lunarsim.campaign.pool import gathered
 from lunarsim.frames import turned_about_up
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import ShadowMapper
-from lunarsim.onboard.navigation.aids import GROUND
 from lunarsim.onboard.navigation.error_state import MAP
+from lunarsim.onboard.navigation.level_ground import GROUND
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
