@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from scipy.stats import t
 
-from lunarsim.evaluation.statistics import summarise
+from lunarsim.evaluation.statistics import mean_interval, summarise
 from lunarsim.scenario import Scenario
 from lunarsim.viz.style import COLOURS, new_figure, policy_colour, save
 
@@ -167,12 +166,11 @@ def _draw_shifts(
             shift = paired(rows, names[0], name, column) / limit
             if not shift.size:
                 continue
-            at, mean = place + aside, float(shift.mean())
+            at, found = place + aside, mean_interval(shift)
+            low, high = found.mean - found.half, found.mean + found.half
             ax.plot([shift.min(), shift.max()], [at, at], color=colour, lw=0.8)
-            if shift.size > 1:
-                half = float(t.ppf(0.975, shift.size - 1) * shift.std(ddof=1) / np.sqrt(shift.size))
-                ax.plot([mean - half, mean + half], [at, at], color=colour, lw=3.0)
-            ax.plot(mean, at, markers[n], color=colour, mec="black", mew=0.6)
+            ax.plot([low, high], [at, at], color=colour, lw=3.0)  # NaN of one flight: no bar
+            ax.plot(found.mean, at, markers[n], color=colour, mec="black", mew=0.6)
     ax.axvline(0.0, color="black", lw=0.8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"difference from {names[0]}\non the same world, over the limit")
