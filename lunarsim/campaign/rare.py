@@ -19,13 +19,11 @@ from lunarsim.campaign.analysis import arm_rows, column
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.results import Results
-from lunarsim.campaign.subset_share import chains_of, share_of
+from lunarsim.campaign.subset_share import FEW, chains_of, share_of
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.comparisons import greatest_share
 
 Array = NDArray[np.float64]
-# Even failures that weighted ones must be worth, or the interval is said to be rough.
-_FEW = 20
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class RareShare:
     @property
     def few(self) -> bool:
         """Whether so few have failed that the interval is rough."""
-        return not self.told_by >= _FEW
+        return not self.told_by >= FEW
 
 
 def rare_shares(
@@ -166,7 +164,7 @@ def weighted_share(
     wide = float(np.exp(ndtri(0.975) * error / value))
     worth = value * (1.0 - value) / error**2 if error > 0.0 else nan
     high = value * wide
-    if _told_by(weights[hits]) < _FEW:
+    if _told_by(weights[hits]) < FEW:
         heavy = int((hits & (weights >= 0.5 * most)).sum())
         high = max(high, most * greatest_share(heavy, count))
     return value, value / wide, min(1.0, high), float(worth)

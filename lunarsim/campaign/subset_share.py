@@ -25,8 +25,9 @@ from lunarsim.campaign.subset import Chains, Level
 from lunarsim.errors import InputError
 from lunarsim.evaluation.comparisons import greatest_share
 
-# Fewer worlds do not tell how often a world fails.
-FEW_WORLDS = 20
+# Fewer failures that count alike, or fewer worlds of them, do not tell how often one fails: an
+# interval is rough then, and reaches farther.
+FEW = 20
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,11 @@ def _share_that_many_reach(levels: Sequence[Level]) -> float:
     """
     reached, spread, most = 1.0, 0.0, 1.0
     for level in levels[:-1]:
-        if len(np.unique(level.worlds)) < FEW_WORLDS:
+        if len(np.unique(level.worlds)) < FEW:
             return most
         reached, spread = reached * level.share, spread + float(np.sqrt(variance_of(level)))
         most = reached * _wide(spread)
-    return most if len(np.unique(levels[-1].worlds)) < FEW_WORLDS else 0.0
+    return most if len(np.unique(levels[-1].worlds)) < FEW else 0.0
 
 
 def _wide(variation: float) -> float:
