@@ -23,7 +23,8 @@ class _Helper:
     Parameters
     ----------
     command
-        A module, to be run as ``python -m``, and its arguments.
+        A module, to be run as ``python -m``, and its arguments; ``--parent`` and the number of this
+        process are added, so that it can end with it.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -34,8 +35,8 @@ class _Helper:
         """Start it, if there is a processor for it; what it prints is nobody's concern."""
         if self._command and len(os.sched_getaffinity(0)) > 1:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", *self._command], stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                [sys.executable, "-m", *self._command, "--parent", str(os.getpid())],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip
 
     def stop(self) -> None:

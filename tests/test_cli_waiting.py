@@ -54,7 +54,8 @@ def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
         assert gc.get_threshold() != before
         _compile_two()
         assert processes.ended == 0
-    assert processes.started == [[sys.executable, "-m", "a.module", "--word"]]
+    told = ["a.module", "--word", "--parent", str(os.getpid())]
+    assert processes.started == [[sys.executable, "-m", *told]]
     assert processes.ended == 1
     assert gc.get_threshold() == before
     said = capsys.readouterr().err.splitlines()
@@ -119,13 +120,14 @@ def runs(pid: int) -> bool:
 
 def test_the_process_that_helps_ends_with_the_one_that_began_it():
     helper = (
-        "import os; from lunarsim.safety.warming import end_with\n"
+        "import sys; from lunarsim.safety.warming import end_with\n"
         "print(flush=True)\n"
-        "end_with(os.getppid())\n"
+        "end_with(int(sys.argv[1]))\n"
     )
     parent = (
-        "import subprocess, sys\n"
-        f"helper = subprocess.Popen([sys.executable, '-c', {helper!r}], stdout=subprocess.PIPE)\n"
+        "import os, subprocess, sys\n"
+        f"command = [sys.executable, '-c', {helper!r}, str(os.getpid())]\n"
+        "helper = subprocess.Popen(command, stdout=subprocess.PIPE)\n"
         "helper.stdout.readline()\n"
         "print(helper.pid, flush=True)\n"
         "helper.wait()\n"

@@ -1,4 +1,4 @@
-"""Compiles the kernels of the safety tests: `python -m lunarsim.safety.warming [--exact]`.
+"""Compiles the kernels of the safety tests: `python -m lunarsim.safety.warming --help`.
 
 They are kept on disk for every process of the machine; see `lunarsim.cli_waiting`.
 """
@@ -6,10 +6,10 @@ They are kept on disk for every process of the machine; see `lunarsim.cli_waitin
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import time
 
+import click
 import numpy as np
 
 from lunarsim.grid import Grid
@@ -31,12 +31,22 @@ def warm(exact: bool) -> None:
 
 
 def end_with(parent: int) -> None:
-    """End this process once its parent is another one: whoever waited for it is gone."""
+    """End this process once its parent is not that one: whoever waited for it is gone."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)
 
 
+@click.command()
+@click.option("--exact", is_flag=True, help="Those of the exact map too.")
+@click.option("--parent", type=int, default=None, help="Process to end with; left out: none.")
+def main(exact: bool, parent: int | None) -> None:
+    """Compile the kernels of the safety tests, for every process of the machine."""
+    if parent is not None:
+        # It is told which: who asks for its parent too late is told another.
+        threading.Thread(target=end_with, args=(parent,), daemon=True).start()
+    warm(exact)
+
+
 if __name__ == "__main__":
-    threading.Thread(target=end_with, args=(os.getppid(),), daemon=True).start()
-    warm("--exact" in sys.argv[1:])
+    main()
