@@ -5,7 +5,8 @@ gives the highest probability, `scoreboard` where the quadtree's own ranking doe
 each index carries all mappers: their maps are judged by exact safety at its first and its last
 decision, by stratum of the true ground, over all ground that any of them has seen. Where a map
 claims that its probability is a frequency it is judged as one, elsewhere it is a bound. Intervals
-are 95 %: Wilson's for landings, bootstrap over flights for maps.
+are 95 %: Wilson's for landings, bootstrap over flights for maps. With --out every flight is kept
+as it ends: the same command goes on after an interrupt.
 
 python scenarios/lidar_maps/compare_mappers.py --flights 100 --jobs 2 --out out/mappers
 """
@@ -14,12 +15,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 from flown import MAPPERS, STRATA, WAYS, WORLDS, Flown, Judged, Task, fly
+from flown_kept import flown_or_kept
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
@@ -267,7 +270,7 @@ def _points(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results but for times do not depend on it.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for figures.json and the picture.")  # fmt: skip
+              help="Folder for figures.json, the picture and each flight.")  # fmt: skip
 def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
     """Fly every map over every world and compare."""
     console = Console(width=200)
@@ -278,7 +281,8 @@ def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> N
     if len(set(names)) < len(names):
         raise click.UsageError(f"--worlds = {worlds!r}: each world once")
     tasks = [Task(world, i, seed) for world in names for i in range(flights)]
-    done = gathered(fly, tasks, jobs, console, "flights")
+    flight = fly if out is None else partial(flown_or_kept, out / "flights")
+    done = gathered(flight, tasks, jobs, console, "flights")
     by_world: dict[str, Flights] = {}
     for task, flown in zip(tasks, done, strict=False):
         by_world.setdefault(task.world, []).append(flown)

@@ -148,12 +148,15 @@ def small_world(script, monkeypatch, tmp_path):
     worlds = {"small": ("small.toml", {"rocks": {"cover": 0.04}})}
     for module in (flown, compare):
         monkeypatch.setattr(module, "WORLDS", worlds)
+    kept = script("lidar_maps", "flown_kept")
+    monkeypatch.setattr(kept, "flown", flown)
+    monkeypatch.setattr(compare, "flown_or_kept", kept.flown_or_kept)
     monkeypatch.setattr(compare, "fly", flown.fly)
     monkeypatch.setattr(compare, "Task", flown.Task)
     return flown, compare
 
 
-def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path):
+def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeypatch):
     flown, compare = small_world
     options = ["--flights", "2", "--worlds", "small", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(compare.main, options)
@@ -168,6 +171,18 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path):
     assert calibrated["last"]["precision"][0] > 0.8
     assert calibrated["first"] != calibrated["last"], "maps grow between decisions"
     assert (tmp_path / "out" / "mappers.png").stat().st_size > 20_000
+    shown = (tmp_path / "out" / "figures.json").read_text()
+    monkeypatch.setattr(flown, "fly", None)  # kept: nothing is flown again
+    again = CliRunner().invoke(compare.main, options)
+    assert again.exit_code == 0, again.output
+    assert (tmp_path / "out" / "figures.json").read_text() == shown
+    kept = next((tmp_path / "out" / "flights").iterdir())
+    kept.write_text(kept.read_text().replace('"code": "', '"code": "0'))
+    other = CliRunner().invoke(compare.main, options)
+    assert other.exit_code == 1
+    assert "other code" in other.output
+    kept.write_text("{")
+    assert "is no kept flight" in CliRunner().invoke(compare.main, options).output
     wrong = CliRunner().invoke(compare.main, ["--worlds", "Mars"])
     assert wrong.exit_code == 2
     assert "Mars" in wrong.output
