@@ -6,12 +6,16 @@ each relief, each rock law, each lander and each range, to judge it on what it h
 is an ensemble: to its worlds, and without each of them.
 
 python scenarios/lidar_maps/calibration.py --scenes 480 --jobs 2 --out out/lidar_maps
+
+With --row one row alone is judged, on more scenes of it than the matrix has:
+
+python scenarios/lidar_maps/calibration.py --scenes 480 --row "rocks posts" --fresh 200
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -148,8 +152,13 @@ def left_out(judged: list[Judged]) -> Iterator[tuple[str, list[Judged], list[Jud
                 yield f"{axis} {name}", others, kept
 
 
+FIGURES = ("base", "ece", "chance", "skill", "share", "gap", "surer", "right")
+
+
 def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return how well probabilities (n,) tell what is safe (n,)."""
+    """Return how well probabilities (n,) tell what is safe (n,): `FIGURES`, NaN of none."""
+    if not p.size:
+        return dict.fromkeys(FIGURES, np.nan)
     base = safe.mean()
     sure, surer = p > 0.95, p > 0.99
     return {
@@ -201,6 +210,10 @@ class Row:
 def table_of(rows: list[Row]) -> Table:
     """Return the figures of rows of the matrix."""
     table = Table(title="Sites in the domain; each row judged by the fit without it")
+
+    def number(value: float, form: str) -> str:
+        return format(value, form) if np.isfinite(value) else "-"
+
     for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE",
                     "by chance\n(95 %)", "Brier\nskill", "p > 0.95", "mean p less\nshare safe",
                     "p > 0.99", "share\nsafe", "not claimed,\np > 0.5", "mean p", "share\nsafe",
@@ -213,9 +226,10 @@ def table_of(rows: list[Row]) -> Table:
         own = [f"{v[out].mean():.3f}" if out.any() else "-" for v in (p, sites.safe)]
         least, where = worst_stratum(p, k, sites)
         table.add_row(
-            row.name, f"{k.size}", f"{k.mean():.2f}", f"{f['base']:.3f}", f"{f['ece']:.4f}",
-            f"{f['chance']:.4f}", f"{f['skill']:+.3f}", f"{f['share']:.2f}", f"{f['gap']:+.4f}",
-            f"{f['surer']:.2f}", f"{f['right']:.4f}", f"{out.sum()}", *own, f"{least:+.2f}", where,
+            row.name, f"{k.size}", f"{k.mean():.2f}", number(f["base"], ".3f"),
+            number(f["ece"], ".4f"), number(f["chance"], ".4f"), number(f["skill"], "+.3f"),
+            number(f["share"], ".2f"), number(f["gap"], "+.4f"), number(f["surer"], ".2f"),
+            number(f["right"], ".4f"), f"{out.sum()}", *own, number(least, "+.2f"), where,
         )  # fmt: skip
     return table
 
@@ -260,6 +274,11 @@ def options(count: int, own: str) -> Callable[[F], F]:
                      help=f"Write the model to this file; the package's own is {own}."),
         click.option("--out", "picture", type=click.Path(path_type=Path, file_okay=False),
                      default=None, help="Folder for the diagram."),
+        click.option("--row", type=click.Choice(tuple(_REPLACED)), default=None, metavar="ROW",
+                     help="Judge this row alone ('rocks posts', 'relief pits', 'lander small'), by "
+                     "the fit without it, on scenes that are in no fit."),
+        click.option("--fresh", type=click.IntRange(min=1), default=120, show_default=True,
+                     help="Scenes that --row is judged on."),
     )  # fmt: skip
 
     def decorate(function: F) -> F:
@@ -270,47 +289,110 @@ def options(count: int, own: str) -> Callable[[F], F]:
     return decorate
 
 
+# Rows that scenes of any other become by a part of theirs replaced.
+_REPLACED = {
+    f"{axis} {name}": {axis: name}
+    for axis, names in (("relief", RELIEFS), ("rocks", ROCKS), ("lander", tuple(LANDERS)))
+    for name in names
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """A map and its probability.
+
+    Attributes
+    ----------
+    command
+        That fits and judges it.
+    judge, draw
+        Map and judge a scene; draw so many scenes by a seed.
+    rising, farther, hopeless
+        As for `fitted` and `probability`.
+    """
+
+    command: str
+    judge: Callable[[Scene], Judged]
+    draw: Callable[[int, int], list[Scene]]
+    rising: int
+    farther: float = FARTHER
+    hopeless: float = HOPELESS
+
+    def row(self, name: str, model: Ensemble, inside: list[Judged]) -> Row:
+        """Return what a model says of scenes."""
+        sites = Sites.of(inside)
+        return Row(name, *probability(model, sites, self.farther, self.hopeless), sites)
+
+
 def report(
+    method: Method,
     judged: list[Judged],
-    rising: int,
     note: str,
     target: Path | None,
     picture: Path | None,
     jobs: int,
     console: Console,
-    farther: float = FARTHER,
-    hopeless: float = HOPELESS,
 ) -> None:
     """Fit to all scenes and write that model; judge every row of the matrix by a fit without it."""
-    model = fitted(judged, rising, note)
+    model = fitted(judged, method.rising, note)
     if target is not None:
         model.save(target)
     left = list(left_out(judged))
-    fit = partial(fitted, rising=rising, start=model)
+    fit = partial(fitted, rising=method.rising, start=model)
     models = [model, *gathered(fit, [others for _, others, _ in left], jobs, console, "fits")]
     kept = [("nothing", judged), *((name, inside) for name, _, inside in left)]
-    rows = []
-    for (name, inside), own in zip(kept, models, strict=False):
-        sites = Sites.of(inside)
-        p, claimed = probability(own, sites, farther, hopeless)
-        if claimed.any():
-            rows.append(Row(name, p, claimed, sites))
+    rows = [
+        method.row(name, own, inside)
+        for (name, inside), own in zip(kept, models, strict=False)
+    ]  # fmt: skip
     console.print(table_of(rows))
+    rows = [row for row in rows if row.claimed.any()]
     if picture is not None:
         draw(rows, picture)
 
 
+def judged_again(method: Method, judged: list[Judged], name: str, fresh: list[Judged]) -> Row:
+    """Judge fresh scenes of a row of the matrix by the fit to all scenes that are not of it."""
+    others = next((others for row, others, _ in left_out(judged) if row == name), judged)
+    return method.row(name, fitted(others, method.rising), fresh)
+
+
+def fresh_scenes(method: Method, name: str, count: int, seed: int) -> list[Scene]:
+    """Draw scenes of a row; the matrix of the same seed has none of them."""
+    changes: dict[str, Any] = _REPLACED[name]
+    return [replace(scene, **changes) for scene in method.draw(count, seed + 1)]
+
+
+def study(
+    method: Method, *, count: int, seed: int, jobs: int, file: Path | None, target: Path | None,
+    picture: Path | None, row: str | None, fresh: int,
+) -> None:  # fmt: skip
+    """Do what the options of a calibration ask for."""
+    if row is not None and (target is not None or picture is not None):
+        raise click.UsageError("--row judges one row: it saves no model and draws no diagram")
+    console = Console(width=205)
+    judged = judged_scenes(method.judge, method.draw(count, seed), file, jobs, console)
+    judged = [j for j in judged if len(j.safe)]
+    if row is not None:
+        deck = fresh_scenes(method, row, fresh, seed)
+        more = [j for j in gathered(method.judge, deck, jobs, console, "scenes") if len(j.safe)]
+        console.print(table_of([judged_again(method, judged, row, more)]))
+        return
+    note = f"{method.command} --scenes {count} --seed {seed}"
+    path = None if picture is None else picture / f"{Path(method.command).stem}.png"
+    report(method, judged, note, target, path, jobs, console)
+
+
+def drawn(count: int, seed: int) -> list[Scene]:
+    """Return scenes of all ranges."""
+    return list(scenes(count, seed))
+
+
 @click.command()
 @options(480, "lunarsim/safety/calibration.json")
-def main(
-    count: int, seed: int, jobs: int, file: Path | None, target: Path | None, picture: Path | None
-) -> None:
+def main(**wanted: Any) -> None:
     """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
-    console = Console(width=205)
-    judged = judged_scenes(judge, list(scenes(count, seed)), file, jobs, console)
-    note = f"scenarios/lidar_maps/calibration.py --scenes {count} --seed {seed}"
-    path = None if picture is None else picture / "calibration.png"
-    report(judged, RISING, note, target, path, jobs, console)
+    study(Method("scenarios/lidar_maps/calibration.py", judge, drawn, RISING), **wanted)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,12 @@ python scenarios/lidar_maps/quadtree_calibration.py --scenes 240 --jobs 2 --out 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
-from calibration import SITES, options, report
-from kept import Judged, judged_scenes
-from rich.console import Console
+from calibration import SITES, Method, options, study
+from kept import Judged
 from worlds import LANDERS, UPRIGHT, Scene, scenes
 
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
@@ -86,16 +85,10 @@ def drawn(count: int, seed: int) -> list[Scene]:
 
 @click.command()
 @options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
-def main(
-    count: int, seed: int, jobs: int, file: Path | None, target: Path | None, picture: Path | None
-) -> None:
+def main(**wanted: Any) -> None:
     """Fit the quadtree's probability, and judge it on worlds kept out of the fit."""
-    console = Console(width=205)
-    judged = judged_scenes(judge, drawn(count, seed), file, jobs, console)
-    note = f"scenarios/lidar_maps/quadtree_calibration.py --scenes {count} --seed {seed}"
-    path = None if picture is None else picture / "quadtree_calibration.png"
-    report([j for j in judged if len(j.safe)], RISING, note, target, path, jobs, console, MARGIN,
-           HOPELESS)  # fmt: skip
+    command = "scenarios/lidar_maps/quadtree_calibration.py"
+    study(Method(command, judge, drawn, RISING, MARGIN, HOPELESS), **wanted)
 
 
 if __name__ == "__main__":

@@ -38,10 +38,10 @@ _SUB = 0.15
 # Of the squared bend of the ground at a cell.
 _KINK = 0.4
 # Ground is smoother within a triangle than along its edges ...
-_WITHIN = 0.7
+_WITHIN = 0.4
 # ... but a triangle's own growth counts for more where its edges have grown by so many times their
 # noise: what stands there is as high between its corners as at them, or higher.
-_SIGNIFICANT, _BETWEEN = 6.0, 2.5
+_SIGNIFICANT, _BETWEEN = 6.0, 2.2
 
 
 @dataclass(frozen=True)
