@@ -2,8 +2,8 @@
 
 Four scans from ever lower fall on fractal ground with ellipsoid boulders. After each, the squared
 error of the mean over the variance is taken over all observed cells: those with samples of their
-own, those between samples, and those that the map shows as rocks (more than 0.12 m above the ground
-without them). 1 is right, more is too sure, less is modest.
+own, those between samples, and those that the map shows as rocks (more than 0.12 m, or four times
+the first scan's noise, above the ground without them). 1 is right, more is too sure, less modest.
 
 python scenarios/gaussian_dem/consistency.py --seeds 4 --jobs 2
 """
@@ -70,19 +70,25 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generato
     return np.column_stack((xy, terrain.elevation(xy) + sigma * rng.standard_normal(len(xy))))
 
 
-def descend(task: tuple[str, int, int]) -> np.ndarray:
-    """Return sum and number of normalised squares (strata, 2) over one descent."""
-    name, seed, index = task
+def descend(task: tuple[str, int, int, float]) -> np.ndarray:
+    """Return sum and number of normalised squares (strata, 2) over one descent.
+
+    The task is a world, the root seed, the descent, and how many times the noise of `DESCENT`.
+    """
+    name, seed, index, times = task
     rng = np.random.default_rng([seed, index, list(WORLDS).index(name)])
     terrain = made(WORLDS[name], rng)
     truth = terrain.raster(GRID)
     bare = Terrain(terrain.relief, RockField.empty()).raster(GRID)
     pool, total = SamplePool(GRID), np.zeros((len(STRATA), 2))
-    for spacing, sigma in DESCENT:
+    for spacing, usual in DESCENT:
+        sigma = times * usual
         pool.add(scan(terrain, spacing, sigma, rng), sigma, spacing)
         dem = pooled_dem(pool)
         square = (dem.mean - truth) ** 2 / dem.variance
-        rock, measured = dem.mean - bare > SHOWN, pool.splat[..., 0] > DENSE
+        # Less would pick cells by the noise in them.
+        shown = max(SHOWN, 4.0 * times * DESCENT[0][1])
+        rock, measured = dem.mean - bare > shown, pool.splat[..., 0] > DENSE
         for n, where in enumerate((measured & ~rock, ~measured & ~rock, rock)):
             own = square[dem.observed & where]
             total[n] += own.sum(), own.size
@@ -98,12 +104,14 @@ def descend(task: tuple[str, int, int]) -> np.ndarray:
     help="Descents over each world.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--noise", type=click.FloatRange(min=0.0, min_open=True), default=1.0,
+              show_default=True, help="Times the noise of the samples.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
-def main(seeds: int, seed: int, jobs: int) -> None:
+def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
     """Print the NEES of cells measured, interpolated and on rocks, world by world."""
     console = Console(width=120)
-    tasks = [(name, seed, index) for name in WORLDS for index in range(seeds)]
+    tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
     found = gathered(descend, tasks, jobs, console, "descents")
     table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans; cells")
     for heading in ("world", *STRATA):

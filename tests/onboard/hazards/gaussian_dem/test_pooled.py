@@ -116,10 +116,10 @@ def test_a_bend_is_the_greatest_of_four_directions():
             assert variance[i, j] == pytest.approx(wanted, rel=1e-4, abs=1e-7)
 
 
-def rough(seed: int) -> Terrain:
+def rough(seed: int, slope_deg: float = 5.0) -> Terrain:
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
     rng = np.random.default_rng(seed)
-    relief = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(5.0))
+    relief = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(slope_deg))
     diameters = rng.uniform(0.4, 1.2, 60)
     return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("ellipsoid")))
 
@@ -148,9 +148,9 @@ def strata(dem, pool: SamplePool, terrain: Terrain) -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_over_a_descent_it_errs_as_it_says(seed):
-    terrain, grid = rough(seed), Grid.centred((0.0, 0.0), 24.0, 0.2)
+@pytest.mark.parametrize(("seed", "slope_deg"), [(1, 5.0), (2, 5.0), (3, 12.0), (3, 1.0)])
+def test_over_a_descent_it_errs_as_it_says(seed, slope_deg):
+    terrain, grid = rough(seed, slope_deg), Grid.centred((0.0, 0.0), 24.0, 0.2)
     rng = np.random.default_rng(seed)
     pool = SamplePool(grid)
     total = {name: Consistency() for name in ("measured", "interpolated", "rocks")}
