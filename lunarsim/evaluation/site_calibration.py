@@ -14,6 +14,7 @@ from lunarsim.safety.calibration import (
     Evidence,
     bound,
     ceiling,
+    clear_of_pads,
     in_domain,
     judged,
     measured,
@@ -40,9 +41,10 @@ class Sites:
         Index of the flight.
     log_odds, agreed
         The lowest of the packaged regressions, and whether they agree.
-    ceiling, bound, known
-        What p cannot exceed, the bound outside the domain, and whether few enough rocks can stand
-        unseen for the packaged regressions.
+    ceiling, clear, bound, known
+        What p cannot exceed by what was seen, the chance that no rock lies unseen under the pads,
+        the bound outside the domain, and whether few enough rocks can stand unseen for the packaged
+        regressions.
     hazards, tilting, noise, spacing
         See `Domain`.
     safe
@@ -53,6 +55,7 @@ class Sites:
     log_odds: Array
     agreed: BoolArray
     ceiling: Array
+    clear: Array
     bound: Array
     known: BoolArray
     hazards: Array
@@ -80,12 +83,14 @@ class Sites:
         """
         n = int(where.sum())
         e = evidence
-        odds, most = odds_of(e, where, measured()), ceiling(e)[where]
+        odds = odds_of(e, where, measured())
+        most, clear = ceiling(e)[where], clear_of_pads(e)[where]
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
-            odds.verdict(most).agreed,
+            odds.verdict(np.minimum(most, clear)).agreed,
             most,
+            clear,
             bound(e)[where],
             in_domain(e)[where],
             e.hazards()[where],
@@ -120,7 +125,9 @@ class Sites:
     def probability(self, refit: ScenarioCalibration | None = None) -> Array:
         """Return what a map says of the sites (n,): the packaged way, or with a refit."""
         covered = self.known if refit is None else self.inside(refit.domain)
-        return judged(self.log_odds, self.ceiling, self.bound, self.known, covered, refit)
+        return judged(
+            self.log_odds, self.ceiling, self.clear, self.bound, self.known, covered, refit
+        )
 
     def fitted(self, lander: Lander) -> ScenarioCalibration:
         """Fit the last stage to the sites in their domain.

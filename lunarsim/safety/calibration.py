@@ -292,17 +292,18 @@ def calibrated_safety(
     covered = known if refit is None else in_domain(evidence, refit.domain)
     p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():
-        most, least = ceiling(evidence)[seen], bound(evidence)[seen]
-        said = odds_of(evidence, seen, model)
-        p[seen] = judged(said.low, most, least, known[seen], covered[seen], refit)
+        most, clear = ceiling(evidence)[seen], clear_of_pads(evidence)[seen]
+        least, said = bound(evidence)[seen], odds_of(evidence, seen, model)
+        p[seen] = judged(said.low, most, clear, least, known[seen], covered[seen], refit)
         if refit is None:
-            claimed[seen] &= said.verdict(most).agreed
+            claimed[seen] &= said.verdict(np.minimum(most, clear)).agreed
     return p, claimed
 
 
 def judged(
     odds: Array,
     most: Array,
+    clear: Array,
     least: Array,
     known: BoolMap,
     covered: BoolMap,
@@ -311,24 +312,26 @@ def judged(
     """Return the probability of sites (n,).
 
     Where a fit has not seen their like, or does not call them surely safe, it is the fits' with a
-    wider margin, and at most the bound.
+    wider margin, and at most the bound. In its domain a refit knows by its scenario's own sites
+    what rocks under the pads do; elsewhere the chance that there is none holds.
 
     Parameters
     ----------
     odds
         Lowest log odds of the sites (n,).
-    most, least
-        `ceiling` and `bound` of the sites (n,).
+    most, clear, least
+        `ceiling`, `clear_of_pads` and `bound` of the sites (n,).
     known, covered
         Which of them lie in the domain of the regression, and in that of the refit (n,); the same
         without one.
     refit
         As for `calibrated_safety`.
     """
+    both = np.minimum(most, clear)
     if refit is None:
-        return cautious(odds, most, least, covered, FARTHER)
+        return cautious(odds, both, least, covered, FARTHER)
     p = np.minimum(refit.probability(odds, known), most)
-    lowest = doubted(odds, most, least, FARTHER)
+    lowest = doubted(odds, both, least, FARTHER)
     return np.asarray(np.where(covered, p, np.minimum(p, lowest)))
 
 
@@ -337,14 +340,19 @@ def ceiling(evidence: Evidence) -> Array:
 
     Sums of evidence let much that is good make up for one thing that is fatal. Where the support
     planes give slope or roughness less than one chance in so many, that is all there is. Just under
-    the limit of the slope no fit has seen enough ground to call any surely safe. On a slope a rock
-    under a pad need not be high to tilt the lander too far: what is left is the chance that none
-    of twice as many as may be there unseen is.
+    the limit of the slope no fit has seen enough ground to call any surely safe.
     """
     e = evidence
     least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
-    seen = np.minimum(np.interp(e.slope, *_LEFT_OF_SLOPE), _ODDS * least)
-    return np.asarray(np.minimum(seen, np.exp(-_UNDER_PADS * e.tilting())))
+    return np.asarray(np.minimum(np.interp(e.slope, *_LEFT_OF_SLOPE), _ODDS * least))
+
+
+def clear_of_pads(evidence: Evidence) -> Array:
+    """Return the chance that no unseen rock tilts the lander too far, however many (rows, cols).
+
+    On a slope a rock under a pad need not be high for that: twice as many count as may be there.
+    """
+    return np.asarray(np.exp(-_UNDER_PADS * evidence.tilting()))
 
 
 def bound(evidence: Evidence) -> Array:

@@ -38,7 +38,15 @@ from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.calibration import FARTHER, RISING, bound, ceiling, features, in_domain
+from lunarsim.safety.calibration import (
+    FARTHER,
+    RISING,
+    bound,
+    ceiling,
+    clear_of_pads,
+    features,
+    in_domain,
+)
 from lunarsim.safety.ensemble import HOPELESS, Ensemble, cautious
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
@@ -67,7 +75,7 @@ def judge(scene: Scene) -> Judged:
         scene,
         features(evidence, where).astype(np.float32),
         in_domain(evidence)[where],
-        ceiling(evidence)[where],
+        np.minimum(ceiling(evidence), clear_of_pads(evidence))[where],
         bound(evidence)[where],
         evidence.slope[where],
         np.ones(np.count_nonzero(where), bool),

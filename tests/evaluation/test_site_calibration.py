@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import expit
@@ -53,7 +55,7 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     said = cautious(z, np.ones(n), np.full(n, 0.1), inside, FARTHER)
     truth = said if right else expit(z - MARGIN + shift)
     return Sites(
-        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n),
+        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n), clear=np.ones(n),
         agreed=agreed,
         bound=np.full(n, 0.1), known=inside, hazards=np.where(inside, 0.01, 0.2),
         tilting=np.full(n, 0.1), noise=np.full(n, 0.05), spacing=np.full(n, 0.2),
@@ -134,6 +136,13 @@ def test_a_packaged_probability_that_is_right_is_not_bettered():
     shifted = judged(*(sites(i, shift=1.5) for i in range(6)))
     assert shifted.packaged_domain.better
     assert shifted.packaged_domain.refit.ece[0] < 0.5 * shifted.packaged_domain.packaged.ece[0]
+
+
+def test_the_chance_of_rocks_under_the_pads_does_not_spoil_a_refit():
+    doubted = [replace(sites(i), clear=np.full(1500, 0.05)) for i in range(6)]
+    own = judged(*doubted).refit_domain
+    assert own.packaged.ece[0] > 0.2
+    assert own.refit.ece[0] < 0.03
 
 
 def test_flights_alike_leave_no_interval():

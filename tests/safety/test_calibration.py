@@ -22,6 +22,7 @@ from lunarsim.safety.calibration import (
     bound,
     calibrated_safety,
     ceiling,
+    clear_of_pads,
     in_domain,
     measured,
 )
@@ -142,7 +143,9 @@ def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most()
         for site in (e, far):
             p, known = calibrated_safety(site, fits_of(odds, odds))
             told = np.minimum((1.0 - UNTOLD) * expit(odds - FARTHER), bound(site))
-            assert p == pytest.approx(SURE * np.minimum(told, ceiling(site)), rel=1e-5)
+            assert p == pytest.approx(
+                SURE * np.min([told, ceiling(site), clear_of_pads(site)], axis=0), rel=1e-5
+            )
             assert not known.any()
     # Surely unsafe is a frequency again.
     p, known = calibrated_safety(e, fits_of(-4.0, -3.5))

@@ -20,6 +20,7 @@ from lunarsim.safety.calibration import (
     bound,
     calibrated_safety,
     ceiling,
+    clear_of_pads,
     features,
     in_domain,
     measured,
@@ -131,6 +132,20 @@ def test_the_ceiling_holds_after_it():
     p, _ = calibrated_safety(evidence(planes=-3.0), refit=refit((9.0, 0.1), (9.0, 0.1)))
     assert (p <= 4.0 * 0.00136).all()
     assert (p > 0.0).all()
+
+
+def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
+    e = evidence(slope=0.9, rough=0.1, level=6.0, planes=6.0, density=3.0)
+    assert (clear_of_pads(e) < 0.1).all()
+    own = refit((3.0, 1.0), (-0.2, 0.3))
+    p, known = calibrated_safety(e, refit=own)
+    assert known.all()
+    assert (p > 5.0 * clear_of_pads(e)).all()
+    # Outside of it nobody knows: the chance that there is none holds.
+    narrow = replace(own, domain=replace(WIDE, tilting=0.5 * float(e.tilting().min())))
+    q, known = calibrated_safety(e, refit=narrow)
+    assert not known.any()
+    assert (q <= clear_of_pads(e)).all()
 
 
 def sites(n=4000, inside=(0.5, 0.7), outside=(-0.6, 0.4), seed=1):
