@@ -39,9 +39,14 @@ def reference(markdown: bool) -> None:
 def check(scenario: Path, changes: tuple[str, ...]) -> None:
     """Check SCENARIO (a file or a name of `scenario list`) and print it whole.
 
-    Defaults are included. What is odd, though it can be flown, is told on stderr.
+    Defaults are included, and files that it names are read. What is odd, though it can be flown,
+    is told on stderr.
     """
-    click.echo(load_scenario(scenario, changes).to_toml(), nl=False)
+    from lunarsim.scenario.files import check_files
+
+    loaded = load_scenario(scenario, changes)
+    check_files(loaded)
+    click.echo(loaded.to_toml(), nl=False)
 
 
 @scenario.command("list")

@@ -22,6 +22,8 @@ SPEC = str(SCENARIOS / "campaigns" / "hard.toml")
 # Of every command that takes a scenario: arguments, and what the line must hold.
 OF_A_SCENARIO = [
     (["gone.toml"], ["scenario", "gone.toml", "an existing TOML file"]),
+    (["hirisee"], ["scenario = 'hirisee'", "an existing TOML file", "did you mean 'hirise'"]),
+    (["qqq"], ["scenario = 'qqq'", "an existing TOML file", "`lunarsim scenario list`"]),
     (["empty.toml"], ["scenario", "empty.toml", "at least one key"]),
     (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
     (["folder"], ["scenario", "folder", "an existing TOML file"]),
@@ -116,7 +118,13 @@ OWN = {
         (["gone", "folder"], ["gone", "manifest.json"]),
         (["gone", "folder", "--margin", "2"], ["--margin", "2"]),
     ],
-    "scenario check": [],
+    "scenario check": [
+        (["gone_dtm.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
+        (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
+        (["high.toml"], ["terrain.path", "high.tif", "elevations in metres"]),
+        ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),
+        (["wrong.tml"], ["scenario = 'wrong.tml'", "did you mean 'wrong.toml'"]),
+    ],
     "scenario show": [(["hiris"], ["NAME = 'hiris'", "did you mean 'hirise'"])],
     "scenario new": [
         (["hiris"], ["NAME = 'hiris'", "did you mean 'hirise'"]),
@@ -192,7 +200,7 @@ def mistakes(tmp_path_factory):
     _raster(here / "cut.tif", 1)
     whole = (here / "cut.tif").read_bytes()
     (here / "cut.tif").write_bytes(whole[: len(whole) // 2])
-    for name in ("bands", "high", "cut"):
+    for name in ("bands", "high", "cut", "gone_dtm"):
         (here / f"{name}.toml").write_text(f'[terrain]\nkind = "dtm"\npath = "{name}.tif"\n')
     return here
 
