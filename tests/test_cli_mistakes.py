@@ -122,6 +122,8 @@ OWN = {
         (["gone_dtm.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
         (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
         (["high.toml"], ["terrain.path", "high.tif", "elevations in metres"]),
+        (["loop.toml"], ["scenario = 'loop.toml'", "an existing TOML file"]),
+        ([GOOD, "--set", "policy=safset"], ["did you mean 'safest'? Or \"module:Class\""]),
         ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),
         (["wrong.tml"], ["scenario = 'wrong.tml'", "did you mean 'wrong.toml'"]),
     ],
@@ -194,6 +196,7 @@ def mistakes(tmp_path_factory):
     (here / "broken.toml").write_text("name = [")
     (here / "wrong.toml").write_text("[sun]\nelevation_deg = 95.0\n")
     (here / "words.toml").write_text('[vehicle]\ndry_mass_kg = "1100"\n')
+    (here / "loop.toml").symlink_to("loop.toml")
     (here / "there.json").write_text(json.dumps({}))
     _raster(here / "bands.tif", 3)
     _raster(here / "high.tif", 1, 1e30)
@@ -233,6 +236,13 @@ def test_a_mistake_is_one_line_and_leaves_nothing(command, arguments, words, mis
         assert word in lines[0]
     assert not done.stdout
     assert _state(mistakes) == before
+
+
+def test_what_is_not_there_is_not_suggested(mistakes, monkeypatch):
+    """A link to itself is listed in its folder, and is no file."""
+    monkeypatch.chdir(mistakes)
+    said = CliRunner().invoke(main, ["scenario", "check", "loop.toml"]).stderr
+    assert "did you mean 'loop.toml'" not in said
 
 
 def test_a_group_alone_prints_its_help():

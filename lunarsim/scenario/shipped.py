@@ -51,7 +51,7 @@ def found(given: Path) -> Path:
     known = names()
     if str(given) in known:
         return known[str(given)]
-    beside = [str(given.parent / p.name) for p in given.parent.glob("*.toml")]
+    beside = [str(given.parent / p.name) for p in given.parent.glob("*.toml") if p.is_file()]
     near = suggestion(str(given), [*known, *beside])
     if not near.startswith("did you mean"):
         near = "or a name that `lunarsim scenario list` shows"
