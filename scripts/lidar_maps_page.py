@@ -164,12 +164,12 @@ def load() -> dict[str, World]:
     return {file["world"]: file for file in files}
 
 
-def _finite(data: Any) -> Any:
+def finite(data: Any) -> Any:
     """Return data with None in place of what is no number."""
     if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
+        return {key: finite(value) for key, value in data.items()}
     if isinstance(data, list):
-        return [_finite(value) for value in data]
+        return [finite(value) for value in data]
     return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
@@ -178,7 +178,7 @@ def take(found: dict[str, Any], command: str) -> None:
     KEPT.mkdir(parents=True, exist_ok=True)
     for world, figures in found.items():
         name = re.sub(r"[^a-z0-9]+", "_", world.lower()).strip("_")
-        file = {"world": world, "command": command, "figures": _finite(figures)}
+        file = {"world": world, "command": command, "figures": finite(figures)}
         text = json.dumps(file, indent=1, allow_nan=False) + "\n"
         (KEPT / f"{name}.json").write_text(text, encoding="utf-8")
 

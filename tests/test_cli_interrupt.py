@@ -16,8 +16,16 @@ from lunarsim.cli import main
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
-from tests.test_cli_mistakes import GOOD, WITH, _state
+from tests.worlds import SCENARIOS
 
+GOOD = str(SCENARIOS / "golombek.toml")
+# Commands that take a scenario, and what each needs besides.
+WITH = {
+    "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
+    "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
+    "scenario check": [], "terrain preview": ["--out", "new.png"],
+    "terrain truth": ["--out", "new.nc"],
+}  # fmt: skip
 HEAD = "import os, signal, time; from lunarsim.cli_start import run\n"
 PRESS = "os.kill(os.getpid(), signal.SIGINT)"
 
@@ -58,6 +66,10 @@ def command():
     except KeyboardInterrupt:
         raise KeyboardInterrupt("a.txt is there") from None
 """
+
+
+def state(folder):
+    return {p: p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
 
 
 def _ended(command, before=""):
@@ -125,7 +137,7 @@ def test_every_command_ends_with_130(name, tmp_path, monkeypatch):
     monkeypatch.setattr(Scenario, "load", pressed)
     done = CliRunner().invoke(main, [*name.split(), GOOD, *WITH[name]])
     assert (done.exit_code, done.output) == (130, "interrupted\n")
-    assert not _state(tmp_path)
+    assert not state(tmp_path)
 
 
 @pytest.fixture
@@ -147,7 +159,7 @@ def test_an_interrupt_in_flight_leaves_nothing(small, monkeypatch):
     done = _fly()
     assert done.exit_code == 130
     assert done.stderr.splitlines()[-1] == "interrupted"
-    assert set(_state(small)) == {small / "small.toml"}
+    assert set(state(small)) == {small / "small.toml"}
 
 
 def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
@@ -158,7 +170,7 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
         patch.setattr(Scenario, "save", pressed)  # the record is written, the scenario not
         done = _fly()
     assert done.exit_code == 130
-    assert set(_state(small)) == {small / "small.toml"}
+    assert set(state(small)) == {small / "small.toml"}
     monkeypatch.setattr("lunarsim.viz.draw_flight", pressed)
     done = _fly()
     assert done.exit_code == 130
@@ -178,9 +190,9 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         write_whole(path, half)
-    assert _state(tmp_path) == {path: b"old"}
+    assert state(tmp_path) == {path: b"old"}
     write_text_whole(path, "new")
-    assert _state(tmp_path) == {path: b"new"}
+    assert state(tmp_path) == {path: b"new"}
 
 
 def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
@@ -192,7 +204,7 @@ def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
             (folder / "maps" / "one.nc").write_bytes(b"1")
             (folder / "two.txt").write_bytes(b"2")
             raise OSError("full")
-    assert set(_state(tmp_path)) == {kept}
+    assert set(state(tmp_path)) == {kept}
     with filled_whole(tmp_path / "c"):
         (tmp_path / "c").mkdir()
     assert (tmp_path / "c").is_dir()

@@ -108,7 +108,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.observation_space = observation_space(SITES)
         self.simulation: Simulation | None = None
         self._observation: Observation | None = None
-        self._frames: Frames | None = None
+        self.frames: Frames | None = None
         self._film: list[NDArray[np.uint8]] = []
         self._last: tuple[int | None, float | None] = (None, None)
         self._shrunk: tuple[object, FloatArray] | None = None
@@ -120,7 +120,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         self.simulation = Simulation(self.scenario, int(self.np_random.integers(2**62)))
         self._to_next_decision(self.simulation)
-        self._frames, self._last, self._film = None, (None, None), []
+        self.frames, self._last, self._film = None, (None, None), []
         self._take_frame()
         return self._encode(self.simulation), self._info(self.simulation)
 
@@ -179,9 +179,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Return an image of the flight as it stands."""
         assert self.simulation is not None
         assert self._observation is not None
-        if self._frames is None:
-            self._frames = Frames(self.simulation, self._observation)
-        return self._frames.draw(self._observation, *self._last)
+        if self.frames is None:
+            self.frames = Frames(self.simulation, self._observation)
+        return self.frames.draw(self._observation, *self._last)
 
     def _take_frame(self) -> None:
         """Keep an image for the mode of lists."""
@@ -194,7 +194,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         while not (simulation.done or simulation.decision_due):
             simulation.move()
             # Before the first decision there is no map to show.
-            if self._frames is not None and simulation.time > due - 1e-6:
+            if self.frames is not None and simulation.time > due - 1e-6:
                 due += 1.0 / self.metadata["render_fps"]
                 self._take_frame()
         self._observation = simulation.observe()

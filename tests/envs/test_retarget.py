@@ -136,12 +136,11 @@ def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
 
 
 def test_frames_say_what_the_reward_was_and_how_it_ended(env):
-    env.reset(seed=1)
+    _, info = env.reset(seed=1)
     env.render()
-    frames = env.unwrapped._frames
+    frames = env.unwrapped.frames
     assert "reward" not in frames.title
-    *_, info = env.step(int(np.flatnonzero(env.unwrapped._info(env.unwrapped.simulation)
-                                           ["action_mask"] == 0)[0]))  # fmt: skip
+    env.step(int(np.flatnonzero(info["action_mask"] == 0)[0]))
     env.render()
     _, reward, ended, _, info = env.step(0)
     env.render()

@@ -79,7 +79,7 @@ def test_another_figure_is_another_page(pages):
 
 
 def test_rows_hold_figures_intervals_and_dashes(pages):
-    world = pages._finite(_world())
+    world = pages.finite(_world())
     assert pages.landing_rows(world) == [
         ["one", "10", "1.00 [0.50, 0.75]", "", "12.3", "40.1"],
         ["two", "10", "0.70 [0.50, 0.75]", "1, 4 (0.38)", "12.3", "40.1"],
@@ -97,7 +97,7 @@ def test_rows_hold_figures_intervals_and_dashes(pages):
 
 
 def test_where_a_world_falls_short_is_told(pages):
-    assert pages.shortfalls(pages._finite(_world())) == [
+    assert pages.shortfalls(pages.finite(_world())) == [
         "two: 3 of 10 not safe",
         "quadtree: claims with an error of 0.031",
         "quadtree: claims with a skill of -0.50",
