@@ -42,10 +42,11 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     Defaults are included, and files that it names are read. What is odd, though it can be flown,
     is told on stderr.
     """
-    from lunarsim.scenario.files import check_files
-
     loaded = load_scenario(scenario, changes)
-    check_files(loaded)
+    # Other parts read their files when they are made.
+    check_files = getattr(loaded.terrain.make(), "check_files", None)
+    if check_files is not None:
+        check_files()
     click.echo(loaded.to_toml(), nl=False)
 
 

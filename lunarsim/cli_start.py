@@ -1,4 +1,4 @@
-"""Where the `lunarsim` command begins: Ctrl-C ends it with one line and code 130, at any time.
+"""How the `lunarsim` command is run: Ctrl-C ends it with one line and code 130, at any time.
 
 Libraries swallow interrupts: what is raised within the C code of a compiler, or while an object is
 freed, is lost or comes out as another error. Here an interrupt is raised again until it is heard.
@@ -76,18 +76,3 @@ def _quiet(unraisable: Any) -> None:
     """Say nothing of an interrupt that was lost: it is raised again."""
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)
-
-
-def main() -> None:
-    """Run the `lunarsim` command."""
-
-    def command() -> None:
-        from lunarsim.cli import main as lunarsim
-
-        lunarsim()
-
-    run(command)
-
-
-if __name__ == "__main__":
-    main()

@@ -118,14 +118,14 @@ def test_who_asked_not_to_be_interrupted_is_not():
 
 
 def test_the_command_that_is_installed_is_this_one():
-    command = [sys.executable, "-m", "lunarsim.cli_start", "scenario", "reference"]
+    command = [sys.executable, "-m", "lunarsim", "scenario", "reference"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         time.sleep(0.6)  # within its imports, or after them
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=20)[1]
     assert (process.returncode, said) in {(130, b"interrupted\n"), (0, b"")}
     entry = (cli_common.Path(__file__).parents[1] / "pyproject.toml").read_text()
-    assert 'lunarsim = "lunarsim.cli_start:main"' in entry
+    assert 'lunarsim = "lunarsim.__main__:main"' in entry
 
 
 @pytest.mark.parametrize("name", WITH)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lunarsim.errors import InputError
-
-if TYPE_CHECKING:
-    from lunarsim.scenario.scenario import Scenario
 
 
 def read_toml(path: Path, name: str) -> dict[str, Any]:
@@ -36,16 +33,3 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
     if not tables:
         raise InputError(name, str(path), "a file with at least one key: this one holds none")
     return tables
-
-
-def check_files(scenario: Scenario) -> None:
-    """Refuse files that a ground names and that cannot be read; other parts read theirs when made.
-
-    Raises
-    ------
-    InputError
-        Naming the key.
-    """
-    check = getattr(scenario.terrain.make(), "check_files", None)
-    if check is not None:
-        check()

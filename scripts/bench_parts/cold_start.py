@@ -18,7 +18,7 @@ def told():
     print("time", own.ru_utime + own.ru_stime, beside.ru_utime + beside.ru_stime)
 
 atexit.register(told)
-from lunarsim.cli_start import main
+from lunarsim.__main__ import main
 
 main()
 """
