@@ -13,11 +13,11 @@ import lunarsim
 from lunarsim.cli_campaign import campaign, replay, sweep
 from lunarsim.cli_common import (
     FLIGHT,
-    INTERRUPTED,
     PATH,
     SEED,
     Group,
     cache_options,
+    kept_if_interrupted,
     load_scenario,
     opened_cache,
     progress_bar,
@@ -25,8 +25,10 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.cli_scenario import parts, scenario
+from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_terrain import terrain
 from lunarsim.errors import InputError, check_folder, check_output
+from lunarsim.whole_files import filled_whole
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -97,13 +99,15 @@ def fly(
             _ = simulation.truth
     if out is not None:
         # Before anything is printed: whoever reads that may stop listening.
-        record.save(out)
-        loaded.save(out / "scenario.toml")
+        with filled_whole(out):
+            record.save(out)
+            loaded.save(out / "scenario.toml")
     _tell(record)
     if out is not None:
         from lunarsim.viz import draw_flight
 
-        draw_flight(record, simulation.world, simulation.truth, out)
+        with kept_if_interrupted(f"scenario and record are in {out}, not all figures"):
+            draw_flight(record, simulation.world, simulation.truth, out)
         click.echo(f"scenario, record and figures in {out}")
 
 
@@ -196,7 +200,7 @@ def compare(
     holds what all of them share.
     """
     from lunarsim.campaign.comparison import check_request
-    from lunarsim.campaign.comparison import compare as run
+    from lunarsim.campaign.comparison import compare as fly_all
     from lunarsim.campaign.engines.local import WorkersDieError
 
     loaded = load_scenario(scenario, changes)
@@ -205,7 +209,7 @@ def compare(
     kept, console = opened_cache(cache, cache_size), wide_console(170)
     with progress_bar(loaded.name, flights * len(names)) as advance:
         try:
-            result = run(
+            result = fly_all(
                 loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
                 progress=advance, cache=kept, apart=True,
                 say=lambda line: click.echo(line, err=True),
@@ -268,7 +272,7 @@ def calibrate(
     ground. The flights derive from the seed in a way of their own, so that flights of
     `lunarsim fly` and `compare` are never those that were fitted to.
     """  # noqa: D301
-    from lunarsim.campaign.calibrate import calibrate as run
+    from lunarsim.campaign.calibrate import calibrate as fit
     from lunarsim.campaign.calibrate import gaussian_mapper
     from lunarsim.campaign.calibration_report import calibration_table, verdicts
 
@@ -278,15 +282,14 @@ def calibrate(
     loaded = load_scenario(scenario, changes)
     gaussian_mapper(loaded, mapper)
     console = wide_console(170)
-    try:
-        with progress_bar(loaded.name, max(flights, 0)) as advance:
-            found = run(
-                loaded, flights=flights, seed=seed, sites=sites, jobs=jobs, mapper=mapper,
-                progress=advance,
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        click.echo("interrupted: nothing was written", err=True)
-        sys.exit(INTERRUPTED)
+    with (
+        kept_if_interrupted("nothing was written"),
+        progress_bar(loaded.name, max(flights, 0)) as advance,
+    ):
+        found = fit(
+            loaded, flights=flights, seed=seed, sites=sites, jobs=jobs, mapper=mapper,
+            progress=advance,
+        )  # fmt: skip
     found.calibration.save(out)
     console.print(calibration_table(found))
     for line in verdicts(found):
@@ -384,4 +387,4 @@ def _table(result: Any) -> Table:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

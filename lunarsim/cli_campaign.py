@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lunarsim.cli_common import (
-    INTERRUPTED,
     PATH,
     cache_options,
+    kept_if_interrupted,
     load_scenario,
     opened_cache,
     progress_bar,
     scenario_options,
     wide_console,
 )
+from lunarsim.cli_start import INTERRUPTED
 from lunarsim.errors import InputError, check_folder, check_output
+from lunarsim.whole_files import filled_whole
 
 if TYPE_CHECKING:
     from lunarsim.campaign.results import Results
@@ -70,8 +72,8 @@ def plan(spec: Path, out: Path | None) -> None:
         check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
     planned = plan_of(CampaignSpec.load(spec))
     if out is not None:
-        from lunarsim.campaign.files import write_whole
         from lunarsim.campaign.planned import write_plan
+        from lunarsim.whole_files import write_whole
 
         write_whole(out, lambda path: write_plan(planned, path, out.suffix.lower()))
         told = f"{planned.flights} flights of {len(planned.arms)} arms"
@@ -381,7 +383,8 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     found = fly(folder, flight)
     if out is not None:
         # Before anything is printed: whoever reads that may stop listening.
-        found.flight.save(out)
+        with filled_whole(out):
+            found.flight.save(out)
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():
         table.add_row(name, _word(value))
@@ -397,7 +400,8 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     if out is not None:
         from lunarsim.viz import draw_flight
 
-        draw_flight(found.flight, found.simulation.world, found.simulation.truth, out)
+        with kept_if_interrupted(f"the record is in {out}, not all figures"):
+            draw_flight(found.flight, found.simulation.world, found.simulation.truth, out)
         click.echo(f"record and figures in {out}")
     if found.differences:
         sys.exit(1)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from lunarsim.cli_start import INTERRUPTED, end_of, heard
 from lunarsim.errors import InputError, RenderingError
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-INTERRUPTED = 130
 PATH = click.Path(path_type=Path)
 
 
@@ -41,6 +41,9 @@ class Group(click.Group):
             _end(ctx, str(error), 2)
         except RenderingError as error:
             _end(ctx, str(error), 1)
+        except KeyboardInterrupt as error:
+            heard()
+            _end(ctx, end_of(error), INTERRUPTED, kind="")
         except MemoryError as error:
             _end(ctx, f"memory: {error or 'not enough'}; smaller sizes take less", 1)
         except OSError as error:
@@ -52,9 +55,9 @@ class Group(click.Group):
             _end(ctx, f"{error.filename}: {error.strerror}", 2)
 
 
-def _end(ctx: click.Context, message: str, code: int) -> None:
+def _end(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
     """Write a message as one line and leave."""
-    click.echo("error: " + " ".join(message.split()), err=True)
+    click.echo(kind + " ".join(message.split()), err=True)
     ctx.exit(code)
 
 
@@ -141,6 +144,15 @@ def wide_console(width: int) -> Console:
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else width)
+
+
+@contextmanager
+def kept_if_interrupted(what: str) -> Iterator[None]:
+    """Say in the line about an interrupt what is there all the same."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(what) from None
 
 
 @contextmanager

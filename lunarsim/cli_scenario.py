@@ -39,9 +39,15 @@ def reference(markdown: bool) -> None:
 def check(scenario: Path, changes: tuple[str, ...]) -> None:
     """Check SCENARIO (a file or a name of `scenario list`) and print it whole.
 
-    Defaults are included. What is odd, though it can be flown, is told on stderr.
+    Defaults are included, and files that it names are read. What is odd, though it can be flown,
+    is told on stderr.
     """
-    click.echo(load_scenario(scenario, changes).to_toml(), nl=False)
+    loaded = load_scenario(scenario, changes)
+    # Other parts read their files when they are made.
+    check_files = getattr(loaded.terrain.make(), "check_files", None)
+    if check_files is not None:
+        check_files()
+    click.echo(loaded.to_toml(), nl=False)
 
 
 @scenario.command("list")

@@ -74,7 +74,7 @@ def compilation_told(beside: Sequence[str] = ()) -> Iterator[None]:
             self.begun = time.perf_counter()
             if not self.count:
                 self.last = self.begun
-                click.echo("compiling kernels, once on this machine: half a minute", err=True)
+                click.echo("compiling kernels, once on this machine; counted here", err=True)
                 helper.start()
 
         def on_end(self, event: Any) -> None:

@@ -16,6 +16,7 @@ import click
 import numba
 from bench_parts.campaigns import campaign
 from bench_parts.closed_loop import flight, frames
+from bench_parts.cold_start import cold_start
 from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
@@ -31,6 +32,7 @@ PARTS: dict[str, Callable[[], None]] = {
     for part in (
         flight,
         frames,
+        cold_start,
         gaussian_dem,
         render,
         lidar,

@@ -22,6 +22,8 @@ SPEC = str(SCENARIOS / "campaigns" / "hard.toml")
 # Of every command that takes a scenario: arguments, and what the line must hold.
 OF_A_SCENARIO = [
     (["gone.toml"], ["scenario", "gone.toml", "an existing TOML file"]),
+    (["hirisee"], ["scenario = 'hirisee'", "an existing TOML file", "did you mean 'hirise'"]),
+    (["qqq"], ["scenario = 'qqq'", "an existing TOML file", "`lunarsim scenario list`"]),
     (["empty.toml"], ["scenario", "empty.toml", "at least one key"]),
     (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
     (["folder"], ["scenario", "folder", "an existing TOML file"]),
@@ -116,7 +118,15 @@ OWN = {
         (["gone", "folder"], ["gone", "manifest.json"]),
         (["gone", "folder", "--margin", "2"], ["--margin", "2"]),
     ],
-    "scenario check": [],
+    "scenario check": [
+        (["gone_dtm.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
+        (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
+        (["high.toml"], ["terrain.path", "high.tif", "elevations in metres"]),
+        (["loop.toml"], ["scenario = 'loop.toml'", "an existing TOML file"]),
+        ([GOOD, "--set", "policy=safset"], ["did you mean 'safest'? Or \"module:Class\""]),
+        ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),
+        (["wrong.tml"], ["scenario = 'wrong.tml'", "did you mean 'wrong.toml'"]),
+    ],
     "scenario show": [(["hiris"], ["NAME = 'hiris'", "did you mean 'hirise'"])],
     "scenario new": [
         (["hiris"], ["NAME = 'hiris'", "did you mean 'hirise'"]),
@@ -186,13 +196,14 @@ def mistakes(tmp_path_factory):
     (here / "broken.toml").write_text("name = [")
     (here / "wrong.toml").write_text("[sun]\nelevation_deg = 95.0\n")
     (here / "words.toml").write_text('[vehicle]\ndry_mass_kg = "1100"\n')
+    (here / "loop.toml").symlink_to("loop.toml")
     (here / "there.json").write_text(json.dumps({}))
     _raster(here / "bands.tif", 3)
     _raster(here / "high.tif", 1, 1e30)
     _raster(here / "cut.tif", 1)
     whole = (here / "cut.tif").read_bytes()
     (here / "cut.tif").write_bytes(whole[: len(whole) // 2])
-    for name in ("bands", "high", "cut"):
+    for name in ("bands", "high", "cut", "gone_dtm"):
         (here / f"{name}.toml").write_text(f'[terrain]\nkind = "dtm"\npath = "{name}.tif"\n')
     return here
 
@@ -225,6 +236,13 @@ def test_a_mistake_is_one_line_and_leaves_nothing(command, arguments, words, mis
         assert word in lines[0]
     assert not done.stdout
     assert _state(mistakes) == before
+
+
+def test_what_is_not_there_is_not_suggested(mistakes, monkeypatch):
+    """A link to itself is listed in its folder, and is no file."""
+    monkeypatch.chdir(mistakes)
+    said = CliRunner().invoke(main, ["scenario", "check", "loop.toml"]).stderr
+    assert "did you mean 'loop.toml'" not in said
 
 
 def test_a_group_alone_prints_its_help():

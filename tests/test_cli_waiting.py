@@ -63,6 +63,34 @@ def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
     assert said[-1].startswith("compiled 2 kernels in ")
 
 
+def test_progress_is_told_between_the_first_line_and_the_last(processes, capsys, monkeypatch):
+    """By a clock that goes on by 4 s whenever it is read, and a line every 5 s at most."""
+    clock = iter(range(0, 1000, 4))
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
+    kernels = [numba.njit(lambda x, n=number: x + n) for number in range(3)]
+    with compilation_told():
+        for kernel in kernels:
+            kernel(1)
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "compiling kernels, once on this machine; counted here"
+    # A compilation begins, ends (4 s on), the next begins (8 s), ends (12 s on), ...
+    assert said[1:] == [
+        "  2 kernels in 8 s",
+        "  3 kernels in 12 s",
+        "compiled 3 kernels in 12 s; they are kept for next time",
+    ]
+
+
+def test_kernels_within_kernels_count_and_their_time_counts_once(processes, capsys, monkeypatch):
+    clock = iter(range(0, 1000, 1))
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
+    inner = numba.njit(lambda x: x + 1)
+    outer = numba.njit(lambda x: inner(x) + 1)
+    with compilation_told():
+        outer(1)
+    assert capsys.readouterr().err.splitlines()[-1].startswith("compiled 2 kernels in 1 s;")
+
+
 def test_nothing_is_told_where_nothing_is_compiled(processes, capsys):
     with compilation_told(["a.module"]):
         pass

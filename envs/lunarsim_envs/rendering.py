@@ -49,11 +49,12 @@ class Frames:
         figure.colorbar(self._image, ax=plan, label="probability of safety", fraction=0.046)
         west, east, south, north = grid.extent
         plan.set(xlim=(west, east), ylim=(south, north), xlabel="east (m)")
+        plan.set_ylabel("north (m)", labelpad=-2.0)
         (self._sites,) = plan.plot([], [], "o", mfc="white", mec="black", ms=4, ls="")
         self._target = Circle((0.0, 0.0), simulation.lander.leg_radius, fill=False, ec=_HERE, lw=2)
         plan.add_patch(self._target)
         self._map_title = plan.text(
-            0.5, 1.03, "", transform=plan.transAxes, ha="center", fontsize=9
+            0.5, 1.03, "", transform=plan.transAxes, ha="center", fontsize=8
         )
         self._title = figure.text(0.5, 0.96, "", ha="center", fontsize=9)
         # Axes are drawn once; a frame draws what moves over a copy of them.
@@ -78,6 +79,11 @@ class Frames:
     def map_title(self) -> str:
         """What the last frame said of its map."""
         return str(self._map_title.get_text())
+
+    @property
+    def title(self) -> str:
+        """What the last frame said of action, reward and end."""
+        return str(self._title.get_text())
 
     def draw(
         self, observation: Observation, action: int | None, reward: float | None

@@ -71,14 +71,19 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
 
     - ``scenario``: a `lunarsim.scenario.Scenario` or the path of a TOML file.
     - ``weights``: `RewardWeights`.
-    - ``render_mode``: ``"rgb_array"`` or None.
+    - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
+      every half second of the flight since the last call, down to the ground; or None.
+      ``lunarsim_envs.video.save_video`` makes a film of such frames.
 
     ## Version History
 
     - v0: first version.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array", "rgb_array_list"],
+        "render_fps": 2,
+    }
 
     def __init__(
         self,
@@ -87,7 +92,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
+            modes = ", ".join(map(repr, self.metadata["render_modes"]))
+            raise ValueError(f"render_mode = {render_mode!r}: must be {modes} or None")
         if scenario is None:
             self.scenario = default_scenario()
         elif isinstance(scenario, Scenario):
@@ -102,7 +108,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.observation_space = observation_space(SITES)
         self.simulation: Simulation | None = None
         self._observation: Observation | None = None
-        self._frames: Frames | None = None
+        self.frames: Frames | None = None
+        self._film: list[NDArray[np.uint8]] = []
         self._last: tuple[int | None, float | None] = (None, None)
         self._shrunk: tuple[object, FloatArray] | None = None
 
@@ -113,7 +120,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         self.simulation = Simulation(self.scenario, int(self.np_random.integers(2**62)))
         self._to_next_decision(self.simulation)
-        self._frames, self._last = None, (None, None)
+        self.frames, self._last, self._film = None, (None, None), []
+        self._take_frame()
         return self._encode(self.simulation), self._info(self.simulation)
 
     def step(
@@ -138,6 +146,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
                 decision = Decision(sites.position[row], "agent")
         simulation.apply(decision)
         simulation.move()
+        self._last = (0 if invalid else int(action), None)
         self._to_next_decision(simulation)
         terms = reward_terms(
             self.weights,
@@ -147,26 +156,47 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             invalid=invalid,
         )
         info = self._info(simulation) | {"reward_terms": terms}
-        self._last = (0 if invalid else int(action), sum(terms.values()))
+        self._last = (self._last[0], sum(terms.values()))
+        self._take_frame()
         return self._encode(simulation), sum(terms.values()), simulation.done, False, info
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """Return the descent, its last 60 m and the map as an image (360, 800, 3).
 
-        Axes stay as the first frame of a flight has them.
+        Axes stay as the first frame of a flight has them. In the mode of lists it returns the
+        images since the last call.
         """
         if self.render_mode is None:
             return None
         if self.simulation is None or self._observation is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
-        if self._frames is None:
-            self._frames = Frames(self.simulation, self._observation)
-        return self._frames.draw(self._observation, *self._last)
+        if self.render_mode == "rgb_array_list":
+            film, self._film = self._film, []
+            return film
+        return self._frame()
+
+    def _frame(self) -> NDArray[np.uint8]:
+        """Return an image of the flight as it stands."""
+        assert self.simulation is not None
+        assert self._observation is not None
+        if self.frames is None:
+            self.frames = Frames(self.simulation, self._observation)
+        return self.frames.draw(self._observation, *self._last)
+
+    def _take_frame(self) -> None:
+        """Keep an image for the mode of lists."""
+        if self.render_mode == "rgb_array_list":
+            self._film.append(self._frame())
 
     def _to_next_decision(self, simulation: Simulation) -> None:
         """Fly until a decision is due, or the end."""
+        due = simulation.time + 1.0 / self.metadata["render_fps"]
         while not (simulation.done or simulation.decision_due):
             simulation.move()
+            # Before the first decision there is no map to show.
+            if self.frames is not None and simulation.time > due - 1e-6:
+                due += 1.0 / self.metadata["render_fps"]
+                self._take_frame()
         self._observation = simulation.observe()
 
     def _encode(self, simulation: Simulation) -> dict[str, FloatArray]:

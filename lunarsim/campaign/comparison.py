@@ -26,7 +26,6 @@ from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.factors import Arm
-from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.run import Ran
@@ -36,6 +35,7 @@ from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.parts import resolve
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
+from lunarsim.whole_files import write_text_whole, write_whole
 
 Progress = Callable[[int], None]
 
@@ -162,10 +162,6 @@ def _compare(
     return result
 
 
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
-
-
 def _spec(
     scenario: Scenario,
     policies: Sequence[str | RetargetingPolicy],
@@ -231,4 +227,4 @@ def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
         "exactly_safe_share_at_heading": result.safe_share_at_heading,
         "seconds_per_flight": {p: _mean(s) for p, s in result.seconds.items()},
     }
-    write_whole(out / "summary.json", lambda p: _write_text(p, json.dumps(summary, indent=1)))
+    write_text_whole(out / "summary.json", json.dumps(summary, indent=1))

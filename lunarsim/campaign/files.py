@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and what a folder's results were made by."""
+"""JSON files written whole, and what a folder's results were made by."""
 
 from __future__ import annotations
 
@@ -8,43 +8,22 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import lunarsim
+from lunarsim.whole_files import write_text_whole
 
 # Packages whose versions may change a result.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
              "rasterio", "pyarrow")  # fmt: skip
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file beside `path`, bring it to the disk, and rename it to `path`.
-
-    Parameters
-    ----------
-    path
-        What a reader sees: the old file or the new one, never a part of it.
-    write
-        Writes to the path that it is given.
-    """
-    temporary = path.with_name(f".{path.name}.part")
-    write(temporary)
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
-    temporary.replace(path)
-
-
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write a JSON file whole."""
-    text = json.dumps(data, indent=1)
-    write_whole(path, lambda p: _text(p, text))
-
-
-def _text(path: Path, text: str) -> None:
-    path.write_text(text + "\n", encoding="utf-8")
+    write_text_whole(path, json.dumps(data, indent=1) + "\n")
 
 
 @cache

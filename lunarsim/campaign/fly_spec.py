@@ -7,13 +7,13 @@ from pathlib import Path
 
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
-from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.flying import check_flyable, plan_of
 from lunarsim.campaign.manifest import manifest_of
 from lunarsim.campaign.run import Ran, run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.stopping import WidthRule
 from lunarsim.campaign.warming import warm
+from lunarsim.whole_files import write_text_whole
 
 
 def fly_spec(
@@ -65,8 +65,4 @@ def write_files(spec: CampaignSpec, folder: Path) -> None:
     if all(arm.policy is None for arm in spec.arms):
         texts["spec.toml"] = spec.to_toml()
     for name, text in texts.items():
-        write_whole(folder / name, lambda p, t=text: _write(p, t))  # type: ignore[misc]
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+        write_text_whole(folder / name, text)

@@ -18,12 +18,12 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.rows import TIMING, schema_of
 from lunarsim.errors import InputError, check_output
+from lunarsim.whole_files import write_whole
 
 # Rows whose times the rate is taken from.
 _RECENT = 200

@@ -29,12 +29,13 @@ from typing import IO, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lunarsim.campaign.files import write_json, write_whole
+from lunarsim.campaign.files import write_json
 from lunarsim.campaign.manifest import manifest_of, new_manifest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan
 from lunarsim.campaign.rows import TIMING, Row, row_of, schema_of
 from lunarsim.errors import InputError
+from lunarsim.whole_files import write_text_whole, write_whole
 
 # Rows of a part, about.
 PART_ROWS = 5000
@@ -254,7 +255,7 @@ class Store:
         path = self.folder / "journal.jsonl"
         rows = [row for part in sorted(self._open) for row in self._open[part].values()]
         text = "".join(json.dumps(list(row)) + "\n" for row in rows)
-        write_whole(path, lambda p: _write_text(p, text))
+        write_text_whole(path, text)
         if self._journal is not None:
             self._journal.close()
             self._journal = path.open("a", encoding="utf-8")
@@ -320,10 +321,6 @@ class Store:
 
 def _write_table(table: pa.Table, path: Path) -> None:
     pq.write_table(table, path, compression="zstd", write_page_checksum=True)
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _locked(folder: Path) -> IO[str]:

@@ -214,7 +214,9 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     known = kinds(contract)
     where = kind if ":" in kind else known.get(kind)
     if where is None:
-        raise InputError(field, kind, suggestion(kind, known) + ', or "module:Class"')
+        near = suggestion(kind, known)
+        more = ' Or "module:Class"' if near.endswith("?") else ', or "module:Class"'
+        raise InputError(field, kind, near + more)
     module, _, name = where.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)

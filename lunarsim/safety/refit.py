@@ -25,6 +25,7 @@ from lunarsim.parts.quantity import quantity_of
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.logistic import Logistic
+from lunarsim.whole_files import write_text_whole
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -205,12 +206,7 @@ class ScenarioCalibration:
         """
         data = {"format": _FORMAT, **asdict(self)}
         text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-        temporary = path.with_name(f".{path.name}.part")
-        try:
-            temporary.write_text(text, encoding="utf-8")
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_text_whole(path, text)
 
     @classmethod
     def load(cls, path: Path) -> ScenarioCalibration:

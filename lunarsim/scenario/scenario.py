@@ -22,6 +22,7 @@ from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
+from lunarsim.whole_files import write_text_whole
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,7 @@ class Scenario:
 
     def save(self, path: str | Path) -> None:
         """Write the scenario as TOML, defaults included."""
-        Path(path).write_text(self.to_toml(), encoding="utf-8")
+        write_text_whole(Path(path), self.to_toml())
 
 
 def _dump(value: Any) -> Any:

@@ -39,8 +39,23 @@ def path_of(name: str) -> Path:
 
 
 def found(given: Path) -> Path:
-    """Return a file as it is; where there is none, the scenario that is shipped by that name."""
-    return given if given.exists() else names().get(str(given), given)
+    """Return a file as it is; where there is none, the scenario that is shipped by that name.
+
+    Raises
+    ------
+    InputError
+        If it is neither: with the name or the file beside it that is most like it.
+    """
+    if given.exists():
+        return given
+    known = names()
+    if str(given) in known:
+        return known[str(given)]
+    beside = [str(given.parent / p.name) for p in given.parent.glob("*.toml") if p.is_file()]
+    near = suggestion(str(given), [*known, *beside])
+    if not near.startswith("did you mean"):
+        near = "or a name that `lunarsim scenario list` shows"
+    raise InputError("scenario", str(given), f"an existing TOML file; {near}")
 
 
 def description_of(path: Path) -> str:

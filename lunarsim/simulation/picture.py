@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ from lunarsim.sensors.framing_camera import FramingCamera
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State
+from lunarsim.whole_files import write_whole
 from lunarsim.world import World
 
 # From higher up ground of kilometres is no picture any more, m.
@@ -117,10 +119,9 @@ def take_picture(
     )  # fmt: skip
     camera = replace(camera, exposure=exposure or metered(camera, world, state))
     photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
-    if not cv2.imwrite(str(out), photo.counts):
-        raise InputError("--out", str(out), "a file that can be written")
     if truth is not None:
-        _save_truth(photo, truth)
+        write_whole(truth, partial(_save_truth, photo))
+    write_whole(out, partial(_save_picture, photo))
     sun = scenario.sun
     return (
         f"{out}: {camera.width} x {camera.height} pixels from {altitude:g} m, Sun "
@@ -130,12 +131,18 @@ def take_picture(
     )
 
 
+def _save_picture(photo: Exposure, path: Path) -> None:
+    coded = cv2.imencode(".png", photo.counts)[1]
+    path.write_bytes(coded.tobytes())
+
+
 def _save_truth(photo: Exposure, path: Path) -> None:
     assert photo.truth is not None
     t = photo.truth
     assert t.range is not None
     assert t.normal is not None
     assert t.identity is not None
-    np.savez_compressed(
-        path, radiance=t.radiance, range=t.range, normal=t.normal, identity=t.identity
-    )
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file, radiance=t.radiance, range=t.range, normal=t.normal, identity=t.identity
+        )

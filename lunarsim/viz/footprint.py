@@ -59,9 +59,10 @@ def draw_footprint(flight: Flight, world: World, path: Path) -> None:
     left.add_patch(Polygon(pads, fill=False, ec="black", lw=1.4))
     for pad in pads:
         left.add_patch(Circle(pad, 0.5 * lander.pad_diameter, fc="white", ec="black", lw=1.2))
-    _touching(left, grid, above, pads, lander.belly_clearance)
+    touches = _touching(left, grid, above, pads, lander.belly_clearance)
     left.plot(*middle, "+", color="black", ms=9)
-    map_axes(left, "ground under the lander, true frame; red: it touches the belly")
+    told = "; red: it touches the belly" if touches else ""
+    map_axes(left, f"ground under the lander, true frame{told}")
     _limits(right, touchdown, lander)
     figure.suptitle(end_of(flight))
     save(figure, path)
@@ -116,11 +117,12 @@ def _inside(grid: Grid, pads: Array) -> Any:
     return Outline(pads).contains_points(cells).reshape(grid.shape)
 
 
-def _touching(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> None:
-    """Mark ground within the legs' polygon that is higher than the belly."""
+def _touching(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> bool:
+    """Mark ground within the legs' polygon that is higher than the belly; tell if there is any."""
     high = _inside(grid, pads) & (above > clearance)
     if high.any():
         axes.contourf(grid.x, grid.y, high.astype(float), levels=[0.5, 1.5], colors="#C00000")
+    return bool(high.any())
 
 
 def _limits(axes: Any, touchdown: Touchdown, lander: Lander) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lunarsim.grid import Grid
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
+from lunarsim.whole_files import write_whole
 
 # Okabe and Ito's palette: told apart by colour-blind readers too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -40,7 +41,7 @@ def new_figure(width: float, height: float) -> Figure:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    write_whole(path, lambda part: figure.savefig(part, dpi=130, format="png"))
 
 
 def end_of(flight: Flight) -> str:

@@ -13,6 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_side
 from lunarsim.models.lander import Lander
 from lunarsim.safety import exact_safety
+from lunarsim.whole_files import write_whole
 from lunarsim.world import World
 
 _OFF = 1e-3  # rays to the Sun start this far off the ground, m
@@ -80,10 +81,11 @@ class TruthProducts:
             ("shadow", self.shadow.astype(np.int8), "1"),
         )
         units = {"units": "m"}
-        xr.Dataset(
+        dataset = xr.Dataset(
             {name: (("north", "east"), data, {"units": unit}) for name, data, unit in maps},
             {"north": ("north", self.grid.y, units), "east": ("east", self.grid.x, units)},
-        ).to_netcdf(path, engine="h5netcdf")
+        )
+        write_whole(path, lambda part: dataset.to_netcdf(part, engine="h5netcdf"))
 
 
 def survey_grid(world: World, centre: tuple[float, float], size: float, posting: float) -> Grid:

@@ -1,14 +1,19 @@
 """A random and a rule-based agent in the retargeting environment.
 
 python scenarios/learning/retarget_agents.py --episodes 10
+python scenarios/learning/retarget_agents.py --episodes 1 --video out/film.mp4
 """
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import click
 import gymnasium
 import numpy as np
 from rich.progress import track
+
+from lunarsim_envs.video import save_video
 
 
 def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
@@ -30,9 +35,12 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
 @click.option("--episodes", default=10, show_default=True, help="Flights an agent.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the first flight.")
 @click.option("--scenario", default=None, help="TOML file; left out, rolling highland.")
-def main(episodes: int, seed: int, scenario: str | None) -> None:
+@click.option("--video", type=click.Path(path_type=Path), default=None,
+              help="MP4 or GIF file of the rule-based agent's last flight.")  # fmt: skip
+def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> None:
     """Fly both agents over the same worlds and print what they achieved."""
-    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario)
+    mode = None if video is None else "rgb_array_list"
+    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario, render_mode=mode)
     for name, agent in (("random", random_agent), ("rule-based", rule_agent)):
         rng = np.random.default_rng(seed)
         returns, safe = [], 0
@@ -43,8 +51,13 @@ def main(episodes: int, seed: int, scenario: str | None) -> None:
                 observation, reward, ended, _, info = env.step(agent(observation, info, rng))
                 total += float(reward)
             returns.append(total)
+            film = env.render()
             safe += info["safe"]
         print(f"{name}: mean return {np.mean(returns):.3f}, landed safe {safe} of {episodes}")
+    if video is not None:
+        video.parent.mkdir(parents=True, exist_ok=True)
+        save_video(film, video, env.metadata["render_fps"])
+        print(f"{len(film)} frames in {video}")
 
 
 if __name__ == "__main__":

@@ -6,15 +6,18 @@ import time
 import warnings
 from dataclasses import replace
 
+import cv2
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from PIL import Image, ImageSequence
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.retarget import RetargetEnv
+from lunarsim_envs.video import save_video
 from tests.worlds import SCENARIOS
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
@@ -132,6 +135,100 @@ def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
     assert all((one[:4] > 200).all() and (one < 128).any() for one in drawn)  # whole, and there
 
 
+def test_frames_say_what_the_reward_was_and_how_it_ended(env):
+    _, info = env.reset(seed=1)
+    env.render()
+    frames = env.unwrapped.frames
+    assert "reward" not in frames.title
+    env.step(int(np.flatnonzero(info["action_mask"] == 0)[0]))
+    env.render()
+    _, reward, ended, _, info = env.step(0)
+    env.render()
+    assert reward < 0.0
+    assert f"keep the site,  reward -{abs(reward):.3f}" in frames.title
+    while not ended:
+        _, reward, ended, _, info = env.step(0)
+    env.render()
+    assert f"reward {'+' if reward > 0.0 else '-'}{abs(reward):.3f}" in frames.title
+    assert frames.title.endswith("landed safe" if info["safe"] else ", ".join(info["failed"]))
+
+
+def _colours(picture, box):
+    """Return the mean green of a part of the map, as shares of it from its left and its top."""
+    rows, cols = np.nonzero(np.ptp(picture[:, 500:740].astype(int), axis=2) > 40)
+    top, low, left, right = rows.min(), rows.max(), cols.min() + 500, cols.max() + 500
+    x0, x1, y0, y1 = box
+    part = picture[
+        int(top + y0 * (low - top)) : int(top + y1 * (low - top)),
+        int(left + x0 * (right - left)) : int(left + x1 * (right - left)), 1,
+    ]  # fmt: skip
+    return float(np.median(part))
+
+
+def test_frames_show_the_map_north_up_and_east_right(env):
+    env.reset(seed=1)
+    observation = env.unwrapped.simulation.observe()
+    frames = Frames(env.unwrapped.simulation, observation)
+    m = observation.hazard_map
+    for axis, high, low in ((0, (0.1, 0.9, 0.05, 0.2), (0.1, 0.9, 0.8, 0.95)),
+                            (1, (0.8, 0.95, 0.1, 0.9), (0.05, 0.2, 0.1, 0.9))):  # fmt: skip
+        p = np.zeros(m.grid.shape, np.float32)
+        half = np.s_[m.grid.rows // 2 :, :] if axis == 0 else np.s_[:, m.grid.cols // 2 :]
+        p[half] = 1.0  # rows run north, columns east
+        told = replace(m, p_safe=p, observed=np.ones(m.grid.shape, bool))
+        picture = frames.draw(replace(observation, hazard_map=told), None, None)
+        assert _colours(picture, high) > _colours(picture, low) + 100.0
+
+
+def test_a_film_goes_down_to_the_ground(small_scenario, tmp_path):
+    env = gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array_list")
+    env.reset(seed=1)
+    (first,) = env.render()
+    assert env.render() == []
+    frames, ended = [first], False
+    while not ended:
+        *_, ended, _, _ = env.step(0)
+        last = env.render()
+        frames += last
+    assert len(last) > 8  # of the last 50 m, which are one step
+    close = np.s_[52:300, 312:448]
+    grown = [(frame[close] < 200).any(axis=2).sum() for frame in last]
+    assert grown[-1] > grown[len(grown) // 2] > 0
+    duration = env.unwrapped.simulation.time
+    assert abs(len(frames) - env.metadata["render_fps"] * duration) < 0.3 * len(frames)
+    for name in ("film.gif", "film.mp4"):
+        save_video(frames, tmp_path / name, env.metadata["render_fps"])
+        shown = _played(tmp_path / name)
+        assert len(shown) == len(frames)
+        for mine, theirs in ((frames[0], shown[0]), (frames[-1], shown[-1])):
+            assert np.abs(mine.astype(int) - theirs).mean() < 8.0
+    assert {path.name for path in tmp_path.iterdir()} == {"film.gif", "film.mp4"}
+
+
+def _played(path):
+    """Return the frames of a film, red, green and blue."""
+    film, out = cv2.VideoCapture(str(path)), []
+    while (read := film.read())[0]:
+        out.append(read[1][..., ::-1])
+    if not out:  # this reader knows no GIF
+        with Image.open(path) as many:
+            out = [np.asarray(one.convert("RGB")) for one in ImageSequence.Iterator(many)]
+    return out
+
+
+def test_films_of_nothing_are_refused(tmp_path):
+    frame = np.zeros((8, 8, 3), np.uint8)
+    for frames, name, fps, words in (
+        ([], "a.gif", 2.0, "frames"),
+        ([frame, frame[:4]], "a.gif", 2.0, "one size"),
+        ([frame], "a.avi", 2.0, "a.avi"),
+        ([frame], "a.gif", 0.0, "fps"),
+    ):
+        with pytest.raises(InputError, match=words):
+            save_video(frames, tmp_path / name, fps)
+    assert not list(tmp_path.iterdir())
+
+
 def test_misuse_is_explained(small_scenario):
     fresh = gymnasium.make(ID, scenario=small_scenario).unwrapped
     with pytest.raises(gymnasium.error.ResetNeeded):
@@ -154,9 +251,11 @@ def test_scenario_objects_are_taken(small_scenario):
     assert gymnasium.make(ID, scenario=small_scenario).unwrapped.scenario is small_scenario
 
 
-def test_example_script_runs():
+def test_example_script_runs(tmp_path):
     (script,) = SCENARIOS.rglob("retarget_agents.py")
     run = subprocess.run(
-        [sys.executable, str(script), "--episodes", "1"], capture_output=True, text=True, check=True
-    )
+        [sys.executable, str(script), "--episodes", "1", "--video", "film.gif"],
+        capture_output=True, text=True, check=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert (tmp_path / "film.gif").is_file()
     assert "rule-based: mean return" in run.stdout

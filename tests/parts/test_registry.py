@@ -40,7 +40,7 @@ def test_names_and_paths_give_classes():
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("safset", "did you mean 'safest'?, or \"module:Class\""),
+        ("safset", "did you mean 'safest'? Or \"module:Class\""),
         ("x", "known: fuel-aware, nearest-safe"),
         ("no.such.module:Thing", "a class that can be imported (ModuleNotFoundError: No module"),
         (f"{__name__}:Missing", "a class that can be imported (AttributeError"),

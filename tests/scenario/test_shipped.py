@@ -51,4 +51,9 @@ def test_a_name_stands_for_its_file_where_no_file_has_it(tmp_path, monkeypatch):
     assert shipped.found(Path("golombek")) == shipped.path_of("golombek")
     (tmp_path / "golombek").write_text("")
     assert shipped.found(Path("golombek")) == Path("golombek")
-    assert shipped.found(Path("nothing.toml")) == Path("nothing.toml")
+    for given, words in (
+        ("nothing.toml", "an existing TOML file; or a name that `lunarsim scenario list` shows"),
+        ("hirisee", "did you mean 'hirise'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            shipped.found(Path(given))

@@ -98,6 +98,60 @@ def test_what_is_taken_of_two_descents_is_paired(results):
     assert by["clear ground called clear, modified"].falls_short  # 0.2 for 0.29
 
 
+def _look(rms, missed, hazard, sites, slope=2.0, false=0.5):
+    return {"map_error_rms": rms, "slope_error_max": slope, "missed_m2": missed,
+            "hazard_m2": hazard, "false_m2": false,
+            "sites": [{"exactly_safe": s, "hazard_m2": h} for s, h in sites]}  # fmt: skip
+
+
+def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
+    first = _look(9.0, 9.0, 9.0, [])
+    flights = [
+        {"lock": 7.5, "looks": [first, _look(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])]},
+        {"lock": None, "looks": [first, _look(0.06, 3.0, 4.0, [(True, 0.0)], 7.0, 1.5)]},
+    ]
+    by = {f.label: f for f in results.take("quadtree", {"flights": flights}, "").figures}
+    assert {name: f.values for name, f in by.items()} == {
+        "time of the lock": [7.5],
+        "map error, root mean square": [0.02, 0.06],
+        "slope error, greatest": [2.0, 7.0],
+        "share of the hazards' area missed": [0.25, 0.75],
+        "safe ground called hazardous": [0.5, 1.5],
+        "sites ranked": [2.0, 1.0],
+        "of them exactly safe": [1.0, 1.0],
+        "landing zones with a true hazard": [1.0, 0.0],
+    }
+    assert {name: f.unit for name, f in by.items() if f.unit} == {
+        "time of the lock": "s", "map error, root mean square": "m",
+        "slope error, greatest": "deg", "safe ground called hazardous": "m2",
+    }  # fmt: skip
+    papers = {name: f.paper for name, f in by.items() if f.paper is not None}
+    assert papers == {"map error, root mean square": 0.5, "slope error, greatest": 6.0,
+                      "landing zones with a true hazard": 0.0}  # fmt: skip
+    assert {name for name, f in by.items() if f.falls_short} == {"landing zones with a true hazard"}
+
+
+def test_what_is_taken_of_real_returns_is_by_split(results):
+    heights = {
+        name: {"by split": [{"rmse": k + 0.1, "nees": k + 0.2, "beyond2": k + 0.3},
+                            {"rmse": k + 0.4, "nees": k + 0.5, "beyond2": k + 0.6}]}
+        for k, name in enumerate(("as flights do", "field of Table 6"))
+    }  # fmt: skip
+    report = results.take("real_returns", {"ground": {"heights": heights}}, "")
+    error, square, share = "RMSE", "mean square of error over stated sigma (1)", "share beyond 2"
+    told = {f.label: f.values for f in report.figures}
+    assert told == {
+        f"as flights do: {error}": [0.1, 0.4],
+        f"as flights do: {square}": [0.2, 0.5],
+        f"as flights do: {share} sigma (0.046)": [0.3, 0.6],
+        f"field of Table 6: {error}": [1.1, 1.4],
+        f"field of Table 6: {square}": [1.2, 1.5],
+        f"field of Table 6: {share} sigma (0.046)": [1.3, 1.6],
+    }
+    assert "no paper has these figures" in results.section(report)
+    assert [f.unit for f in report.figures] == ["m", "", ""] * 2
+
+
 def test_a_report_is_kept_whole(results, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "KEPT", tmp_path)
     found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}

@@ -13,7 +13,6 @@ import pyarrow.compute as pc
 
 import lunarsim
 from lunarsim.campaign.analysis import ArmFigures, column, differences, figures_of
-from lunarsim.campaign.files import write_whole
 from lunarsim.campaign.rare import RareShare, rare_shares
 from lunarsim.campaign.report.figures import (
     differences_plot,
@@ -30,6 +29,7 @@ from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
 from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
 from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.sequences import share_sequence
+from lunarsim.whole_files import write_text_whole
 
 # Flights that are listed as the worst, of each arm.
 _WORST = 5
@@ -78,12 +78,8 @@ def write_report(folder: str | Path, out: Path) -> Results:
     page = template.render(
         **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
     )
-    write_whole(out, lambda path: _write(path, page))
+    write_text_whole(out, page)
     return found
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _in_script(text: str) -> Any:

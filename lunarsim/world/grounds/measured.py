@@ -50,6 +50,10 @@ class MeasuredGround(Roughness):
         if self.path is None:
             raise InputError("path", None, "the raster to load")
 
+    def check_files(self) -> None:
+        """Refuse a raster that cannot be read, or that these settings do not fit."""
+        _measured(self)
+
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""
         return strewn(self.relief(), rocks, streams)
@@ -59,8 +63,8 @@ class MeasuredGround(Roughness):
         return _relief(self)
 
 
-@lru_cache(maxsize=4)
-def _relief(ground: MeasuredGround) -> Heightfield:
+def _measured(ground: MeasuredGround) -> Heightfield:
+    """Return what the raster holds, scaled."""
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
     assert ground.path is not None
@@ -75,6 +79,12 @@ def _relief(ground: MeasuredGround) -> Heightfield:
             "terrain.posting_m", ground.posting, f"at least {side / MOST_POSTS:.3g} m: at most "
             f"{MOST_POSTS} posts along the {side:.0f} m of the raster",
         )  # fmt: skip
+    return measured
+
+
+@lru_cache(maxsize=4)
+def _relief(ground: MeasuredGround) -> Heightfield:
+    measured = _measured(ground)
     fine = measured.refined(ground.posting)
     if not ground.detail:
         return fine

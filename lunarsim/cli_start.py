@@ -1,0 +1,78 @@
+"""How the `lunarsim` command is run: Ctrl-C ends it with one line and code 130, at any time.
+
+Libraries swallow interrupts: what is raised within the C code of a compiler, or while an object is
+freed, is lost or comes out as another error. Here an interrupt is raised again until it is heard.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+INTERRUPTED = 130
+# Until an interrupt that nobody has heard is raised again, s.
+_AGAIN = 0.25
+
+_taken: list[int] = []
+
+
+def heard() -> None:
+    """Let the interrupt be: whoever calls this ends what it was meant to end."""
+    if _taken:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        _taken.clear()
+
+
+def run(command: Callable[[], Any]) -> None:
+    """Run a command to its end or to the first interrupt."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _take)
+        sys.unraisablehook = _quiet
+    try:
+        command()
+    except KeyboardInterrupt as error:
+        heard()
+        print(end_of(error), file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except BaseException as error:
+        if not _taken:
+            raise
+        heard()
+        if not isinstance(error, SystemExit):  # what an interrupt in the wrong place becomes
+            print("interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    finally:
+        heard()
+        if signal.getsignal(signal.SIGINT) is _take:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def end_of(error: KeyboardInterrupt) -> str:
+    """Return the line that tells of an interrupt, and of what is there if its raiser said so."""
+    return f"interrupted: {error}" if error.args else "interrupted"
+
+
+def _take(number: int, frame: FrameType | None) -> None:
+    """Raise the interrupt, now and later."""
+    _taken.append(number)
+    signal.signal(signal.SIGALRM, _raise_again)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+    raise KeyboardInterrupt
+
+
+def _raise_again(number: int, frame: FrameType | None) -> None:
+    """Raise the interrupt if it is lost, not where it is just making its way out."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    if error is None:
+        raise KeyboardInterrupt
+
+
+def _quiet(unraisable: Any) -> None:
+    """Say nothing of an interrupt that was lost: it is raised again."""
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)

@@ -1,0 +1,55 @@
+"""Files and folders that are there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file beside `path`, bring it to the disk, and rename it to `path`.
+
+    Parameters
+    ----------
+    path
+        What a reader sees: the old file or the new one, never a part of it.
+    write
+        Writes to the path that it is given, which has another suffix.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        write(temporary)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_text_whole(path: Path, text: str) -> None:
+    """Write a text file whole."""
+
+    def write(part: Path) -> None:
+        part.write_text(text, encoding="utf-8")
+
+    write_whole(path, write)
+
+
+@contextmanager
+def filled_whole(folder: Path) -> Iterator[None]:
+    """Empty a folder again, which was empty or none, if what fills it is broken off."""
+    above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        yield
+    except BaseException:
+        for path in folder.iterdir() if folder.is_dir() else ():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        made = folder.absolute()
+        while made != above.absolute() and made.is_dir():
+            made.rmdir()
+            made = made.parent
+        raise

@@ -1,0 +1,55 @@
+"""What a first flight waits for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+# Runs the command line, and prints the processor time of its process and of those it waited for.
+_RUN = """
+import atexit, resource, sys
+
+def told():
+    own, beside = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    print("time", own.ru_utime + own.ru_stime, beside.ru_utime + beside.ru_stime)
+
+atexit.register(told)
+from lunarsim.__main__ import main
+
+main()
+"""
+
+
+def _run(*words: str, cores: int | None = None) -> tuple[float, float, float]:
+    """Return processor time (s) of a command, of its helper, and wall-clock time, kernels gone."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
+        some = sorted(os.sched_getaffinity(0))[:cores]
+        begun = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-c", _RUN, *words], env=environment, check=True, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=folder,
+            preexec_fn=lambda: os.sched_setaffinity(0, some),
+        )  # fmt: skip
+        wall = time.perf_counter() - begun
+    own, beside = map(float, done.stdout.splitlines()[-1].split()[1:])
+    return own, beside, wall
+
+
+def cold_start() -> None:
+    """`lunarsim` on a machine that has never run it: kernels are compiled first."""
+    for label, words, cores in (
+        ("lunarsim --help", ("--help",), None),
+        ("fly hirise", ("fly", "hirise"), None),
+        ("fly hirise, one core", ("fly", "hirise"), 1),
+        ("fly hirise --out", ("fly", "hirise", "--out", "out"), None),
+    ):
+        own, beside, wall = _run(*words, cores=cores)
+        print(
+            f"  {label}: {own:.2f} s of processor time, {beside:.2f} s in a process beside it, "
+            f"{wall:.1f} s on the clock"
+        )

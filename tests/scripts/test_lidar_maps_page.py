@@ -1,0 +1,129 @@
+"""The tables of the page on LiDAR maps: made of what the study wrote."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import json
+
+import pytest
+
+from tests.conftest import ROOT
+
+HEADS = {
+    "landings": "| world | map and policy | flights |",
+    "maps": "| world | map | decision |",
+    "strata": "| world | stratum | map |",
+}
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    return importlib.import_module("lidar_maps_page")
+
+
+def _landing(landed):
+    return {
+        "flights": 10, "landed": landed, "interval": [0.5, 0.75], "won": 1, "lost": 4,
+        "p_value": 0.375, "divert_median_m": 12.34, "propellant_median_kg": 40.06,
+    }  # fmt: skip
+
+
+def _quality(**more):
+    stratum = {"cells": 5.0, "safe": 0.25, "precision": [0.5, 0.4, 0.6], "recall": [0.1, 0.0, 0.2],
+               "skill": float("nan")}  # fmt: skip
+    empty = stratum | {"cells": 0.0}
+    return {"precision": [0.9, 0.8, 1.0], "recall": [0.3, 0.2, 0.4], "claimed": 0.126,
+            "ece": 0.0312, "skill": -0.5, "strata": {"level": stratum, "steep": empty},
+            **more}  # fmt: skip
+
+
+def _world():
+    good = _quality(ece=0.01, skill=0.5, precision=[float("nan")] * 3)
+    return {
+        "landings": {"one": _landing(10), "two": _landing(7)},
+        "maps": {
+            "calibrated": {"first": good, "last": good, "seconds": 1.234, "megabytes": 17.04},
+            "quadtree": {"first": {}, "last": _quality(), "seconds": 2.0, "megabytes": 5.0},
+        },
+    }
+
+
+def _page(pages):
+    out = [pages.mark("commands") + "\n\n- old: `x`. Short: nowhere.\n"]
+    for name, head in HEADS.items():
+        out.append(f"{pages.mark(name)}\n\n{head}\n| --- |\n| kept | 1 |\n|  | 2 |\n| new | 3 |\n")
+    return "Words.\n\n" + "\nMore.\n\n".join(out) + "\nEnd.\n"
+
+
+def test_the_page_is_what_is_kept(pages):
+    shown = pages.PAGE.read_text(encoding="utf-8")
+    kept = pages.load()
+    assert kept
+    assert shown == pages.made(shown, kept)
+    for world, file in kept.items():
+        assert f"- {world}: `{file['command']}`. Short: " in shown
+        assert len(file["figures"]["landings"]) == 4
+        for rows in (f(file["figures"]) for f in pages.TABLES.values()):
+            for row in rows:
+                assert " | ".join(row) in shown
+
+
+def test_another_figure_is_another_page(pages):
+    shown = pages.PAGE.read_text(encoding="utf-8")
+    kept = copy.deepcopy(pages.load())
+    world = next(iter(kept.values()))["figures"]
+    next(iter(world["landings"].values()))["landed"] -= 1
+    assert pages.made(shown, kept) != shown
+
+
+def test_rows_hold_figures_intervals_and_dashes(pages):
+    world = pages.finite(_world())
+    assert pages.landing_rows(world) == [
+        ["one", "10", "1.00 [0.50, 0.75]", "", "12.3", "40.1"],
+        ["two", "10", "0.70 [0.50, 0.75]", "1, 4 (0.38)", "12.3", "40.1"],
+    ]
+    name = "Gaussian DEM, calibrated"
+    assert pages.map_rows(world) == [
+        [name, "first", "-", "0.300 [0.200, 0.400]", "0.13", "0.010", "+0.50", "1.23", "17.0"],
+        ["", "last", "-", "0.300 [0.200, 0.400]", "0.13", "0.010", "+0.50", "", ""],
+        ["", "last", "0.900 [0.800, 1.000]", "0.300 [0.200, 0.400]", "0.13", "0.031", "-0.50", "",
+         ""],
+    ]  # fmt: skip
+    first, second = pages.stratum_rows(world)
+    assert first == ["level", name, "0.250", "0.500 [0.400, 0.600]", "0.100 [0.000, 0.200]", "-"]
+    assert second[:3] == ["", "quadtree", ""]
+
+
+def test_where_a_world_falls_short_is_told(pages):
+    assert pages.shortfalls(pages.finite(_world())) == [
+        "two: 3 of 10 not safe",
+        "quadtree: claims with an error of 0.031",
+        "quadtree: claims with a skill of -0.50",
+    ]
+    fine = _world()
+    fine["landings"].pop("two")
+    fine["maps"].pop("quadtree")
+    assert pages.shortfalls(fine) == []
+    claims_nothing = {"landings": {}, "maps": {"quadtree": {"last": _quality(claimed=0.0)}}}
+    assert pages.shortfalls(claims_nothing) == []
+
+
+def test_what_is_taken_replaces_the_rows_of_its_world_alone(pages, tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "KEPT", tmp_path / "kept")
+    monkeypatch.setattr(pages, "PAGE", tmp_path / "page.md")
+    pages.PAGE.write_text(_page(pages))
+    (tmp_path / "figures.json").write_text(json.dumps({"new": _world()}))
+    arguments = ["--take", str(tmp_path / "figures.json"), "--command", "python a.py"]
+    pages.main(arguments, standalone_mode=False)
+    page = pages.PAGE.read_text()
+    assert "NaN" not in (tmp_path / "kept" / "new.json").read_text()
+    assert page.count("| kept | 1 |\n|  | 2 |\n") == 3
+    assert "| new | 3 |" not in page
+    assert "| new | one | 10 |" in page
+    assert "- new: `python a.py`. Short: two: 3 of 10 not safe; " in page
+    assert "- old" not in page
+    assert page.startswith("Words.\n") and page.endswith("\nEnd.\n")
+    pages.main([], standalone_mode=False)
+    assert pages.PAGE.read_text() == page

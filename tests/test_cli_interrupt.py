@@ -1,0 +1,225 @@
+"""Ctrl-C: code 130, one line, nothing half written, whoever would swallow it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from lunarsim import cli_common
+from lunarsim.cli import main
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Flight, Simulation
+from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
+from tests.worlds import SCENARIOS
+
+GOOD = str(SCENARIOS / "golombek.toml")
+# Commands that take a scenario, and what each needs besides.
+WITH = {
+    "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
+    "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
+    "scenario check": [], "terrain preview": ["--out", "new.png"],
+    "terrain truth": ["--out", "new.nc"],
+}  # fmt: skip
+HEAD = "import os, signal, time; from lunarsim.cli_start import run\n"
+PRESS = "os.kill(os.getpid(), signal.SIGINT)"
+
+SWALLOWED = f"""
+class Freed:
+    def __del__(self):
+        {PRESS}; time.sleep(0)
+
+def command():
+    Freed()  # Python tells of what is raised there, and goes on
+    time.sleep(20)
+"""
+TURNED = f"""
+def command():
+    try:
+        {PRESS}; time.sleep(9)
+    except KeyboardInterrupt:
+        raise RuntimeError("no compiled object yet") from None
+"""
+TURNED_INTO_AN_END = TURNED.replace('RuntimeError("no compiled object yet")', "SystemExit(1)")
+CLEANED = f"""
+def command():
+    try:
+        {PRESS}; time.sleep(9)
+    finally:
+        for n in range(8):
+            time.sleep(0.1)
+            try:
+                raise ValueError
+            except ValueError:
+                pass
+        print("cleaned")
+"""
+TOLD = f"""
+def command():
+    try:
+        {PRESS}; time.sleep(9)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("a.txt is there") from None
+"""
+
+
+def state(folder):
+    return {p: p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
+
+
+def _ended(command, before=""):
+    source = HEAD + before + command + "\nrun(command)\n"
+    begun = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", source], check=False, capture_output=True, text=True
+    )
+    return done, time.perf_counter() - begun
+
+
+@pytest.mark.parametrize(
+    ("command", "out", "err"),
+    [
+        (SWALLOWED, "", "interrupted\n"),
+        (TURNED, "", "interrupted\n"),
+        (TURNED_INTO_AN_END, "", ""),
+        (CLEANED, "cleaned\n", "interrupted\n"),
+        (TOLD, "", "interrupted: a.txt is there\n"),
+    ],
+    ids=["swallowed", "turned into an error", "turned into an end", "cleaned", "told"],
+)
+def test_an_interrupt_is_heard(command, out, err):
+    done, seconds = _ended(command)
+    assert (done.returncode, done.stdout, done.stderr) == (130, out, err)
+    assert seconds < 8.0
+
+
+def test_errors_without_an_interrupt_are_what_they_were():
+    done, _ = _ended("\ndef command():\n    raise RuntimeError('mine')\n")
+    assert done.returncode == 1
+    assert done.stderr.endswith("RuntimeError: mine\n")
+    done, _ = _ended("\ndef command():\n    raise SystemExit(2)\n")
+    assert (done.returncode, done.stderr) == (2, "")
+    lost = "\nclass Freed:\n    def __del__(self):\n        1 / 0\n\ndef command():\n    Freed()\n"
+    done, _ = _ended(lost)
+    assert done.returncode == 0
+    assert "ZeroDivisionError" in done.stderr
+
+
+def test_who_asked_not_to_be_interrupted_is_not():
+    """As a command that a shell runs in the background."""
+    ignoring = "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    done, _ = _ended(f"\ndef command():\n    {PRESS}\n    print('went on')\n", ignoring)
+    assert (done.returncode, done.stdout) == (0, "went on\n")
+
+
+def test_the_command_that_is_installed_is_this_one():
+    command = [sys.executable, "-m", "lunarsim", "scenario", "reference"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        time.sleep(0.6)  # within its imports, or after them
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=20)[1]
+    assert (process.returncode, said) in {(130, b"interrupted\n"), (0, b"")}
+    entry = (cli_common.Path(__file__).parents[1] / "pyproject.toml").read_text()
+    assert 'lunarsim = "lunarsim.__main__:main"' in entry
+
+
+@pytest.mark.parametrize("name", WITH)
+def test_every_command_ends_with_130(name, tmp_path, monkeypatch):
+    def pressed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Scenario, "load", pressed)
+    done = CliRunner().invoke(main, [*name.split(), GOOD, *WITH[name]])
+    assert (done.exit_code, done.output) == (130, "interrupted\n")
+    assert not state(tmp_path)
+
+
+@pytest.fixture
+def small(small_scenario, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small_scenario.save(tmp_path / "small.toml")
+    return tmp_path
+
+
+def _fly(*options):
+    return CliRunner().invoke(main, ["fly", "small.toml", "--out", "above/out", *options])
+
+
+def test_an_interrupt_in_flight_leaves_nothing(small, monkeypatch):
+    def pressed(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Simulation, "run", pressed)
+    done = _fly()
+    assert done.exit_code == 130
+    assert done.stderr.splitlines()[-1] == "interrupted"
+    assert set(state(small)) == {small / "small.toml"}
+
+
+def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
+    def pressed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Scenario, "save", pressed)  # the record is written, the scenario not
+        done = _fly()
+    assert done.exit_code == 130
+    assert set(state(small)) == {small / "small.toml"}
+    monkeypatch.setattr("lunarsim.viz.draw_flight", pressed)
+    done = _fly()
+    assert done.exit_code == 130
+    told = "interrupted: scenario and record are in above/out, not all figures"
+    assert done.stderr.splitlines()[-1] == told
+    assert Flight.load(small / "above" / "out").verdict is not None
+    assert Scenario.load(small / "above" / "out" / "scenario.toml").name
+
+
+def test_a_file_is_there_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text_whole(path, "old")
+
+    def half(part):
+        part.write_text("ne")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(path, half)
+    assert state(tmp_path) == {path: b"old"}
+    write_text_whole(path, "new")
+    assert state(tmp_path) == {path: b"new"}
+
+
+def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    for folder in (kept, tmp_path / "a" / "b"):
+        with pytest.raises(OSError, match="full"), filled_whole(folder):
+            (folder / "maps").mkdir(parents=True)
+            (folder / "maps" / "one.nc").write_bytes(b"1")
+            (folder / "two.txt").write_bytes(b"2")
+            raise OSError("full")
+    assert set(state(tmp_path)) == {kept}
+    with filled_whole(tmp_path / "c"):
+        (tmp_path / "c").mkdir()
+    assert (tmp_path / "c").is_dir()
+
+
+def test_a_nested_group_tells_of_it_once():
+    @click.group(cls=cli_common.Group)
+    def outer(): ...
+
+    @outer.group(cls=cli_common.Group)
+    def inner(): ...
+
+    @inner.command()
+    def leaf():
+        raise KeyboardInterrupt
+
+    done = CliRunner().invoke(outer, ["inner", "leaf"])
+    assert (done.exit_code, done.output) == (130, "interrupted\n")
