@@ -18,7 +18,7 @@ from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished
 from lunarsim.campaign.plan import Group, Work
 
 # How long an interrupt may go unseen, s.
-_TICK = 0.2
+_TICK = 0.1
 # A flight whose process dies is begun so often.
 TRIES = 3
 
