@@ -32,7 +32,7 @@ import pyarrow.parquet as pq
 from lunarsim.campaign.files import write_json, write_whole
 from lunarsim.campaign.manifest import manifest_of, new_manifest
 from lunarsim.campaign.outcomes import FLOWN, Finished
-from lunarsim.campaign.plan import Plan
+from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.rows import TIMING, Row, row_of, schema_of
 from lunarsim.errors import InputError
 
@@ -123,8 +123,8 @@ class Store:
             self._write_part(part)
 
     def _take_part(self, path: Path, retry: bool) -> None:
-        number = int(path.stem.removeprefix("part-"))
         try:
+            number = int(path.stem.removeprefix("part-"))
             part = self._read_part(path)
         except (pa.ArrowException, OSError, ValueError) as error:
             path.replace(path.with_suffix(".broken"))
@@ -158,8 +158,15 @@ class Store:
         names = {name: i for i, (name, _) in enumerate(self.plan.arms)}
         part = {}
         for row in table.to_pylist():
+            flight, arm = row["flight"], names.get(row["arm"], -1)
+            if row["id"] != row_id(flight, arm) or path != self._path(
+                "results", self._part(flight)
+            ):
+                raise ValueError(f"a row {row['id']} that has no place there")
             unknown = dict.fromkeys(TIMING.names) | {"id": row["id"]}
-            part[row["flight"], names[row["arm"]]] = row, timing.get(row["id"], unknown)
+            part[flight, arm] = row, timing.get(row["id"], unknown)
+        if len(part) < len(table):
+            raise ValueError("a flight is there twice")
         return part
 
     def _reopen(self, part: int) -> None:
@@ -176,14 +183,16 @@ class Store:
             try:
                 row, timing = json.loads(line)
                 flight, arm = (int(part) for part in row["id"].split("-"))
-            except (ValueError, KeyError, TypeError):
+                if (row["flight"], row["arm"]) != (flight, self.plan.arms[arm][0]):
+                    raise ValueError("no row of this campaign")
+            except (ValueError, KeyError, TypeError, IndexError):
                 last = i == len(lines) - 1
                 if not last:
                     self.notes.append(f"line {i + 1} of the journal cannot be read: flown again")
                 continue
             if (retry and row["outcome"] != FLOWN) or flight >= self.plan.flights:
                 continue
-            part = flight // self._per_part
+            part = self._part(flight)
             if part in self._full:
                 # Of a flight that was flown again; its part has still the row that failed.
                 self._reopen(part)
@@ -193,7 +202,7 @@ class Store:
 
     def has(self, flight: int, arm: int) -> bool:
         """Tell whether a flight has its row."""
-        part = flight // self._per_part
+        part = self._part(flight)
         return part in self._full or (flight, arm) in self._open.get(part, {})
 
     @property
@@ -210,6 +219,9 @@ class Store:
             else:
                 lines = self._open[part]
                 yield from (json.loads(lines[key])[0] for key in sorted(lines))
+
+    def _part(self, flight: int) -> int:
+        return flight // self._per_part
 
     def _flights(self, part: int) -> range:
         first = part * self._per_part
@@ -229,7 +241,7 @@ class Store:
         row = row_of(self.plan, done)
         line = _line((row, done.timing()))
         self._append(line + "\n")
-        part = done.flight // self._per_part
+        part = self._part(done.flight)
         self._open.setdefault(part, {})[done.flight, done.arm] = line
         if self._is_full(part):
             self._write_part(part)

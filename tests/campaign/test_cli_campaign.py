@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -15,8 +16,11 @@ from click.testing import CliRunner
 
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run as fly
+from lunarsim.campaign.stopping import WidthRule
 from lunarsim.cli import main
+from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.scenario import Scenario
 from tests.campaign.surrogate import plan
 from tests.worlds import TINY_FLIGHT
@@ -126,6 +130,24 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
         assert words in head
     assert run("campaign", "report", tmp_path, "--out", out).exit_code == 2
     assert run("campaign", "report", swept, "--out", tmp_path / "r.txt").exit_code == 2
+
+
+@pytest.mark.parametrize("flights", [12, 200], ids=["to the end", "stopped"])
+def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
+    """Also of one that met its last flight first: it would have stopped, had it been narrow."""
+    rule = WidthRule("safe", 0.5, 2)
+    watched = replace(plan(flights=flights), identity={"stop": {"metric": "safe", "width": 0.5}})
+    assert fly(watched, InlineEngine(), tmp_path / "c", rule=rule).state == (
+        "complete" if flights == 12 else "stopped"
+    )
+    out = tmp_path / "r.html"
+    assert run("campaign", "report", tmp_path / "c", "--out", out).exit_code == 0
+    page = out.read_text()
+    table = load_results(tmp_path / "c").table.to_pandas()
+    for _, rows in table.groupby("arm"):
+        low, high = share_sequence(int(rows["safe"].sum()), len(rows))
+        assert f"[{low:.3f}, {high:.3f}]" in page
+    assert "a confidence sequence" in page
 
 
 def test_texts_of_flights_do_not_become_part_of_the_page(tmp_path, monkeypatch):

@@ -97,8 +97,9 @@ def _content(found: Results) -> dict[str, Any]:
     if found.is_leaning:
         return _rare_content(found)
     figures = figures_of(found)
-    stopped = found.manifest["state"] == "stopped"
-    intervals = {a.name: _interval(a, stopped) for a in figures}
+    # Whoever might have stopped has looked, also where the flights came to an end first.
+    watched = "stop" in found.manifest["identity"]
+    intervals = {a.name: _interval(a, watched) for a in figures}
     made = differences(found) if len(figures) > 1 else []
     plots = [
         shares_plot(figures, intervals),
@@ -111,7 +112,7 @@ def _content(found: Results) -> dict[str, Any]:
     if sensitive:
         plots.append(sensitivity_plot(sensitive))
     return _common(found, plots) | {
-        "stopped": stopped,
+        "watched": watched,
         "arms": [_row(a, *intervals[a.name]) for a in figures],
         "differences": made,
         "sensitive": sensitive,
@@ -138,7 +139,7 @@ def _rare_content(found: Results) -> dict[str, Any]:
     return _common(found, plots) | {
         "levels": levels_told(chains) if chains else [],
         "ended": how_it_ended(chains) if chains else "",
-        "stopped": False,
+        "watched": False,
         "arms": rows,
         "differences": [],
         "sensitive": [],
@@ -188,10 +189,10 @@ def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
         return [], str(error)
 
 
-def _interval(arm: ArmFigures, stopped: bool) -> tuple[float, float]:
+def _interval(arm: ArmFigures, watched: bool) -> tuple[float, float]:
     """Return the interval of the safe share: one that stands peeking where it was peeked at."""
     share = arm.shares["safe"]
-    return share_sequence(share.count, share.total) if stopped else share.interval
+    return share_sequence(share.count, share.total) if watched else share.interval
 
 
 def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
