@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -148,6 +149,24 @@ def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
         low, high = share_sequence(int(rows["safe"].sum()), len(rows))
         assert f"[{low:.3f}, {high:.3f}]" in page
     assert "a confidence sequence" in page
+
+
+@pytest.mark.parametrize("lost", ["one arm", "all"])
+def test_arms_without_a_verdict_are_told_of_and_not_drawn(tmp_path, lost):
+    """A policy that raises each time, say."""
+    raises = [f"{i}-{arm}" for i in range(4) for arm in ((1,) if lost == "one arm" else (0, 1))]
+    ran = fly(plan(flights=4, raises=raises), InlineEngine(), tmp_path / "c")
+    assert ran.complete and ran.failed == len(raises)
+    out = tmp_path / "r.html"
+    done = run("campaign", "report", tmp_path / "c", "--out", out)
+    assert done.exit_code == 0, done.output
+    page = out.read_text()
+    assert "ValueError: no flight 0-1" in page
+    data = json.loads(re.search(r"const plots = (\[.*?\]);?\n", page)[1])
+    drawn = {trace["arm"] for p in data if p["id"] == "shares" for trace in p["data"]}
+    assert drawn == ({"arm 0"} if lost == "one arm" else set())
+    assert run("campaign", "status", tmp_path / "c").exit_code == 0
+    assert run("campaign", "diff", tmp_path / "c", tmp_path / "c").exit_code == 0
 
 
 def test_texts_of_flights_do_not_become_part_of_the_page(tmp_path, monkeypatch):

@@ -239,7 +239,7 @@ def _worst(found: Results) -> list[dict[str, Any]]:
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
         if name in table.column_names:
-            speed += np.nan_to_num(column(found, name), nan=1e3)
+            speed += np.nan_to_num(column(found, name), nan=1e3, posinf=1e3, neginf=1e3)
     bad = ~(column(found, "safe") > 0.5)
     order = np.lexsort((-speed, column(found, "safe")))
     out: list[dict[str, Any]] = []
