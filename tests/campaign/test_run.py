@@ -34,6 +34,7 @@ from tests.conftest import ROOT
 @pytest.fixture(autouse=True)
 def short_parts(monkeypatch):
     monkeypatch.setattr(store, "PART_ROWS", 20)
+    monkeypatch.setattr(store, "_AT_ONCE", 7)
 
 
 def start(at: Path, **options: object) -> subprocess.Popen[str]:
