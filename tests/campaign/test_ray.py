@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +18,10 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.plan import Group
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
+from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
 from tests.campaign.surrogate import plan
+from tests.worlds import TINY_FLIGHT
 
 
 def parts(folder):
@@ -80,6 +85,50 @@ def test_a_node_that_is_taken_away_changes_nothing(tmp_path):
     assert (ran.state, ran.flown, ran.failed) == ("complete", 80, 0)
     run(plan(), InlineEngine(), tmp_path / "d")
     assert parts(tmp_path / "c") == parts(tmp_path / "d")
+
+
+@pytest.mark.slow
+def test_an_interrupt_waits_for_no_farewell_and_leaves_nobody(tmp_path):
+    """Ray's own end takes up to nine seconds; its processes end with the one that started them."""
+    spec = {"scenario": TINY_FLIGHT, "flights": 400, "seed": 1}
+    (tmp_path / "s.toml").write_text(CampaignSpec.from_dict(spec).to_toml())
+    folder = tmp_path / "c"
+    words = ["campaign", "run", tmp_path / "s.toml", "--out", folder, "--engine", "ray"]
+    command = [sys.executable, "-m", "lunarsim.cli", *map(str, words), "--jobs", "2"]
+    driver = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+    journal, until = folder / "journal.jsonl", time.monotonic() + 300.0
+    while not (journal.exists() and journal.stat().st_size):
+        assert driver.poll() is None and time.monotonic() < until
+        time.sleep(0.1)
+    others = _below(driver.pid)
+    assert len(others) > 3
+    began = time.monotonic()
+    driver.send_signal(signal.SIGINT)
+    said = driver.communicate(timeout=60)[0]
+    assert time.monotonic() - began < 2.0
+    assert driver.returncode == 130 and "interrupted" in said
+    found = load_results(folder)
+    assert found.manifest["state"] == "interrupted" and len(found.table) > 0
+    until = time.monotonic() + 60.0
+    while any(_runs(other) for other in others):
+        assert time.monotonic() < until
+        time.sleep(0.2)
+
+
+def _below(process: int) -> list[int]:
+    """Return the numbers of all processes that come from one."""
+    path = Path(f"/proc/{process}/task/{process}/children")
+    mine = [int(word) for word in path.read_text().split()]
+    return mine + [other for child in mine for other in _below(child)]
+
+
+def _runs(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 @pytest.mark.slow

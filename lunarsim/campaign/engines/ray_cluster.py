@@ -70,7 +70,11 @@ class RayEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as their groups end; see `Engine`."""
+        """Yield flights as their groups end; see `Engine`.
+
+        After an interrupt Ray is left to the end of this process, which its processes end with:
+        nobody is to wait the seconds that it needs to take its leave.
+        """
         ray = self._ray
         ours = not ray.is_initialized()
         if ours:
@@ -78,7 +82,7 @@ class RayEngine:
         try:
             yield from self._flown(work, iter(groups), halt)
         finally:
-            if ours:
+            if ours and not halt():
                 ray.shutdown()
 
     def _join(self) -> None:
@@ -87,6 +91,8 @@ class RayEngine:
             self._ray.init(address=self.address, log_to_driver=False, logging_level="error", **more)
         except Exception as error:  # Ray raises what it likes
             said = str(error).strip().split("\n")[0]
+            if self.address is None:
+                raise InputError("--engine", "ray", f"a Ray that starts here ({said})") from None
             raise InputError(
                 "--address", self.address, f"a running Ray cluster of this version ({said})"
             ) from None
