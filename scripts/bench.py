@@ -20,6 +20,7 @@ from bench_parts.cold_start import cold_start
 from bench_parts.common import median_ms
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
+from bench_parts.interrupts import interrupts
 from bench_parts.navigation import navigation
 from bench_parts.optimal import optimal
 from bench_parts.quadtree import lidar_inertial, quadtree
@@ -44,6 +45,7 @@ PARTS: dict[str, Callable[[], None]] = {
         guidance,
         optimal,
         campaign,
+        interrupts,
         paths,
     )
 }

@@ -20,6 +20,9 @@ from lunarsim.whole_files import write_text_whole
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
              "rasterio", "pyarrow")  # fmt: skip
 
+# Of an environment, what changes none.
+_NO_MATTER = ("python", "cores")
+
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write a JSON file whole."""
@@ -72,6 +75,12 @@ def module_digest(name: str) -> dict[str, str]:
     if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
         return {}
     return {name: _digest(Path(source))}
+
+
+def differing(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+    """Return what two environments differ in that may give other results."""
+    names = dict.fromkeys([*there, *here])
+    return [n for n in names if n not in _NO_MATTER and there.get(n) != here.get(n)]
 
 
 def environment() -> dict[str, str]:

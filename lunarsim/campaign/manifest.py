@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import lunarsim
-from lunarsim.campaign.files import code_digest, environment
+from lunarsim.campaign.files import code_digest, differing, environment
 from lunarsim.campaign.plan import Plan
 from lunarsim.campaign.rows import KINDS
 from lunarsim.errors import InputError, check_folder
@@ -74,11 +74,7 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
 def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Refuse other packages, or another kind of machine: they may give other results."""
     before, now = manifest.get("environment", {}), environment()
-    other = [
-        name
-        for name in dict.fromkeys([*before, *now])
-        if name not in ("python", "cores") and before.get(name) != now.get(name)
-    ]
+    other = differing(before, now)
     if not other:
         return
     told = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]

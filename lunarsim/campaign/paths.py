@@ -94,7 +94,7 @@ def flown_on(
         return _as_flown_by(branch.at, scenarios[arm], policies[arm])
     else:
         simulation = branch.at.resumed()
-        others = [i for i in branch.decisions if i != arm and branches.get(i) is branch]
+        others = [i for i in branch.decisions if i != arm]
         simulation.apply(branch.decisions[arm])
         simulation.move()
     _fly(simulation, arm, others, policies, branches)

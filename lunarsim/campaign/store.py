@@ -22,7 +22,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Container, Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,13 +32,15 @@ import pyarrow.parquet as pq
 from lunarsim.campaign.files import write_json
 from lunarsim.campaign.manifest import manifest_of, new_manifest
 from lunarsim.campaign.outcomes import FLOWN, Finished
-from lunarsim.campaign.plan import Plan
+from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.rows import TIMING, Row, row_of, schema_of
 from lunarsim.errors import InputError
 from lunarsim.whole_files import write_text_whole, write_whole
 
 # Rows of a part, about.
 PART_ROWS = 5000
+# Of these, so many are tables of Python's at a time.
+_AT_ONCE = 500
 # The journal is brought to the disk at most this often, s; until then the system keeps it.
 _SYNC = 1.0
 
@@ -65,8 +67,9 @@ class Store:
         self._schema = schema_of(plan.inputs, plan.columns)
         self._per_part = max(1, PART_ROWS // len(plan.arms))
         self._full: set[int] = set()
-        # Rows of parts that are not full, by part, then (flight, arm).
-        self._open: dict[int, dict[tuple[int, int], Row]] = {}
+        # Rows of parts that are not full, by part, then (flight, arm): as lines of the journal, a
+        # tenth of what they take as tables.
+        self._open: dict[int, dict[tuple[int, int], str]] = {}
         self._journal: IO[str] | None = None
         self._synced = 0.0
 
@@ -90,6 +93,8 @@ class Store:
             another process is writing there. Nothing has been changed then.
         """
         manifest = manifest_of(folder, plan)
+        # The first array makes pyarrow load pandas where it is: not while an interrupt waits.
+        pa.array([], pa.int64())
         folder.mkdir(parents=True, exist_ok=True)
         store = cls(folder, plan, _locked(folder), manifest or new_manifest(plan))
         try:
@@ -119,8 +124,8 @@ class Store:
             self._write_part(part)
 
     def _take_part(self, path: Path, retry: bool) -> None:
-        number = int(path.stem.removeprefix("part-"))
         try:
+            number = int(path.stem.removeprefix("part-"))
             part = self._read_part(path)
         except (pa.ArrowException, OSError, ValueError) as error:
             path.replace(path.with_suffix(".broken"))
@@ -131,7 +136,7 @@ class Store:
             )
             return
         kept = {
-            key: row
+            key: _line(row)
             for key, row in part.items()
             if key[0] < self.plan.flights and not (retry and row[0]["outcome"] != FLOWN)
         }
@@ -154,9 +159,22 @@ class Store:
         names = {name: i for i, (name, _) in enumerate(self.plan.arms)}
         part = {}
         for row in table.to_pylist():
+            flight, arm = row["flight"], names.get(row["arm"], -1)
+            if row["id"] != row_id(flight, arm) or path != self._path(
+                "results", self._part(flight)
+            ):
+                raise ValueError(f"a row {row['id']} that has no place there")
             unknown = dict.fromkeys(TIMING.names) | {"id": row["id"]}
-            part[row["flight"], names[row["arm"]]] = row, timing.get(row["id"], unknown)
+            part[flight, arm] = row, timing.get(row["id"], unknown)
+        if len(part) < len(table):
+            raise ValueError("a flight is there twice")
         return part
+
+    def _reopen(self, part: int) -> None:
+        """Take the rows of a full part into memory again."""
+        self._full.remove(part)
+        rows = self._read_part(self._path("results", part))
+        self._open[part] = {key: _line(row) for key, row in rows.items()}
 
     def _take_journal(self, path: Path, retry: bool) -> None:
         lines = path.read_bytes().split(b"\n")
@@ -166,25 +184,26 @@ class Store:
             try:
                 row, timing = json.loads(line)
                 flight, arm = (int(part) for part in row["id"].split("-"))
-            except (ValueError, KeyError, TypeError):
+                if (row["flight"], row["arm"]) != (flight, self.plan.arms[arm][0]):
+                    raise ValueError("no row of this campaign")
+            except (ValueError, KeyError, TypeError, IndexError):
                 last = i == len(lines) - 1
                 if not last:
                     self.notes.append(f"line {i + 1} of the journal cannot be read: flown again")
                 continue
             if (retry and row["outcome"] != FLOWN) or flight >= self.plan.flights:
                 continue
-            part = flight // self._per_part
+            part = self._part(flight)
             if part in self._full:
                 # Of a flight that was flown again; its part has still the row that failed.
-                self._full.remove(part)
-                self._open[part] = self._read_part(self._path("results", part))
-            self._open.setdefault(part, {})[flight, arm] = row, timing
+                self._reopen(part)
+            self._open.setdefault(part, {})[flight, arm] = _line((row, timing))
 
     # --- what is there --------------------------------------------------------------------
 
     def has(self, flight: int, arm: int) -> bool:
         """Tell whether a flight has its row."""
-        part = flight // self._per_part
+        part = self._part(flight)
         return part in self._full or (flight, arm) in self._open.get(part, {})
 
     @property
@@ -199,7 +218,11 @@ class Store:
             if part in self._full:
                 yield from pq.read_table(self._path("results", part)).to_pylist()
             else:
-                yield from (self._open[part][key][0] for key in sorted(self._open[part]))
+                lines = self._open[part]
+                yield from (json.loads(lines[key])[0] for key in sorted(lines))
+
+    def _part(self, flight: int) -> int:
+        return flight // self._per_part
 
     def _flights(self, part: int) -> range:
         first = part * self._per_part
@@ -216,10 +239,11 @@ class Store:
 
     def add(self, done: Finished) -> dict[str, Any]:
         """Keep a finished flight; it is safe when this returns. Return its row."""
-        row, timing = row_of(self.plan, done), done.timing()
-        self._append(json.dumps([row, timing]) + "\n")
-        part = done.flight // self._per_part
-        self._open.setdefault(part, {})[done.flight, done.arm] = row, timing
+        row = row_of(self.plan, done)
+        line = _line((row, done.timing()))
+        self._append(line + "\n")
+        part = self._part(done.flight)
+        self._open.setdefault(part, {})[done.flight, done.arm] = line
         if self._is_full(part):
             self._write_part(part)
         return row
@@ -237,13 +261,13 @@ class Store:
 
     def _write_part(self, part: int) -> None:
         """Write a part, and take its rows out of the journal if it is full."""
-        rows = [self._open[part][key] for key in sorted(self._open[part])]
-        if not rows:
+        lines = [self._open[part][key] for key in sorted(self._open[part])]
+        if not lines:
             for kind in ("results", "timing"):
                 self._path(kind, part).unlink(missing_ok=True)
             return
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
-            table = pa.Table.from_pylist([row[column] for row in rows], schema)
+            table = _table(lines, column, schema)
             write_whole(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
         if self._is_full(part):
             del self._open[part]
@@ -253,8 +277,8 @@ class Store:
     def _write_journal(self) -> None:
         """Write the journal anew with the rows of parts that are not full."""
         path = self.folder / "journal.jsonl"
-        rows = [row for part in sorted(self._open) for row in self._open[part].values()]
-        text = "".join(json.dumps(list(row)) + "\n" for row in rows)
+        lines = [line for part in sorted(self._open) for line in self._open[part].values()]
+        text = "".join(f"{line}\n" for line in lines)
         write_text_whole(path, text)
         if self._journal is not None:
             self._journal.close()
@@ -267,21 +291,19 @@ class Store:
             if self._flights(part).stop <= flights:
                 continue
             if part in self._full:
-                self._full.remove(part)
-                self._open[part] = self._read_part(self._path("results", part))
+                self._reopen(part)
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
 
-    def forget(self, rows: Container[tuple[int, int]]) -> None:
+    def forget(self, rows: Set[tuple[int, int]]) -> None:
         """Forget rows, by flight and arm, on the disk too, before others take their place."""
         for part in sorted(self._full | set(self._open)):
-            if part in self._full:
-                known = self._read_part(self._path("results", part))
-            else:
-                known = self._open[part]
-            kept = {key: row for key, row in known.items() if key not in rows}
-            if len(kept) < len(known):
-                self._full.discard(part)
-                self._open[part] = kept
+            first, last = self._flights(part).start, self._flights(part).stop
+            gone = {(flight, arm) for flight, arm in rows if first <= flight < last}
+            if part in self._full and gone:
+                self._reopen(part)
+            known = self._open.get(part, {})
+            if gone & set(known):
+                self._open[part] = {key: line for key, line in known.items() if key not in gone}
                 self._write_part(part)
         self._write_journal()
 
@@ -317,6 +339,22 @@ class Store:
                 self._journal.close()
             self._journal = None
         self._lock.close()
+
+
+def _line(row: Row) -> str:
+    """Return a row and its times as a line of the journal, without its end."""
+    return json.dumps(list(row))
+
+
+def _table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
+    """Return the rows (0) or the times (1) of lines, some at a time: as tables they are big."""
+    tables = [
+        pa.Table.from_pylist(
+            [json.loads(line)[column] for line in lines[at : at + _AT_ONCE]], schema
+        )
+        for at in range(0, len(lines), _AT_ONCE)
+    ]
+    return pa.concat_tables(tables).combine_chunks()
 
 
 def _write_table(table: pa.Table, path: Path) -> None:

@@ -17,7 +17,7 @@ from bench_parts.campaign_costs import million, worlds
 from bench_parts.common import ROOT
 
 # Flights that cost nothing, of nothing and of hirise for memory's test, rows of the report's.
-_EMPTY, _SHORT, _REAL, _ROWS = 3000, 5000, 16, 1_000_000
+_EMPTY, _SHORTS, _REAL, _ROWS = 3000, (1000, 5000, 15_000), 16, 1_000_000
 # Tasks that two processes share, and turns of a loop in each: some tenths of a second.
 _TASKS, _TURNS = 24, 4_000_000
 
@@ -173,15 +173,16 @@ def _memory(folder: Path) -> None:
 
     ours: list[float] = []
     run(
-        _plan(_SHORT, "nothing"), LocalEngine(1), folder / "memory",
+        _plan(_SHORTS[-1], "nothing"), LocalEngine(1), folder / "memory",
         progress=lambda n: ours.append(_mib()),
     )  # fmt: skip
     theirs = load_results(folder / "memory", ["mib"]).table["mib"].to_numpy()
     told = [
-        f"{label} {at[_SHORT // 5]:.0f} and {at[-1]:.0f} MiB"
+        f"{label} {', '.join(f'{at[n - 1]:.0f}' for n in _SHORTS)} MiB"
         for label, at in (("driver", ours), ("worker", theirs))
     ]
-    print(f"  memory after {_SHORT // 5} and {_SHORT} flights of nothing: " + "; ".join(told))
+    counts = ", ".join(map(str, _SHORTS))
+    print(f"  memory after {counts} flights of nothing (a part is 5000): " + "; ".join(told))
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _REAL, "seed": 1})
     plan = _plan(_REAL, "measured", plan_of(spec).work.study)

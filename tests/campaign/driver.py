@@ -17,7 +17,7 @@ from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.run import run
-from tests.campaign.surrogate import plan
+from tests.campaign import surrogate, test_subset
 
 # Rows of a part, so that a short campaign has several.
 PART_ROWS = 20
@@ -45,7 +45,7 @@ def die_at(when: str, name: str, count: int) -> None:
 def main() -> None:
     """Fly."""
     folder, options = Path(sys.argv[1]), json.loads(sys.argv[2])
-    store.PART_ROWS = PART_ROWS
+    store.PART_ROWS = options.pop("part_rows", PART_ROWS)
     if "die" in options:
         die_at(*options.pop("die"))
     if "most_bytes" in options:
@@ -53,7 +53,9 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
     jobs = options.pop("jobs", 2)
     engine = LocalEngine(jobs) if jobs else InlineEngine()
-    ran = run(plan(**options), engine, folder)
+    subset = options.pop("subset", None)
+    plan = surrogate.plan(**options) if subset is None else test_subset.planned(subset)
+    ran = run(plan, engine, folder)
     print(ran.state, ran.flown, ran.before, ran.failed)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -15,8 +17,11 @@ from click.testing import CliRunner
 
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run as fly
+from lunarsim.campaign.stopping import WidthRule
 from lunarsim.cli import main
+from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.scenario import Scenario
 from tests.campaign.surrogate import plan
 from tests.worlds import TINY_FLIGHT
@@ -126,6 +131,42 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
         assert words in head
     assert run("campaign", "report", tmp_path, "--out", out).exit_code == 2
     assert run("campaign", "report", swept, "--out", tmp_path / "r.txt").exit_code == 2
+
+
+@pytest.mark.parametrize("flights", [12, 200], ids=["to the end", "stopped"])
+def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
+    """Also of one that met its last flight first: it would have stopped, had it been narrow."""
+    rule = WidthRule("safe", 0.5, 2)
+    watched = replace(plan(flights=flights), identity={"stop": {"metric": "safe", "width": 0.5}})
+    assert fly(watched, InlineEngine(), tmp_path / "c", rule=rule).state == (
+        "complete" if flights == 12 else "stopped"
+    )
+    out = tmp_path / "r.html"
+    assert run("campaign", "report", tmp_path / "c", "--out", out).exit_code == 0
+    page = out.read_text()
+    table = load_results(tmp_path / "c").table.to_pandas()
+    for _, rows in table.groupby("arm"):
+        low, high = share_sequence(int(rows["safe"].sum()), len(rows))
+        assert f"[{low:.3f}, {high:.3f}]" in page
+    assert "a confidence sequence" in page
+
+
+@pytest.mark.parametrize("lost", ["one arm", "all"])
+def test_arms_without_a_verdict_are_told_of_and_not_drawn(tmp_path, lost):
+    """A policy that raises each time, say."""
+    raises = [f"{i}-{arm}" for i in range(4) for arm in ((1,) if lost == "one arm" else (0, 1))]
+    ran = fly(plan(flights=4, raises=raises), InlineEngine(), tmp_path / "c")
+    assert ran.complete and ran.failed == len(raises)
+    out = tmp_path / "r.html"
+    done = run("campaign", "report", tmp_path / "c", "--out", out)
+    assert done.exit_code == 0, done.output
+    page = out.read_text()
+    assert "ValueError: no flight 0-1" in page
+    data = json.loads(re.search(r"const plots = (\[.*?\]);?\n", page)[1])
+    drawn = {trace["arm"] for p in data if p["id"] == "shares" for trace in p["data"]}
+    assert drawn == ({"arm 0"} if lost == "one arm" else set())
+    assert run("campaign", "status", tmp_path / "c").exit_code == 0
+    assert run("campaign", "diff", tmp_path / "c", tmp_path / "c").exit_code == 0
 
 
 def test_texts_of_flights_do_not_become_part_of_the_page(tmp_path, monkeypatch):

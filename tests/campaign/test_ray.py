@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import re
+import signal
+import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from lunarsim.campaign.engines import engine_of
+from lunarsim.campaign.engines import engine_of, ray_cluster
 from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.plan import Group
+from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
+from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
 from tests.campaign.surrogate import plan
+from tests.worlds import TINY_FLIGHT
 
 
 def parts(folder):
@@ -29,6 +38,28 @@ def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"pip install \"lunarsim\[ray\]\""):
         engine_of("ray", 1, None, None)
+
+
+def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
+    """Its rows would name this machine's."""
+    flights = plan(flights=1)
+    (group,) = (Group(0, (0, 1), flights.draws(0)),)
+    here = ray_cluster._here()
+    assert len(ray_cluster.fly_group(flights.work, group, None, here)) == 2
+    for change, told in (
+        ({"numpy": "1.26.4"}, rf"numpy {np.__version__} \(here 1\.26\.4\)"),
+        ({"lunarsim": "code 123"}, r"lunarsim code \w{12} \(here code 123\)"),
+        ({"torch": "2.0"}, r"torch none \(here 2\.0\)"),
+    ):
+        came = ray_cluster.fly_group(flights.work, group, None, here | change)
+        assert isinstance(came, ray_cluster.OtherNode) and re.search(told, came.has)
+        engine = object.__new__(ray_cluster.RayEngine)
+        engine.address = "10.0.0.1:6379"
+        with pytest.raises(InputError, match=told) as refused:
+            engine._same(came)
+        assert refused.value.field == "--address"
+    same = here | {"python": "3.99", "cores": "64"}
+    assert len(ray_cluster.fly_group(flights.work, group, None, same)) == 2
 
 
 @pytest.mark.slow
@@ -57,8 +88,57 @@ def test_a_node_that_is_taken_away_changes_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_flights_that_fail_on_ray_are_rows(tmp_path):
+def test_an_interrupt_waits_for_no_farewell_and_leaves_nobody(tmp_path):
+    """Ray's own end takes up to nine seconds; its processes end with the one that started them."""
+    spec = {"scenario": TINY_FLIGHT, "flights": 400, "seed": 1}
+    (tmp_path / "s.toml").write_text(CampaignSpec.from_dict(spec).to_toml())
+    folder = tmp_path / "c"
+    words = ["campaign", "run", tmp_path / "s.toml", "--out", folder, "--engine", "ray"]
+    command = [sys.executable, "-m", "lunarsim.cli", *map(str, words), "--jobs", "2"]
+    driver = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+    journal, until = folder / "journal.jsonl", time.monotonic() + 300.0
+    while not (journal.exists() and journal.stat().st_size):
+        assert driver.poll() is None and time.monotonic() < until
+        time.sleep(0.1)
+    others = _below(driver.pid)
+    assert len(others) > 3
+    began = time.monotonic()
+    driver.send_signal(signal.SIGINT)
+    said = driver.communicate(timeout=60)[0]
+    assert time.monotonic() - began < 2.0
+    assert driver.returncode == 130 and "interrupted" in said
+    found = load_results(folder)
+    assert found.manifest["state"] == "interrupted" and len(found.table) > 0
+    until = time.monotonic() + 60.0
+    while any(_runs(other) for other in others):
+        assert time.monotonic() < until
+        time.sleep(0.2)
+
+
+def _below(process: int) -> list[int]:
+    """Return the numbers of all processes that come from one."""
+    path = Path(f"/proc/{process}/task/{process}/children")
+    mine = [int(word) for word in path.read_text().split()]
+    return mine + [other for child in mine for other in _below(child)]
+
+
+def _runs(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+def test_flights_that_fail_on_ray_are_rows(tmp_path, monkeypatch):
     failing = plan(flights=5, raises=["1-0"], hangs=["2-1"], kills=["3-0"])
+    with monkeypatch.context() as patch, pytest.raises(InputError, match=r"here 1\.26"):
+        other = ray_cluster._here() | {"numpy": "1.26"}
+        patch.setattr(ray_cluster, "_here", lambda: other)
+        run(failing, engine_of("ray", 1, None, 1.0), tmp_path / "c")
+    assert not load_results(tmp_path / "c").table.num_rows
     began = time.monotonic()
     ran = run(failing, engine_of("ray", 2, None, 1.0), tmp_path / "c")
     assert (ran.state, ran.flown, ran.failed) == ("complete", 10, 3)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,8 @@ import pytest
 
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.engines.local import LocalEngine, WorkersDieError
+from lunarsim.campaign.engines.local import LocalEngine, WorkersDieError, _deaf
+from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results, status_of
 from lunarsim.campaign.run import run
@@ -32,6 +34,7 @@ from tests.conftest import ROOT
 @pytest.fixture(autouse=True)
 def short_parts(monkeypatch):
     monkeypatch.setattr(store, "PART_ROWS", 20)
+    monkeypatch.setattr(store, "_AT_ONCE", 7)
 
 
 def start(at: Path, **options: object) -> subprocess.Popen[str]:
@@ -286,6 +289,55 @@ def test_an_interrupt_returns_at_once_and_keeps_what_is_finished(tmp_path, whole
     assert parts(folder) == whole
 
 
+def test_nothing_is_loaded_while_an_interrupt_waits(tmp_path):
+    """Pandas took 0.3 s, and seconds on a busy machine: rows are written when all is loaded."""
+    code = """
+import sys
+from pathlib import Path
+from lunarsim.campaign.outcomes import FLOWN, Finished
+from lunarsim.campaign.store import Store
+from tests.campaign.surrogate import plan
+opened = Store.open(Path(sys.argv[1]), plan())
+before = set(sys.modules)
+for i in range(12):
+    opened.add(Finished(i, 0, FLOWN, {"safe": True, "x": 0.5, "steps": 1, "name": "n"}))
+opened.close("interrupted")
+print(sorted(m for m in set(sys.modules) - before if "encodings" not in m))
+"""
+    command = [sys.executable, "-c", code, str(tmp_path / "c")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_processes_do_not_die_of_an_interrupt_while_they_start():
+    """The keyboard sends it to all; the parent hears it once the other has been started."""
+    # A shell gives what it starts in the background an interrupt that is ignored.
+    code = "import signal, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    code += "print(flush=True); time.sleep(0.3); print('there')"
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
+    with _deaf():
+        other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, set()) == before
+    other.stdout.readline()
+    other.send_signal(signal.SIGINT)
+    assert other.communicate(timeout=60)[0] == "there\n"
+    assert other.returncode == 0
+
+
+def test_a_million_rows_are_not_held_in_memory(tmp_path, monkeypatch):
+    """Rows that are in no part yet take what their lines take, not a table of Python's each."""
+    monkeypatch.setattr(store, "PART_ROWS", 5000)
+    opened = Store.open(tmp_path / "c", plan(flights=5000))
+    tracemalloc.start()
+    for i in range(1000):
+        opened.add(Finished(i, 0, FLOWN, {"safe": True, "x": i / 7, "steps": i, "name": "n"}))
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    opened.abandon()
+    line = len((tmp_path / "c" / "journal.jsonl").read_text()) / 1000
+    assert held / 1000 < 1.5 * line + 400
+
+
 def test_an_interrupt_in_the_caller_keeps_what_is_finished(tmp_path, whole):
     came = []
 
@@ -322,6 +374,51 @@ def test_a_flipped_bit_is_found(tmp_path, whole):
     data[len(data) // 4] ^= 0x10
     path.write_bytes(data)
     assert run(plan(), InlineEngine(), folder).flown == 20
+    assert parts(folder) == whole
+
+
+@pytest.mark.parametrize("names", [("00001", "00002"), ("00000", "00003"), ("00002", "00002x")])
+def test_a_part_in_the_place_of_another_is_kept_apart_and_flown_again(tmp_path, whole, names):
+    folder = tmp_path / "c"
+    run(plan(), InlineEngine(), folder)
+    came, place = (folder / "results" / f"part-{name}.parquet" for name in names)
+    came.replace(place)
+    ran = run(plan(), InlineEngine(), folder)
+    assert ran.notes and "cannot be read" in ran.notes[0]
+    assert ran.state == "complete" and parts(folder) == whole
+
+
+@pytest.mark.parametrize("edited", ["twice", "other arm"])
+def test_a_part_that_was_edited_by_hand_is_kept_apart(tmp_path, whole, edited):
+    folder = tmp_path / "c"
+    run(plan(), InlineEngine(), folder)
+    path = folder / "results" / "part-00001.parquet"
+    table = pq.read_table(path)
+    rows = table.to_pylist()
+    if edited == "twice":
+        rows[3] = rows[2]
+    else:
+        rows[3] |= {"arm": "arm 7"}
+    pq.write_table(table.from_pylist(rows, table.schema), path)
+    ran = run(plan(), InlineEngine(), folder)
+    assert (ran.before, ran.flown) == (60, 20) and "cannot be read" in ran.notes[0]
+    assert parts(folder) == whole
+
+
+def test_lines_of_the_journal_that_are_no_rows_of_it_are_told_of(tmp_path, whole):
+    folder = tmp_path / "c"
+    driver = start(folder, die=("before", "results/part-00001.parquet", 1), jobs=0)
+    driver.communicate(timeout=300)
+    before = journalled(folder)
+    path = folder / "journal.jsonl"
+    row, timing = json.loads(path.read_text().splitlines()[0])
+    strange = [
+        json.dumps([row | change, timing])
+        for change in ({"id": "3-9"}, {"arm": "arm 7"}, {"flight": 39}, {"id": "x"})
+    ]
+    path.write_text("\n".join([*strange, "{}", "7", path.read_text()]))
+    ran = run(plan(), InlineEngine(), folder)
+    assert ran.before == before and len(ran.notes) == 6
     assert parts(folder) == whole
 
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +33,7 @@ from lunarsim.campaign.subset_share import chains_of, share_of, variance_of
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
+from tests.conftest import ROOT
 from tests.worlds import TINY_FLIGHT
 
 EAST, NORTH = "start.position_m.0", "start.position_m.1"
@@ -195,6 +200,83 @@ def test_processes_give_the_same_bytes(tmp_path, whole, monkeypatch):
     again = run(planned("linear"), LocalEngine(2), tmp_path / "c")
     assert (again.state, again.flown) == ("complete", 0)
     assert parts(tmp_path / "c") == parts(whole)
+
+
+@pytest.mark.parametrize(
+    "point",
+    [("after", "results/part-00001.parquet", 1), ("before", "journal.jsonl", 3)],
+    ids=lambda p: f"{p[0]} {p[1]}",
+)
+def test_a_killed_driver_loses_nothing_of_its_chains(tmp_path, whole, monkeypatch, point):
+    """Part 1 ends in the midst of the second level; flights of the third follow from it."""
+    monkeypatch.setattr(store, "PART_ROWS", 200)
+    folder = tmp_path / "c"
+    options = {"subset": "linear", "part_rows": 200, "die": point, "jobs": 0}
+    driver = subprocess.run(
+        [sys.executable, "-m", "tests.campaign.driver", str(folder), json.dumps(options)],
+        cwd=ROOT, capture_output=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert driver.returncode == -signal.SIGKILL, driver.stderr
+    before = len(load_results(folder).table)
+    assert before == (400 if point[0] == "after" else 600)
+    ran = run(planned("linear"), InlineEngine(), folder)
+    assert (ran.state, ran.before, ran.notes) == ("complete", before, ())
+    assert parts(folder) == parts(whole)
+
+
+@pytest.mark.slow
+def test_kills_at_random_times_lose_nothing_of_chains(tmp_path, whole):
+    rng = np.random.default_rng(5)
+    options = json.dumps({"subset": "linear", "part_rows": 200})
+    for number in range(5):
+        folder, kills = tmp_path / str(number), 0
+        while True:
+            driver = subprocess.Popen(
+                [sys.executable, "-m", "tests.campaign.driver", str(folder), options], cwd=ROOT
+            )
+            had = _rows(folder)
+            target = had + int(rng.integers(20, 600))
+            while driver.poll() is None and _rows(folder) < target:
+                time.sleep(0.02)
+            kills += driver.poll() is None
+            driver.kill()
+            driver.wait()
+            assert _rows(folder) >= had
+            if driver.returncode == 0:
+                break
+        assert kills and parts(folder) == parts(whole)
+
+
+def _rows(folder):
+    try:
+        return len(load_results(folder, ["outcome"]).table)
+    except (InputError, OSError):
+        return 0
+
+
+@pytest.mark.parametrize("all_taken", [True, False])
+def test_steps_grow_where_many_are_taken_and_shrink_where_few_are(all_taken):
+    """Of 0.44 taken they stay as they are; scores show by what scale a level was flown."""
+    chains = planned("linear").chains
+    steps = []
+    for group in chains.groups(lambda flight, arm: False):
+        flight, level = group.flight, group.draws["level"]
+        if level == 3:
+            break
+        if level:
+            now = chains._scores[chains.states[group.draws["chain"]][-1]]
+            fresh = norm.ppf(chains._laws.uniforms(flight))
+            steps.append((level, now, fresh, chains._scores[flight]))
+        near = level == 0 or all_taken or flight % 5 == 0
+        value = float(norm.isf((flight + 0.5) / 400)) if level == 0 else 2.5 + 1e-3 * flight
+        chains.see(flight, {"slope_deg": value if near else -9.0})
+    taken = chains.levels[1].taken
+    assert taken == 1.0 if all_taken else 0.1 < taken < 0.3
+    scales = {1: 0.6, 2: min(1.0, 0.6 * np.exp(taken - 0.44))}
+    for level, now, fresh, drawn in steps:
+        s = scales[level]
+        assert drawn == pytest.approx(np.sqrt(1.0 - s * s) * now + s * fresh, abs=1e-9)
+    assert {level for level, *_ in steps} == {1, 2}
 
 
 def test_what_chains_and_worlds_share_widens_and_errors_of_levels_add():

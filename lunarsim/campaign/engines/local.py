@@ -18,7 +18,7 @@ from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished
 from lunarsim.campaign.plan import Group, Work
 
 # How long an interrupt may go unseen, s.
-_TICK = 0.2
+_TICK = 0.1
 # A flight whose process dies is begun so often.
 TRIES = 3
 
@@ -38,7 +38,8 @@ class _Worker:
         self.process = context.Process(
             target=serve, args=(work, theirs, theirs_line, os.getpid()), daemon=True
         )
-        self.process.start()
+        with _deaf():
+            self.process.start()
         theirs.close()
         theirs_line.close()
         self.ready = False
@@ -220,6 +221,19 @@ class LocalEngine:
                     break
                 if message[0] == ENDED:
                     yield message[1]
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """Keep an interrupt from processes that start meanwhile; this one hears it a moment later.
+
+    The keyboard sends it to all, and one that is still loading would die of it with a traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _received(connection: Connection) -> Any:

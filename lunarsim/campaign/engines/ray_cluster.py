@@ -7,12 +7,14 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from types import FrameType
 from typing import Any
 
 from lunarsim.campaign.engines.worker import one_thread
+from lunarsim.campaign.files import code_digest, differing, environment
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, function_of
 from lunarsim.campaign.plan import Group, Work
 from lunarsim.errors import InputError
@@ -68,7 +70,11 @@ class RayEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as their groups end; see `Engine`."""
+        """Yield flights as their groups end; see `Engine`.
+
+        After an interrupt Ray is left to the end of this process, which its processes end with:
+        nobody is to wait the seconds that it needs to take its leave.
+        """
         ray = self._ray
         ours = not ray.is_initialized()
         if ours:
@@ -76,7 +82,7 @@ class RayEngine:
         try:
             yield from self._flown(work, iter(groups), halt)
         finally:
-            if ours:
+            if ours and not halt():
                 ray.shutdown()
 
     def _join(self) -> None:
@@ -85,6 +91,8 @@ class RayEngine:
             self._ray.init(address=self.address, log_to_driver=False, logging_level="error", **more)
         except Exception as error:  # Ray raises what it likes
             said = str(error).strip().split("\n")[0]
+            if self.address is None:
+                raise InputError("--engine", "ray", f"a Ray that starts here ({said})") from None
             raise InputError(
                 "--address", self.address, f"a running Ray cluster of this version ({said})"
             ) from None
@@ -94,7 +102,7 @@ class RayEngine:
     ) -> Iterator[Finished]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=TRIES - 1)(fly_group)
-        shared = ray.put(work)
+        shared, made_by = ray.put(work), _here()
         window = _WINDOW * max(1, int(ray.cluster_resources().get("CPU", 1)))
         pending: dict[Any, Group] = {}
         again: list[Group] = []
@@ -104,13 +112,13 @@ class RayEngine:
                     group = again.pop(0) if again else next(groups, None)
                     if group is None:
                         break
-                    pending[task.remote(shared, group, self.time_limit)] = group
+                    pending[task.remote(shared, group, self.time_limit, made_by)] = group
                 if not pending:
                     return
                 for reference in ray.wait(list(pending), num_returns=1, timeout=_TICK)[0]:
                     group = pending.pop(reference)
                     try:
-                        yield from ray.get(reference)
+                        yield from self._same(ray.get(reference))
                     except ray.exceptions.RayError as error:
                         yield from self._lost(group, again, str(error))
             yield from self._heard_last(pending)
@@ -134,15 +142,52 @@ class RayEngine:
         ready = ray.wait(list(pending), num_returns=len(pending), timeout=0)[0] if pending else []
         for reference in ready:
             with contextlib.suppress(ray.exceptions.RayError):
-                yield from ray.get(reference)
+                yield from self._same(ray.get(reference))
+
+    def _same(self, came: list[Finished] | OtherNode) -> list[Finished]:
+        """Return the flights of a node; refuse one that gives other results."""
+        if isinstance(came, OtherNode):
+            raise InputError(
+                "--address", self.address,
+                f"nodes with code and packages of this machine: {came.who} has {came.has}",
+            )  # fmt: skip
+        return came
 
 
-def fly_group(work: Work, group: Group, time_limit: float | None) -> list[Finished]:
-    """Fly a group on a worker of the cluster; return what became of each flight."""
+@dataclass(frozen=True)
+class OtherNode:
+    """A node that may give other results than this machine.
+
+    Attributes
+    ----------
+    who, has
+        Host and process; what differs, in words.
+    """
+
+    who: str
+    has: str
+
+
+def fly_group(
+    work: Work, group: Group, time_limit: float | None, made_by: Mapping[str, str]
+) -> list[Finished] | OtherNode:
+    """Fly a group on a worker of the cluster; return what became of each flight.
+
+    Parameters
+    ----------
+    work, group, time_limit
+        What; the longest that a flight may take, s.
+    made_by
+        Code and packages that the rows will name as theirs: nothing is flown by others.
+    """
+    here, who = _here(), f"{socket.gethostname()}:{os.getpid()}"
+    other = differing(made_by, here)
+    if other:
+        told = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
+        return OtherNode(who, ", ".join(told))
     function = function_of(work)
     one_thread()
     memory: dict[Any, Any] = {}
-    who = f"{socket.gethostname()}:{os.getpid()}"
     found = []
     for arm in group.arms:
         with _limited(time_limit):
@@ -152,6 +197,12 @@ def fly_group(work: Work, group: Group, time_limit: float | None) -> list[Finish
             done = replace(done, outcome=TIMEOUT, error=error, traceback="")
         found.append(replace(done, worker=who))
     return found
+
+
+@cache
+def _here() -> dict[str, str]:
+    """Return code and packages of this process."""
+    return {"lunarsim": f"code {code_digest()}"} | environment()
 
 
 class _TooLongError(BaseException):

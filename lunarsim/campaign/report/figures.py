@@ -5,6 +5,7 @@ Colours of text, grid and paper are the page's, which knows whether it is light 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -39,10 +40,12 @@ def _plot(identity: str, title: str, said: str, traces: list[Plot], layout: Plot
 
 
 def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, float]]) -> Plot:
-    """Return the share of safe landings of each arm with its interval."""
+    """Return the share of safe landings of each arm with its interval; nothing of one without."""
     traces = []
     for i, arm in enumerate(figures):
         share = arm.shares["safe"].value
+        if not math.isfinite(share):
+            continue
         low, high = intervals[arm.name]
         traces.append({
             "type": "scatter", "mode": "markers", "x": [share], "y": [arm.name],
@@ -167,7 +170,7 @@ def differences_plot(made: list[Difference]) -> Plot:
          "error_x": {"type": "data", "symmetric": False, "array": [d.high - d.value],
                      "arrayminus": [d.value - d.low], "thickness": 2, "width": 5},
          "marker": {"size": 10, "color": "#0072B2" if d.corrected < 0.05 else "#8c8c8c"}}
-        for d, name in zip(made, names, strict=True)
+        for d, name in zip(made, names, strict=True) if d.pairs
     ]  # fmt: skip
     layout = {
         "xaxis": {"title": {"text": "difference of the share that landed safe"}, "zeroline": True,

@@ -93,8 +93,9 @@ def _content(found: Results) -> dict[str, Any]:
     if found.is_leaning:
         return _rare_content(found)
     figures = figures_of(found)
-    stopped = found.manifest["state"] == "stopped"
-    intervals = {a.name: _interval(a, stopped) for a in figures}
+    # Whoever might have stopped has looked, also where the flights came to an end first.
+    watched = "stop" in found.manifest["identity"]
+    intervals = {a.name: _interval(a, watched) for a in figures}
     made = differences(found) if len(figures) > 1 else []
     plots = [
         shares_plot(figures, intervals),
@@ -107,7 +108,7 @@ def _content(found: Results) -> dict[str, Any]:
     if sensitive:
         plots.append(sensitivity_plot(sensitive))
     return _common(found, plots) | {
-        "stopped": stopped,
+        "watched": watched,
         "arms": [_row(a, *intervals[a.name]) for a in figures],
         "differences": made,
         "sensitive": sensitive,
@@ -134,7 +135,7 @@ def _rare_content(found: Results) -> dict[str, Any]:
     return _common(found, plots) | {
         "levels": levels_told(chains) if chains else [],
         "ended": how_it_ended(chains) if chains else "",
-        "stopped": False,
+        "watched": False,
         "arms": rows,
         "differences": [],
         "sensitive": [],
@@ -184,10 +185,10 @@ def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
         return [], str(error)
 
 
-def _interval(arm: ArmFigures, stopped: bool) -> tuple[float, float]:
+def _interval(arm: ArmFigures, watched: bool) -> tuple[float, float]:
     """Return the interval of the safe share: one that stands peeking where it was peeked at."""
     share = arm.shares["safe"]
-    return share_sequence(share.count, share.total) if stopped else share.interval
+    return share_sequence(share.count, share.total) if watched else share.interval
 
 
 def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
@@ -234,7 +235,7 @@ def _worst(found: Results) -> list[dict[str, Any]]:
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
         if name in table.column_names:
-            speed += np.nan_to_num(column(found, name), nan=1e3)
+            speed += np.nan_to_num(column(found, name), nan=1e3, posinf=1e3, neginf=1e3)
     bad = ~(column(found, "safe") > 0.5)
     order = np.lexsort((-speed, column(found, "safe")))
     out: list[dict[str, Any]] = []
