@@ -41,15 +41,16 @@ def write_text_whole(path: Path, text: str) -> None:
 
 @contextmanager
 def filled_whole(folder: Path) -> Iterator[None]:
-    """Empty a folder again, which was empty or none, if what fills it is broken off."""
+    """Take away again what has come into a folder if what fills it is broken off."""
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    before = set(folder.iterdir()) if folder.is_dir() else set()
     try:
         yield
     except BaseException:
-        for path in folder.iterdir() if folder.is_dir() else ():
+        for path in set(folder.iterdir()) - before if folder.is_dir() else ():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         made = folder.absolute()
-        while made != above.absolute() and made.is_dir():
+        while made != above.absolute() and made.is_dir() and not any(made.iterdir()):
             made.rmdir()
             made = made.parent
         raise
