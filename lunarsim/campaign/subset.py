@@ -92,7 +92,7 @@ class Chains:
 
     def __init__(self, dispersions: Dispersions) -> None:
         assert dispersions.subset is not None
-        self._laws, self._settings = dispersions, dispersions.subset
+        self.laws, self._settings = dispersions, dispersions.subset
         self.flights = dispersions.flights
         self.chains = round(self.flights * self._settings.keep)
         self.steps = self.flights // self.chains
@@ -118,7 +118,7 @@ class Chains:
         self._scale = _SCALE
         # By flight: margin, normal scores, index of the world.
         self._margins: dict[int, float] = {}
-        self._scores: dict[int, Array] = {}
+        self.scores: dict[int, Array] = {}
         self._worlds: dict[int, int] = {}
         # Of each chain of the level that is being flown: its states so far.
         self._states: list[list[int]] = [[] for _ in range(self.flights)]
@@ -148,22 +148,22 @@ class Chains:
             If flights that it follows from have not been seen.
         """
         level, step, chain = self._place(flight)
-        if flight not in self._scores:
+        if flight not in self.scores:
             self._draw(flight, level, step, chain)
         place = {LEVEL: level, CHAIN: chain if level else None, WORLD: self._worlds[flight]}
-        return place | self._laws.at(ndtr(self._scores[flight]))
+        return place | self.laws.at(ndtr(self.scores[flight]))
 
     def _draw(self, flight: int, level: int, step: int, chain: int) -> None:
-        new = ndtri(self._laws.uniforms(flight))
+        new = ndtri(self.laws.uniforms(flight))
         if level == 0:
-            self._scores[flight], self._worlds[flight] = new, flight
+            self.scores[flight], self._worlds[flight] = new, flight
             return
         if level != len(self.levels) or len(self._states[chain]) != step or self.stop is not None:
             raise LookupError(flight)
         now = self._states[chain][-1]
-        rng = Streams(flight_seed(self._laws.seed, flight)).get("subset")
+        rng = Streams(flight_seed(self.laws.seed, flight)).get("subset")
         stays = bool(rng.random() < self._settings.same_world)
-        self._scores[flight] = np.sqrt(1.0 - self._scale**2) * self._scores[now] + self._scale * new
+        self.scores[flight] = np.sqrt(1.0 - self._scale**2) * self.scores[now] + self._scale * new
         self._worlds[flight] = self._worlds[now] if stays else flight
 
     # --- what has been flown --------------------------------------------------------------
@@ -219,7 +219,7 @@ class Chains:
             # As many as are needed of those near enough, whichever they are: were the nearest
             # taken, chains would not begin by the law of all that are near enough.
             near = np.flatnonzero(margins.ravel() <= threshold)
-            rng = Streams(flight_seed(self._laws.seed, end)).get("subset.seeds")
+            rng = Streams(flight_seed(self.laws.seed, end)).get("subset.seeds")
             order = np.sort(rng.choice(near, self.chains, replace=False))
         self._states = [[int(states.ravel()[i])] for i in order]
         self._left = self.flights - self.chains

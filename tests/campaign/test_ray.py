@@ -44,7 +44,7 @@ def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
     """Its rows would name this machine's."""
     flights = plan(flights=1)
     (group,) = (Group(0, (0, 1), flights.draws(0)),)
-    here = ray_cluster._here()
+    here = ray_cluster.this_node()
     assert len(ray_cluster.fly_group(flights.work, group, None, here)) == 2
     for change, told in (
         ({"numpy": "1.26.4"}, rf"numpy {np.__version__} \(here 1\.26\.4\)"),
@@ -56,7 +56,7 @@ def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
         engine = object.__new__(ray_cluster.RayEngine)
         engine.address = "10.0.0.1:6379"
         with pytest.raises(InputError, match=told) as refused:
-            engine._same(came)
+            engine.check_node(came)
         assert refused.value.field == "--address"
     same = here | {"python": "3.99", "cores": "64"}
     assert len(ray_cluster.fly_group(flights.work, group, None, same)) == 2
@@ -135,8 +135,8 @@ def _runs(process: int) -> bool:
 def test_flights_that_fail_on_ray_are_rows(tmp_path, monkeypatch):
     failing = plan(flights=5, raises=["1-0"], hangs=["2-1"], kills=["3-0"])
     with monkeypatch.context() as patch, pytest.raises(InputError, match=r"here 1\.26"):
-        other = ray_cluster._here() | {"numpy": "1.26"}
-        patch.setattr(ray_cluster, "_here", lambda: other)
+        other = ray_cluster.this_node() | {"numpy": "1.26"}
+        patch.setattr(ray_cluster, "this_node", lambda: other)
         run(failing, engine_of("ray", 1, None, 1.0), tmp_path / "c")
     assert not load_results(tmp_path / "c").table.num_rows
     began = time.monotonic()

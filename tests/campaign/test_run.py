@@ -18,7 +18,7 @@ import pytest
 
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.engines.local import LocalEngine, WorkersDieError, _deaf
+from lunarsim.campaign.engines.local import LocalEngine, WorkersDieError, deaf
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results, status_of
@@ -315,7 +315,7 @@ def test_processes_do_not_die_of_an_interrupt_while_they_start():
     code = "import signal, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
     code += "print(flush=True); time.sleep(0.3); print('there')"
     before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
-    with _deaf():
+    with deaf():
         other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, set()) == before
     other.stdout.readline()

@@ -264,9 +264,9 @@ def test_steps_grow_where_many_are_taken_and_shrink_where_few_are(all_taken):
         if level == 3:
             break
         if level:
-            now = chains._scores[chains.states[group.draws["chain"]][-1]]
-            fresh = norm.ppf(chains._laws.uniforms(flight))
-            steps.append((level, now, fresh, chains._scores[flight]))
+            now = chains.scores[chains.states[group.draws["chain"]][-1]]
+            fresh = norm.ppf(chains.laws.uniforms(flight))
+            steps.append((level, now, fresh, chains.scores[flight]))
         near = level == 0 or all_taken or flight % 5 == 0
         value = float(norm.isf((flight + 0.5) / 400)) if level == 0 else 2.5 + 1e-3 * flight
         chains.see(flight, {"slope_deg": value if near else -9.0})

@@ -38,7 +38,7 @@ class _Worker:
         self.process = context.Process(
             target=serve, args=(work, theirs, theirs_line, os.getpid()), daemon=True
         )
-        with _deaf():
+        with deaf():
             self.process.start()
         theirs.close()
         theirs_line.close()
@@ -224,7 +224,7 @@ class LocalEngine:
 
 
 @contextlib.contextmanager
-def _deaf() -> Iterator[None]:
+def deaf() -> Iterator[None]:
     """Keep an interrupt from processes that start meanwhile; this one hears it a moment later.
 
     The keyboard sends it to all, and one that is still loading would die of it with a traceback.

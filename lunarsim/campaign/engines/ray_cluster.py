@@ -102,7 +102,7 @@ class RayEngine:
     ) -> Iterator[Finished]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=TRIES - 1)(fly_group)
-        shared, made_by = ray.put(work), _here()
+        shared, made_by = ray.put(work), this_node()
         window = _WINDOW * max(1, int(ray.cluster_resources().get("CPU", 1)))
         pending: dict[Any, Group] = {}
         again: list[Group] = []
@@ -118,7 +118,7 @@ class RayEngine:
                 for reference in ray.wait(list(pending), num_returns=1, timeout=_TICK)[0]:
                     group = pending.pop(reference)
                     try:
-                        yield from self._same(ray.get(reference))
+                        yield from self.check_node(ray.get(reference))
                     except ray.exceptions.RayError as error:
                         yield from self._lost(group, again, str(error))
             yield from self._heard_last(pending)
@@ -142,9 +142,9 @@ class RayEngine:
         ready = ray.wait(list(pending), num_returns=len(pending), timeout=0)[0] if pending else []
         for reference in ready:
             with contextlib.suppress(ray.exceptions.RayError):
-                yield from self._same(ray.get(reference))
+                yield from self.check_node(ray.get(reference))
 
-    def _same(self, came: list[Finished] | OtherNode) -> list[Finished]:
+    def check_node(self, came: list[Finished] | OtherNode) -> list[Finished]:
         """Return the flights of a node; refuse one that gives other results."""
         if isinstance(came, OtherNode):
             raise InputError(
@@ -180,7 +180,7 @@ def fly_group(
     made_by
         Code and packages that the rows will name as theirs: nothing is flown by others.
     """
-    here, who = _here(), f"{socket.gethostname()}:{os.getpid()}"
+    here, who = this_node(), f"{socket.gethostname()}:{os.getpid()}"
     other = differing(made_by, here)
     if other:
         told = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
@@ -200,7 +200,7 @@ def fly_group(
 
 
 @cache
-def _here() -> dict[str, str]:
+def this_node() -> dict[str, str]:
     """Return code and packages of this process."""
     return {"lunarsim": f"code {code_digest()}"} | environment()
 
