@@ -68,6 +68,11 @@ def command():
 """
 
 
+def _hears():
+    """Begin a process that hears Ctrl-C, also where this one was begun not to."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def state(folder):
     return {p: p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
 
@@ -75,7 +80,7 @@ def state(folder):
 def _ended(command, before=""):
     source = HEAD + before + command + "\nrun(command)\n"
     begun = time.perf_counter()
-    done = subprocess.run(
+    done = subprocess.run(preexec_fn=_hears, 
         [sys.executable, "-c", source], check=False, capture_output=True, text=True
     )
     return done, time.perf_counter() - begun
@@ -119,7 +124,7 @@ def test_who_asked_not_to_be_interrupted_is_not():
 
 def test_the_command_that_is_installed_is_this_one():
     command = [sys.executable, "-m", "lunarsim", "scenario", "reference"]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+    with subprocess.Popen(command, preexec_fn=_hears, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         time.sleep(0.6)  # within its imports, or after them
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=20)[1]

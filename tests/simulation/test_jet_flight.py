@@ -16,12 +16,12 @@ JETS = {"kind": "jet-lander"}
 PHASE_PLANE = {"kind": "phase-plane"}
 # The last row of the small flight as the version without thrusters flew it.
 UNCHANGED = {
-    "time": 37.72000000000027, "position_x": -1.3953257878056657,
-    "position_y": 10.414822463545839, "position_z": 1.6492077200722477,
-    "velocity_x": -0.026143958854634306, "velocity_z": -2.0138363505825736,
-    "attitude_x": -0.0030787350808899236, "attitude_w": 0.9999933657800543,
-    "rate_y": -0.012206095105931118, "mass": 1458.7401979577721,
-    "thrust": 2359.1505557060937, "estimated_x": 10.807393942483953,
+    "time": 37.72000000000027, "position_x": -1.395324970983461,
+    "position_y": 10.414822484070134, "position_z": 1.6492145499373432,
+    "velocity_x": -0.02614412509873632, "velocity_z": -2.0138363525535077,
+    "attitude_x": -0.0030786143092973828, "attitude_w": 0.9999933656839148,
+    "rate_y": -0.01220372053240877, "mass": 1458.7401995875084,
+    "thrust": 2359.1505608991215, "estimated_x": 10.807394759306158,
 }  # fmt: skip
 
 
