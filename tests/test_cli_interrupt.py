@@ -80,8 +80,12 @@ def state(folder):
 def _ended(command, before=""):
     source = HEAD + before + command + "\nrun(command)\n"
     begun = time.perf_counter()
-    done = subprocess.run(preexec_fn=_hears, 
-        [sys.executable, "-c", source], check=False, capture_output=True, text=True
+    done = subprocess.run(
+        [sys.executable, "-c", source],
+        check=False,
+        capture_output=True,
+        text=True,
+        preexec_fn=_hears,
     )
     return done, time.perf_counter() - begun
 
@@ -124,7 +128,8 @@ def test_who_asked_not_to_be_interrupted_is_not():
 
 def test_the_command_that_is_installed_is_this_one():
     command = [sys.executable, "-m", "lunarsim", "scenario", "reference"]
-    with subprocess.Popen(command, preexec_fn=_hears, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, preexec_fn=_hears, **pipes) as process:
         time.sleep(0.6)  # within its imports, or after them
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=20)[1]
