@@ -85,7 +85,7 @@ def _ended(command, before=""):
         check=False,
         capture_output=True,
         text=True,
-        preexec_fn=_hears,
+        preexec_fn=_hears,  # noqa: PLW1509
     )
     return done, time.perf_counter() - begun
 
@@ -129,7 +129,7 @@ def test_who_asked_not_to_be_interrupted_is_not():
 def test_the_command_that_is_installed_is_this_one():
     command = [sys.executable, "-m", "lunarsim", "scenario", "reference"]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, preexec_fn=_hears, **pipes) as process:
+    with subprocess.Popen(command, preexec_fn=_hears, **pipes) as process:  # noqa: PLW1509
         time.sleep(0.6)  # within its imports, or after them
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=20)[1]
