@@ -85,7 +85,7 @@ def _ended(command, before=""):
         check=False,
         capture_output=True,
         text=True,
-        preexec_fn=_hears,  # noqa: PLW1509
+        preexec_fn=_hears,
     )
     return done, time.perf_counter() - begun
 
