@@ -6,6 +6,9 @@ freed, is lost or comes out as another error. Here an interrupt is raised again 
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -17,6 +20,7 @@ INTERRUPTED = 130
 _AGAIN = 0.25
 
 _taken: list[int] = []
+_ended: list[int] = []
 
 
 def heard() -> None:
@@ -31,28 +35,50 @@ def run(command: Callable[[], Any]) -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _take)
         sys.unraisablehook = _quiet
+    # What is registered first is called last: temporary folders are gone by then.
+    atexit.register(_leave)
     try:
         command()
     except KeyboardInterrupt as error:
         heard()
+        _ended.append(INTERRUPTED)
         print(end_of(error), file=sys.stderr)
         sys.exit(INTERRUPTED)
     except BaseException as error:
         if not _taken:
+            if isinstance(error, SystemExit) and error.code == INTERRUPTED:
+                _ended.append(INTERRUPTED)
             raise
         heard()
+        _ended.append(INTERRUPTED)
         if not isinstance(error, SystemExit):  # what an interrupt in the wrong place becomes
             print("interrupted", file=sys.stderr)
+        elif not error.code:
+            print("interrupted: at the end, all was done", file=sys.stderr)
         sys.exit(INTERRUPTED)
     finally:
         heard()
         if signal.getsignal(signal.SIGINT) is _take:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            # What is left is to leave: another one would make a done command a killed one.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def end_of(error: KeyboardInterrupt) -> str:
     """Return the line that tells of an interrupt, and of what is there if its raiser said so."""
     return f"interrupted: {error}" if error.args else "interrupted"
+
+
+def _leave() -> None:
+    """End the process of an interrupted command with its code.
+
+    An interrupt within a text that Python evaluates, as it does to make dataclasses, would end it
+    by a signal although it was heard; and what compilers hold takes seconds to free.
+    """
+    if _ended:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(_ended[0])
 
 
 def _take(number: int, frame: FrameType | None) -> None:

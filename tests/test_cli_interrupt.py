@@ -5,7 +5,9 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import click
 import pytest
@@ -59,6 +61,38 @@ def command():
                 pass
         print("cleaned")
 """
+LOST_AT_THE_END = f"""
+class Freed:
+    def __del__(self):
+        {PRESS}; time.sleep(0)
+
+def command():
+    Freed()
+    raise SystemExit(0)
+"""
+EVALUATED = f"""
+def command():
+    exec("{PRESS}; time.sleep(9)")
+"""
+ANSWERED = f"""
+import sys
+from lunarsim.cli_start import heard
+
+def command():
+    try:
+        exec("{PRESS}; time.sleep(9)")
+    except KeyboardInterrupt:  # as a group of commands does
+        heard()
+        sys.exit(130)
+"""
+FOLDERS_GO = f"""
+def command():
+    import tempfile
+    global held
+    held = tempfile.TemporaryDirectory()
+    print(held.name)
+    {PRESS}; time.sleep(9)
+"""
 TOLD = f"""
 def command():
     try:
@@ -78,15 +112,14 @@ def state(folder):
 
 
 def _ended(command, before=""):
-    source = HEAD + before + command + "\nrun(command)\n"
+    """Run a command as `python -m` does: that one asks at its end whether it was interrupted."""
     begun = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-c", source],
-        check=False,
-        capture_output=True,
-        text=True,
-        preexec_fn=_hears,
-    )
+    with tempfile.TemporaryDirectory() as here:
+        (Path(here) / "shown.py").write_text(HEAD + before + command + "\nrun(command)\n")
+        done = subprocess.run(
+            [sys.executable, "-m", "shown"], check=False, capture_output=True, text=True, cwd=here,
+            preexec_fn=_hears,
+        )  # fmt: skip
     return done, time.perf_counter() - begun
 
 
@@ -96,10 +129,22 @@ def _ended(command, before=""):
         (SWALLOWED, "", "interrupted\n"),
         (TURNED, "", "interrupted\n"),
         (TURNED_INTO_AN_END, "", ""),
+        (LOST_AT_THE_END, "", "interrupted: at the end, all was done\n"),
+        (EVALUATED, "", "interrupted\n"),
+        (ANSWERED, "", ""),
         (CLEANED, "cleaned\n", "interrupted\n"),
         (TOLD, "", "interrupted: a.txt is there\n"),
     ],
-    ids=["swallowed", "turned into an error", "turned into an end", "cleaned", "told"],
+    ids=[
+        "swallowed",
+        "turned into an error",
+        "turned into an end",
+        "at the end",
+        "evaluated",
+        "answered in exec",
+        "cleaned",
+        "told",
+    ],
 )
 def test_an_interrupt_is_heard(command, out, err):
     done, seconds = _ended(command)
@@ -119,6 +164,21 @@ def test_errors_without_an_interrupt_are_what_they_were():
     assert "ZeroDivisionError" in done.stderr
 
 
+def test_temporary_folders_go():
+    done, _ = _ended(FOLDERS_GO)
+    assert done.returncode == 130
+    assert not Path(done.stdout.strip()).exists()
+
+
+def test_a_command_that_is_done_is_not_killed():
+    source = f"{HEAD}run(lambda: print('done'))\n{PRESS}\n"
+    command = [sys.executable, "-c", source]
+    done = subprocess.run(
+        command, check=False, capture_output=True, text=True, preexec_fn=_hears
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+
+
 def test_who_asked_not_to_be_interrupted_is_not():
     """As a command that a shell runs in the background."""
     ignoring = "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
@@ -134,7 +194,7 @@ def test_the_command_that_is_installed_is_this_one():
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=20)[1]
     assert (process.returncode, said) in {(130, b"interrupted\n"), (0, b"")}
-    entry = (cli_common.Path(__file__).parents[1] / "pyproject.toml").read_text()
+    entry = (Path(__file__).parents[1] / "pyproject.toml").read_text()
     assert 'lunarsim = "lunarsim.__main__:main"' in entry
 
 
