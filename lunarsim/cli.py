@@ -102,13 +102,15 @@ def fly(
         with filled_whole(out):
             record.save(out)
             loaded.save(out / "scenario.toml")
-    _tell(record)
-    if out is not None:
+    if out is None:
+        _tell(record)
+        return
+    with kept_if_interrupted(f"scenario and record are in {out}, not all figures"):
+        _tell(record)
         from lunarsim.viz import draw_flight
 
-        with kept_if_interrupted(f"scenario and record are in {out}, not all figures"):
-            draw_flight(record, simulation.world, simulation.truth, out)
-        click.echo(f"scenario, record and figures in {out}")
+        draw_flight(record, simulation.world, simulation.truth, out)
+    click.echo(f"scenario, record and figures in {out}")
 
 
 def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -241,6 +242,11 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
         done = _fly()
     assert done.exit_code == 130
     assert set(state(small)) == {small / "small.toml"}
+    with monkeypatch.context() as patch:
+        patch.setattr("lunarsim.cli._tell", pressed)
+        done = _fly()
+    assert done.stderr.splitlines()[-1].startswith("interrupted: scenario and record are in ")
+    shutil.rmtree(small / "above")
     monkeypatch.setattr("lunarsim.viz.draw_flight", pressed)
     done = _fly()
     assert done.exit_code == 130
