@@ -17,7 +17,7 @@ from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.run import run
-from tests.campaign import surrogate, test_subset
+from tests.campaign import subset_surrogate, surrogate
 
 # Rows of a part, so that a short campaign has several.
 PART_ROWS = 20
@@ -54,7 +54,7 @@ def main() -> None:
     jobs = options.pop("jobs", 2)
     engine = LocalEngine(jobs) if jobs else InlineEngine()
     subset = options.pop("subset", None)
-    plan = surrogate.plan(**options) if subset is None else test_subset.planned(subset)
+    plan = surrogate.plan(**options) if subset is None else subset_surrogate.planned(subset)
     ran = run(plan, engine, folder)
     print(ran.state, ran.flown, ran.before, ran.failed)
 

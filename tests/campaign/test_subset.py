@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.stats import norm
 
-from lunarsim.campaign import store
 from lunarsim.campaign.analysis import figures_of
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.engines.local import LocalEngine
-from lunarsim.campaign.fly_spec import write_files
-from lunarsim.campaign.flying import plan_of
 from lunarsim.campaign.outcomes import attempt, function_of
-from lunarsim.campaign.plan import Plan, Work
 from lunarsim.campaign.rare import rare_shares
-from lunarsim.campaign.replay import replay
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
@@ -32,84 +21,7 @@ from lunarsim.campaign.subset import Level
 from lunarsim.campaign.subset_share import chains_of, share_of, variance_of
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.rng import flight_seed
-from tests.conftest import ROOT
-from tests.worlds import TINY_FLIGHT
-
-EAST, NORTH = "start.position_m.0", "start.position_m.1"
-LAWS = {
-    EAST: {"kind": "normal", "mean": -600.0, "sigma": 10.0},
-    NORTH: {"kind": "uniform", "low": -5.0, "high": 5.0},
-}
-BETA = float(norm.isf(1e-4))
-COLUMNS = {"safe": "bool", "slope_deg": "float"}
-
-
-def spec(flights: int = 300, seed: int = 1, **more: object) -> CampaignSpec:
-    given = {
-        "name": "s", "flights": flights, "seed": seed, "scenario": TINY_FLIGHT, "method": "subset",
-        "dispersions": LAWS, "subset": {"metric": "slope_deg", "above": BETA},
-    }  # fmt: skip
-    return CampaignSpec.from_dict(given | more)
-
-
-def scores(draws):
-    """Return independent normal scores of both keys."""
-    return np.array(
-        [(draws[EAST] + 600.0) / 10.0, norm.ppf((draws[NORTH] + 5.0) / 10.0)], dtype=float
-    )
-
-
-def chance(study, draws):
-    """Return a normal number that the world of a flight alone decides."""
-    return np.random.default_rng(flight_seed(study.seed, draws["world"])).standard_normal()
-
-
-def linear(study, group, arm, memory):
-    """Beyond BETA once in 10,000, whatever the world."""
-    score = float(scores(group.draws).sum() / np.sqrt(2.0))
-    return {"safe": score < BETA, "slope_deg": score}
-
-
-def noisy(study, group, arm, memory):
-    """As `linear`, 0.36 of the variance being the world's."""
-    score = float(0.8 * scores(group.draws).sum() / np.sqrt(2.0) + 0.6 * chance(study, group.draws))
-    return {"safe": score < BETA, "slope_deg": score}
-
-
-def rugged(study, group, arm, memory):
-    """As `linear`, 0.9 of the variance being the world's."""
-    own, world = scores(group.draws).sum() / np.sqrt(2.0), chance(study, group.draws)
-    score = float(np.sqrt(0.1) * own + np.sqrt(0.9) * world)
-    return {"safe": score < BETA, "slope_deg": score}
-
-
-def curved(study, group, arm, memory):
-    """Fails on two sides of a parabola; see `test_two_sides_...` for how often."""
-    a, b = scores(group.draws)
-    return {"safe": True, "slope_deg": float(abs(a) + 0.2 * b * b)}
-
-
-def stepped(study, group, arm, memory):
-    return {"safe": True, "slope_deg": float(round(scores(group.draws)[0] > 2.5))}
-
-
-def patchy(study, group, arm, memory):
-    """Raises for one flight in ten, gives no slope for another."""
-    if group.flight % 10 == 3:
-        raise ValueError("no")
-    row = linear(study, group, arm, memory)
-    return row | ({"slope_deg": None} if group.flight % 10 == 4 else {})
-
-
-def planned(function: str, flights: int = 300, seed: int = 1, **more: object) -> Plan:
-    plan = plan_of(spec(flights, seed, **more))
-    work = Work(f"tests.campaign.test_subset:{function}", plan.work.study)
-    return replace(plan, work=work, columns=COLUMNS)
-
-
-def parts(folder: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in sorted((folder / "results").glob("*.parquet"))}
+from tests.campaign.subset_surrogate import BETA, EAST, planned, spec
 
 
 def in_memory(function: str, seed: int, flights: int, **more: object):
@@ -121,18 +33,8 @@ def in_memory(function: str, seed: int, flights: int, **more: object):
     return share_of(plan.chains.levels)
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole") / "c"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store, "PART_ROWS", 200)
-        ran = run(planned("linear"), InlineEngine(), folder)
-    assert (ran.state, ran.failed) == ("complete", 0)
-    return folder
-
-
-def test_one_in_ten_thousand_from_a_thousand_flights(whole):
-    found = load_results(whole)
+def test_one_in_ten_thousand_from_a_thousand_flights(whole_subset):
+    found = load_results(whole_subset)
     (made,) = rare_shares(found)
     assert made.low < 1e-4 < made.high and not made.few
     assert made.high / made.low < 50.0 and made.worth > 3.0 * len(found.table)
@@ -150,108 +52,23 @@ def test_one_in_ten_thousand_from_a_thousand_flights(whole):
     assert 0.35 < kept < 0.65
 
 
-def test_what_is_even_is_never_taken_from_it(whole, tmp_path):
-    found = load_results(whole)
+def test_what_is_even_is_never_taken_from_it(whole_subset, tmp_path):
+    found = load_results(whole_subset)
     with pytest.raises(InputError, match="count alike"):
         figures_of(found)
     with pytest.raises(InputError, match="the spec says what failure is"):
         rare_shares(found, "slope_deg", above=1.0)
-    done = CliRunner().invoke(main, ["campaign", "rare", str(whole)])
+    done = CliRunner().invoke(main, ["campaign", "rare", str(whole_subset)])
     (made,) = rare_shares(found)
     assert done.exit_code == 0 and f"{made.value:.3g}" in done.output
     assert "steps taken" in done.output
     done = CliRunner().invoke(
-        main, ["campaign", "report", str(whole), "--out", str(tmp_path / "r.html")]
+        main, ["campaign", "report", str(whole_subset), "--out", str(tmp_path / "r.html")]
     )
     assert done.exit_code == 0, done.output
     page = (tmp_path / "r.html").read_text()
     assert "subset simulation" in page and "How near to failure" in page
     assert f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]' in page
-
-
-@pytest.mark.parametrize("ends", [(40,), (290, 310), (333, 700, 900)])
-def test_it_goes_on_from_wherever_it_ended_and_gives_the_same_bytes(
-    tmp_path, whole, monkeypatch, ends
-):
-    monkeypatch.setattr(store, "PART_ROWS", 200)
-    folder = tmp_path / "c"
-    for end in ends:
-        done = len(load_results(folder).table) if folder.exists() else 0
-        came: list[int] = []
-
-        def progress(count: int, left: int = end - done, came: list[int] = came) -> None:
-            came.append(count)
-            if len(came) > left:
-                raise KeyboardInterrupt
-
-        assert run(planned("linear"), InlineEngine(), folder, progress=progress).state == (
-            "interrupted"
-        )
-    before = len(load_results(folder).table)
-    ran = run(planned("linear"), InlineEngine(), folder)
-    assert (ran.state, ran.before, ran.notes) == ("complete", before, ())
-    assert parts(folder) == parts(whole)
-
-
-def test_processes_give_the_same_bytes(tmp_path, whole, monkeypatch):
-    monkeypatch.setattr(store, "PART_ROWS", 200)
-    ran = run(planned("linear"), LocalEngine(2), tmp_path / "c")
-    assert ran.complete and parts(tmp_path / "c") == parts(whole)
-    again = run(planned("linear"), LocalEngine(2), tmp_path / "c")
-    assert (again.state, again.flown) == ("complete", 0)
-    assert parts(tmp_path / "c") == parts(whole)
-
-
-@pytest.mark.parametrize(
-    "point",
-    [("after", "results/part-00001.parquet", 1), ("before", "journal.jsonl", 3)],
-    ids=lambda p: f"{p[0]} {p[1]}",
-)
-def test_a_killed_driver_loses_nothing_of_its_chains(tmp_path, whole, monkeypatch, point):
-    """Part 1 ends in the midst of the second level; flights of the third follow from it."""
-    monkeypatch.setattr(store, "PART_ROWS", 200)
-    folder = tmp_path / "c"
-    options = {"subset": "linear", "part_rows": 200, "die": point, "jobs": 0}
-    driver = subprocess.run(
-        [sys.executable, "-m", "tests.campaign.driver", str(folder), json.dumps(options)],
-        cwd=ROOT, capture_output=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert driver.returncode == -signal.SIGKILL, driver.stderr
-    before = len(load_results(folder).table)
-    assert before == (400 if point[0] == "after" else 600)
-    ran = run(planned("linear"), InlineEngine(), folder)
-    assert (ran.state, ran.before, ran.notes) == ("complete", before, ())
-    assert parts(folder) == parts(whole)
-
-
-@pytest.mark.slow
-def test_kills_at_random_times_lose_nothing_of_chains(tmp_path, whole):
-    rng = np.random.default_rng(5)
-    options = json.dumps({"subset": "linear", "part_rows": 200})
-    for number in range(5):
-        folder, kills = tmp_path / str(number), 0
-        while True:
-            driver = subprocess.Popen(
-                [sys.executable, "-m", "tests.campaign.driver", str(folder), options], cwd=ROOT
-            )
-            had = _rows(folder)
-            target = had + int(rng.integers(20, 600))
-            while driver.poll() is None and _rows(folder) < target:
-                time.sleep(0.02)
-            kills += driver.poll() is None
-            driver.kill()
-            driver.wait()
-            assert _rows(folder) >= had
-            if driver.returncode == 0:
-                break
-        assert kills and parts(folder) == parts(whole)
-
-
-def _rows(folder):
-    try:
-        return len(load_results(folder, ["outcome"]).table)
-    except (InputError, OSError):
-        return 0
 
 
 @pytest.mark.parametrize("all_taken", [True, False])
@@ -363,69 +180,6 @@ def test_flights_without_the_metric_are_counted_and_taken_as_far_from_failure(tm
     assert made.low < 0.8e-4 < made.high
 
 
-def test_failed_flights_flown_again_take_what_followed_from_them_along(tmp_path):
-    """Else chains would go on from flights that nobody has flown any more."""
-    folder = tmp_path / "c"
-    run(planned("patchy"), InlineEngine(), folder)
-    ran = run(planned("linear"), InlineEngine(), folder, retry=True)
-    assert "drawn from flights that are gone" in ran.notes[0]
-    run(planned("linear"), InlineEngine(), tmp_path / "d")
-    whole, again = (chains_of(load_results(f)).levels for f in (tmp_path / "d", folder))
-    # One flight in ten still has no slope in the folder, unlike in the whole one.
-    assert len(again) >= 3 and again[0].lost == 30 and whole[0].lost == 0
-    table = load_results(folder).table.to_pandas()
-    assert table["flight"].tolist() == list(range(len(table)))
-    assert set(table["outcome"]) == {"flown"}
-
-
-def test_a_part_that_is_lost_is_flown_again_with_what_followed(tmp_path, whole, monkeypatch):
-    monkeypatch.setattr(store, "PART_ROWS", 200)
-    run(planned("linear"), InlineEngine(), tmp_path / "c")
-    path = tmp_path / "c" / "results" / "part-00001.parquet"
-    path.write_bytes(path.read_bytes()[:-40])
-    ran = run(planned("linear"), InlineEngine(), tmp_path / "c")
-    assert (ran.state, ran.before) == ("complete", 200)
-    assert parts(tmp_path / "c") == parts(whole)
-
-
-def test_rows_that_do_not_follow_from_each_other_are_refused(tmp_path, whole):
-    found = load_results(whole)
-    place = found.table.column_names.index("slope_deg")
-    values = found.table["slope_deg"].to_numpy().copy()
-    values[5] += 9.0
-    other = replace(found, table=found.table.set_column(place, "slope_deg", [values]))
-    with pytest.raises(InputError, match="follow from each other"):
-        rare_shares(other)
-
-
-def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
-    """Tiny flights by the margin of their touchdowns; replay finds what they were drawn from."""
-    subset = {"metric": "touchdown_margin", "below": 0.0, "levels": 3, "keep": 0.5}
-    made = spec(20, subset=subset)
-    folder = tmp_path / "c"
-    progress = []
-
-    def stop(count: int) -> None:
-        progress.append(count)
-        if len(progress) == 21:
-            raise KeyboardInterrupt
-
-    plan = plan_of(made, folder)
-    run(plan, InlineEngine(), folder, files=lambda at: write_files(made, at), progress=stop)
-    found = load_results(folder)
-    table = found.table.to_pandas()
-    assert len(table) == 21 and table["touchdown_margin"].notna().all()
-    assert ((table["touchdown_margin"] < 0.0) == ~table["safe"]).all()
-    later = table[table["level"] == 1]
-    again = replay(folder, later["id"].iloc[-1])
-    assert again.differences == []
-    with pytest.raises(InputError, match="forerunners") as refused:
-        replay(folder, "35-0")
-    assert refused.value.field == "--flight"
-    (share,) = rare_shares(found)
-    assert np.isnan(share.value) == (chains_of(found).stop is None)
-
-
 @pytest.mark.slow
 def test_intervals_hold_the_truth_at_least_as_often_as_they_say():
     for function, least in (("linear", 0.95), ("noisy", 0.9)):
@@ -478,15 +232,6 @@ def test_bad_subsets_are_refused(more, field):
     with pytest.raises(InputError) as refused:
         spec(**more)
     assert refused.value.field == field
-
-
-def clipped(study, group, arm, memory):
-    """At the limit or beyond it, half of the flights each."""
-    return {"safe": True, "slope_deg": max(0.0, float(scores(group.draws)[0]))}
-
-
-def certain(study, group, arm, memory):
-    return {"safe": False, "slope_deg": 1.0}
 
 
 def test_at_the_limit_is_not_beyond_it_and_a_plain_share_has_a_plain_interval():

@@ -1,0 +1,58 @@
+"""Campaigns in processes that tests kill, and what is left of them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from lunarsim.campaign.results import load_results
+from lunarsim.errors import InputError
+from tests.conftest import ROOT
+
+
+def start(at: Path, **options: object) -> subprocess.Popen[str]:
+    """Start a driver, see `tests.campaign.driver`."""
+    command = [sys.executable, "-m", "tests.campaign.driver", str(at), json.dumps(options)]
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def parts(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of all parts of the results, by name."""
+    return {p.name: p.read_bytes() for p in sorted((folder / "results").glob("*.parquet"))}
+
+
+def children(process: int) -> list[int]:
+    """Return the workers of a driver: its children but for the tracker of shared memory."""
+    path = Path(f"/proc/{process}/task/{process}/children")
+    found = [int(word) for word in path.read_text().split()] if path.exists() else []
+    return [c for c in found if "spawn_main" in command_of(c)]
+
+
+def command_of(process: int) -> str:
+    """Return the command line of a process, empty if it is gone."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_text()
+    except OSError:
+        return ""
+
+
+def wait_for(condition, seconds: float = 60.0):
+    """Return what a condition gives as soon as that is true; fail after so many seconds."""
+    until = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.1)
+    return value
+
+
+def journalled(folder: Path) -> int:
+    """Return the number of rows that a folder holds."""
+    try:
+        return len(load_results(folder, ["outcome"]).table)
+    except (InputError, OSError):
+        return 0
