@@ -262,6 +262,17 @@ def test_of_flights_equally_near_those_that_go_on_are_drawn():
     assert chains.levels[0].share == pytest.approx(110 / 300)
 
 
+def test_as_near_as_the_threshold_is_near_enough():
+    """Of a metric with steps whole levels lie on it."""
+    chains = planned("linear").chains
+    for group in chains.groups(lambda flight, arm: False):
+        if group.draws["level"] == 2:
+            break
+        value = 2.0 if group.flight < 10 else 1.0 if group.flight < 110 else 0.0
+        chains.see(group.flight, {"slope_deg": value if group.flight < 300 else 1.0})
+    assert chains.levels[1].taken == 1.0
+
+
 def test_where_worlds_decide_and_few_are_left_the_interval_says_so():
     """Nine tenths of the variance are the world's: the value lies far under p, the interval not."""
     made = [in_memory("rugged", seed, 200) for seed in range(12)]
