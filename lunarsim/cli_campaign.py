@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gc
 import math
 import os
 import sys
@@ -186,8 +185,6 @@ def _flown(
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(INTERRUPTED)  # Ray takes seconds to take its leave; its processes end with us
-        # Else the interpreter looks through all that is loaded as it ends: a third of a second.
-        gc.freeze()
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
 
 

@@ -10,83 +10,21 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "scenarios" / "lidar_maps"))
+from rows import MAPPERS, ROWS, World
+
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "lidar-maps.md"
 KEPT = DOCS / "results" / "lidar_maps"
 
-MAPPERS = {
-    "calibrated": "Gaussian DEM, calibrated",
-    "level": "Gaussian DEM, Eqs. 15-17",
-    "quadtree": "quadtree",
-}
 # Above it the error of a claimed probability is called short.
 MOST_ERROR = 0.03
-World = dict[str, Any]
-Row = list[str]
-
-
-def number(value: float | None, form: str) -> str:
-    """Return a number, a dash for none."""
-    return "-" if value is None else format(value, form)
-
-
-def interval(figure: list[float | None]) -> str:
-    """Return a figure with its 95 % interval."""
-    value, low, high = figure
-    if value is None:
-        return "-"
-    return f"{value:.3f} [{number(low, '.3f')}, {number(high, '.3f')}]"
-
-
-def landing_rows(world: World) -> list[Row]:
-    """Return how flights ended, without the name of the world."""
-    out = []
-    for n, (way, f) in enumerate(world["landings"].items()):
-        low, high = f["interval"]
-        against = "" if n == 0 else f"{f['won']}, {f['lost']} ({f['p_value']:.2f})"
-        out.append([
-            way, str(f["flights"]), f"{f['landed'] / f['flights']:.2f} [{low:.2f}, {high:.2f}]",
-            against, f"{f['divert_median_m']:.1f}", f"{f['propellant_median_kg']:.1f}",
-        ])  # fmt: skip
-    return out
-
-
-def map_rows(world: World) -> list[Row]:
-    """Return maps as a whole at both moments, time and memory."""
-    out = []
-    for mapper, f in world["maps"].items():
-        for moment in ("first", "last"):
-            if not (q := f[moment]):
-                continue
-            top = moment == "first"
-            out.append([
-                MAPPERS[mapper] if top else "", moment, interval(q["precision"]),
-                interval(q["recall"]), f"{q['claimed']:.2f}", number(q["ece"], ".3f"),
-                number(q["skill"], "+.2f"), f"{f['seconds']:.2f}" if top else "",
-                f"{f['megabytes']:.1f}" if top else "",
-            ])  # fmt: skip
-    return out
-
-
-def stratum_rows(world: World) -> list[Row]:
-    """Return maps at the last decision by stratum of the true ground."""
-    last = {MAPPERS[mapper]: f["last"] for mapper, f in world["maps"].items() if f["last"]}
-    strata = dict.fromkeys(name for q in last.values() for name in q["strata"])
-    out = []
-    for stratum in strata:
-        told = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
-        for n, (mapper, s) in enumerate(told.items()):
-            out.append([
-                stratum if n == 0 else "", mapper, number(s["safe"], ".3f") if n == 0 else "",
-                interval(s["precision"]), interval(s["recall"]), number(s["skill"], "+.2f"),
-            ])  # fmt: skip
-    return out
 
 
 def shortfalls(world: World) -> list[str]:
@@ -104,11 +42,6 @@ def shortfalls(world: World) -> list[str]:
         if q["skill"] is not None and q["skill"] < 0.0:
             out.append(f"{MAPPERS[mapper]}: claims with a skill of {q['skill']:+.2f}")
     return out
-
-
-TABLES: dict[str, Callable[[World], list[Row]]] = {
-    "landings": landing_rows, "maps": map_rows, "strata": stratum_rows,
-}  # fmt: skip
 
 
 def mark(name: str) -> str:
@@ -130,7 +63,7 @@ def _table(text: str, name: str, kept: dict[str, World]) -> str:
             groups[world] = []
         groups[next(reversed(groups))].append(row)
     for world, figures in kept.items():
-        made = TABLES[name](figures["figures"])
+        made = ROWS[name](figures["figures"])
         groups[world] = [
             "| " + " | ".join([world if n == 0 else "", *row]) + " |" for n, row in enumerate(made)
         ]
@@ -153,7 +86,7 @@ def _commands(text: str, kept: dict[str, World]) -> str:
 
 def made(text: str, kept: dict[str, World]) -> str:
     """Return the page with all that is made of what is kept."""
-    for name in TABLES:
+    for name in ROWS:
         text = _table(text, name, kept)
     return _commands(text, kept)
 

@@ -19,16 +19,9 @@ from lunarsim.cli import main
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
-from tests.worlds import SCENARIOS
+from tests.worlds import SCENARIOS, TAKE_A_SCENARIO
 
 GOOD = str(SCENARIOS / "golombek.toml")
-# Commands that take a scenario, and what each needs besides.
-WITH = {
-    "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
-    "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
-    "scenario check": [], "terrain preview": ["--out", "new.png"],
-    "terrain truth": ["--out", "new.nc"],
-}  # fmt: skip
 HEAD = "import os, signal, time; from lunarsim.cli_start import run\n"
 PRESS = "os.kill(os.getpid(), signal.SIGINT)"
 
@@ -199,14 +192,14 @@ def test_the_command_that_is_installed_is_this_one():
     assert 'lunarsim = "lunarsim.__main__:main"' in entry
 
 
-@pytest.mark.parametrize("name", WITH)
+@pytest.mark.parametrize("name", TAKE_A_SCENARIO)
 def test_every_command_ends_with_130(name, tmp_path, monkeypatch):
     def pressed(*_):
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Scenario, "load", pressed)
-    done = CliRunner().invoke(main, [*name.split(), GOOD, *WITH[name]])
+    done = CliRunner().invoke(main, [*name.split(), GOOD, *TAKE_A_SCENARIO[name]])
     assert (done.exit_code, done.output) == (130, "interrupted\n")
     assert not state(tmp_path)
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from rasterio.transform import from_origin
 
 from lunarsim.cli import main
-from tests.worlds import SCENARIOS
+from tests.worlds import SCENARIOS, TAKE_A_SCENARIO
 
 GOOD = str(SCENARIOS / "golombek.toml")
 SPEC = str(SCENARIOS / "campaigns" / "hard.toml")
@@ -155,15 +155,8 @@ OWN = {
         ([GOOD, "--out", "t.nc", "--size", "1e9"], ["--size = 1000000000.0", "EiB"]),
     ],
 }  # fmt: skip
-# What a command that takes a scenario needs besides.
-WITH = {
-    "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
-    "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
-    "scenario check": [], "terrain preview": ["--out", "new.png"],
-    "terrain truth": ["--out", "new.nc"],
-}  # fmt: skip
 CASES = [(name, *case) for name, cases in OWN.items() for case in cases] + [
-    (name, [*arguments, *more], words) for name, more in WITH.items()
+    (name, [*arguments, *more], words) for name, more in TAKE_A_SCENARIO.items()
     for arguments, words in OF_A_SCENARIO
 ]  # fmt: skip
 
@@ -216,7 +209,7 @@ def test_every_command_has_its_mistakes():
     known = dict(_commands(main))
     assert set(known) == set(OWN)
     taking = {n for n, c in known.items() if any(p.name == "changes" for p in c.params)}
-    assert taking == set(WITH)
+    assert taking == set(TAKE_A_SCENARIO)
 
 
 @pytest.mark.parametrize(

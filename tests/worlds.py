@@ -113,3 +113,11 @@ SMALL_SHADOW_FLIGHT = {
     },
     "mappers": {"rocks": {"kind": "shadow", "size_m": 60.0, "posting_m": 0.5}},
 }
+
+# Commands that take a scenario, and what each needs besides.
+TAKE_A_SCENARIO = {
+    "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
+    "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
+    "scenario check": [], "terrain preview": ["--out", "new.png"],
+    "terrain truth": ["--out", "new.nc"],
+}  # fmt: skip

@@ -25,6 +25,7 @@ from flown import MAPPERS, STRATA, WAYS, WORLDS, Flown, Judged, Task, fly
 from flown_kept import flown_or_kept
 from rich.console import Console
 from rich.table import Table
+from rows import ROWS
 from scipy.stats import binomtest
 
 from lunarsim.campaign.pool import gathered
@@ -68,12 +69,6 @@ def precision(c: np.ndarray) -> np.ndarray:
 def recall(c: np.ndarray) -> np.ndarray:
     """Return the share of safe cells called so, of counts (..., 4)."""
     return c[..., 0] / (c[..., 0] + c[..., 2])
-
-
-def text(figure: tuple[float, float, float]) -> str:
-    """Return a figure with its interval."""
-    value, low, high = figure
-    return "-" if np.isnan(value) else f"{value:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def skill_of(claim: np.ndarray) -> float:
@@ -149,78 +144,31 @@ def maps(flights: Flights) -> Figures:
     return out
 
 
-def table_of(title: str, *headings: str, left: int) -> Table:
-    """Return an empty table whose first columns are text."""
-    table = Table(title=title)
+HEADINGS = {
+    "landings": (2, ("world", "map and policy", "flights", "landed safe",
+                     "against the first:\nwon, lost (p)", "divert\nmedian (m)",
+                     "propellant\nmedian (kg)")),
+    "maps": (3, ("world", "map", "decision", "precision", "recall", "claimed\nshare",
+                 "ECE of\nclaimed", "its Brier\nskill", "mapper\n(s a flight)", "kept\n(MB)")),
+    "strata": (3, ("world", "stratum", "map", "share\nsafe", "precision", "recall",
+                   "Brier skill\nof claimed")),
+}  # fmt: skip
+TITLES = {
+    "landings": "Landings",
+    "maps": "Maps at the first and the last decision (p > 0.5 is called safe)",
+    "strata": "Maps at the last decision by stratum of the true ground",
+}
+
+
+def table_of(name: str, worlds: dict[str, Figures]) -> Table:
+    """Return one of the tables; its first columns are text."""
+    table = Table(title=TITLES[name])
+    left, headings = HEADINGS[name]
     for n, heading in enumerate(headings):
         table.add_column(heading, justify="left" if n < left else "right", no_wrap=n < left)
-    return table
-
-
-def landing_table(worlds: dict[str, Figures]) -> Table:
-    """Return how flights ended."""
-    table = table_of(
-        "Landings", "world", "map and policy", "flights", "landed safe",
-        "against the first:\nwon, lost (p)", "divert\nmedian (m)", "propellant\nmedian (kg)",
-        left=2,
-    )  # fmt: skip
     for world, figures in worlds.items():
-        for n, (way, f) in enumerate(figures["landings"].items()):
-            low, high = f["interval"]
-            table.add_row(
-                world if n == 0 else "", way, str(f["flights"]),
-                f"{f['landed'] / f['flights']:.2f} [{low:.2f}, {high:.2f}]",
-                "" if n == 0 else f"{f['won']}, {f['lost']} ({f['p_value']:.2f})",
-                f"{f['divert_median_m']:.1f}", f"{f['propellant_median_kg']:.1f}",
-                end_section=n == len(WAYS) - 1,
-            )  # fmt: skip
-    return table
-
-
-def map_table(worlds: dict[str, Figures]) -> Table:
-    """Return maps as a whole at both moments, time and memory."""
-    table = table_of(
-        "Maps at the first and the last decision (p > 0.5 is called safe)", "world", "map",
-        "decision", "precision", "recall", "claimed\nshare", "ECE of\nclaimed",
-        "its Brier\nskill", "mapper\n(s a flight)", "kept\n(MB)", left=3,
-    )  # fmt: skip
-    for world, figures in worlds.items():
-        for n, (mapper, f) in enumerate(figures["maps"].items()):
-            for moment in ("first", "last"):
-                if not (q := f[moment]):
-                    continue
-                top = moment == "first"
-                table.add_row(
-                    world if n == 0 and top else "", MAPPERS[mapper] if top else "", moment,
-                    text(q["precision"]), text(q["recall"]), f"{q['claimed']:.2f}",
-                    number(q["ece"], ".3f"), number(q["skill"], "+.2f"),
-                    f"{f['seconds']:.2f}" if top else "", f"{f['megabytes']:.1f}" if top else "",
-                )  # fmt: skip
-        table.add_section()
-    return table
-
-
-def number(value: float, form: str) -> str:
-    """Return a number, a dash for none."""
-    return "-" if np.isnan(value) else format(value, form)
-
-
-def stratum_table(worlds: dict[str, Figures]) -> Table:
-    """Return maps by stratum of the true ground."""
-    table = table_of(
-        "Maps at the last decision by stratum of the true ground", "world", "stratum", "map",
-        "share\nsafe", "precision", "recall", "Brier skill\nof claimed", left=3,
-    )  # fmt: skip
-    for world, figures in worlds.items():
-        for k, stratum in enumerate(STRATA):
-            for n, (mapper, f) in enumerate(figures["maps"].items()):
-                if not f["last"] or not (s := f["last"]["strata"][stratum])["cells"]:
-                    continue
-                table.add_row(
-                    world if k == n == 0 else "", stratum if n == 0 else "", MAPPERS[mapper],
-                    f"{s['safe']:.3f}" if n == 0 else "", text(s["precision"]),
-                    text(s["recall"]), number(s["skill"], "+.2f"),
-                )  # fmt: skip
+        for n, row in enumerate(ROWS[name](figures)):
+            table.add_row(world if n == 0 else "", *row)
         table.add_section()
     return table
 
@@ -289,8 +237,8 @@ def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> N
     worlds_figures = {
         world: {"landings": landings(own), "maps": maps(own)} for world, own in by_world.items()
     }
-    for table in (landing_table, map_table, stratum_table):
-        console.print(table(worlds_figures))
+    for name in ROWS:
+        console.print(table_of(name, worlds_figures))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         text_of = json.dumps(worlds_figures, indent=1)

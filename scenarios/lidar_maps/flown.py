@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rows import MAPPERS
 from scipy import ndimage
 
 from lunarsim.evaluation.outcome import evaluate
@@ -38,11 +39,6 @@ WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "cratered highland": ("highland.toml", {}),
     "Apollo 15": ("apollo15.toml", {}),
     "hazard field": ("morpheus.toml", {}),
-}
-MAPPERS = {
-    "calibrated": "Gaussian DEM, calibrated",
-    "level": "Gaussian DEM, Eqs. 15-17",
-    "quadtree": "quadtree",
 }
 # Mapper and policy; the first flies with all mappers.
 WAYS: dict[str, tuple[str, str]] = {

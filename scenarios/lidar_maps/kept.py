@@ -18,6 +18,7 @@ from rich.console import Console
 from worlds import Scene
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.whole_files import write_whole
 
 
 @dataclass(frozen=True)
@@ -82,14 +83,14 @@ def _save(judged: list[Judged], file: Path) -> None:
     count = np.array([len(j.safe) for j in judged])
     scenes = json.dumps([asdict(j.scene) for j in judged])
     file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f".{file.name}.part.npz")
-    try:
-        np.savez_compressed(
-            part, count=count, cover=[j.cover for j in judged], scenes=scenes, **columns
-        )
-        part.replace(file)
-    finally:
-        part.unlink(missing_ok=True)
+
+    def write(part: Path) -> None:
+        with part.open("wb") as opened:
+            np.savez_compressed(
+                opened, count=count, cover=[j.cover for j in judged], scenes=scenes, **columns
+            )
+
+    write_whole(file, write)
 
 
 def _loaded(file: Path) -> list[Judged]:

@@ -65,7 +65,7 @@ def test_the_page_is_what_is_kept(pages):
     for world, file in kept.items():
         assert f"- {world}: `{file['command']}`. Short: " in shown
         assert len(file["figures"]["landings"]) == 4
-        for rows in (f(file["figures"]) for f in pages.TABLES.values()):
+        for rows in (f(file["figures"]) for f in pages.ROWS.values()):
             for row in rows:
                 assert " | ".join(row) in shown
 
@@ -80,18 +80,19 @@ def test_another_figure_is_another_page(pages):
 
 def test_rows_hold_figures_intervals_and_dashes(pages):
     world = pages.finite(_world())
-    assert pages.landing_rows(world) == [
+    assert pages.ROWS["landings"](world) == [
         ["one", "10", "1.00 [0.50, 0.75]", "", "12.3", "40.1"],
         ["two", "10", "0.70 [0.50, 0.75]", "1, 4 (0.38)", "12.3", "40.1"],
     ]
     name = "Gaussian DEM, calibrated"
-    assert pages.map_rows(world) == [
+    assert pages.ROWS["maps"](world) == [
         [name, "first", "-", "0.300 [0.200, 0.400]", "0.13", "0.010", "+0.50", "1.23", "17.0"],
         ["", "last", "-", "0.300 [0.200, 0.400]", "0.13", "0.010", "+0.50", "", ""],
-        ["", "last", "0.900 [0.800, 1.000]", "0.300 [0.200, 0.400]", "0.13", "0.031", "-0.50", "",
-         ""],
+        # It had no map at the first decision.
+        ["quadtree", "last", "0.900 [0.800, 1.000]", "0.300 [0.200, 0.400]", "0.13", "0.031",
+         "-0.50", "2.00", "5.0"],
     ]  # fmt: skip
-    first, second = pages.stratum_rows(world)
+    first, second = pages.ROWS["strata"](world)
     assert first == ["level", name, "0.250", "0.500 [0.400, 0.600]", "0.100 [0.000, 0.200]", "-"]
     assert second[:3] == ["", "quadtree", ""]
 

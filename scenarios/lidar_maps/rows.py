@@ -1,0 +1,75 @@
+"""What the comparison of maps says, row by row: for its tables and for the page of results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+MAPPERS = {
+    "calibrated": "Gaussian DEM, calibrated",
+    "level": "Gaussian DEM, Eqs. 15-17",
+    "quadtree": "quadtree",
+}
+World = dict[str, Any]
+Row = list[str]
+
+
+def number(value: float | None, form: str) -> str:
+    """Return a number, a dash for none."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def interval(figure: Sequence[float | None]) -> str:
+    """Return a figure with its 95 % interval."""
+    value, low, high = (number(v, ".3f") for v in figure)
+    return value if value == "-" else f"{value} [{low}, {high}]"
+
+
+def landing_rows(world: World) -> list[Row]:
+    """Return how flights ended, without the name of the world."""
+    out = []
+    for n, (way, f) in enumerate(world["landings"].items()):
+        low, high = f["interval"]
+        against = "" if n == 0 else f"{f['won']}, {f['lost']} ({f['p_value']:.2f})"
+        out.append([
+            way, str(f["flights"]), f"{f['landed'] / f['flights']:.2f} [{low:.2f}, {high:.2f}]",
+            against, f"{f['divert_median_m']:.1f}", f"{f['propellant_median_kg']:.1f}",
+        ])  # fmt: skip
+    return out
+
+
+def map_rows(world: World) -> list[Row]:
+    """Return maps as a whole at both moments, time and memory."""
+    out = []
+    for mapper, f in world["maps"].items():
+        told = [(moment, q) for moment in ("first", "last") if (q := f[moment])]
+        for n, (moment, q) in enumerate(told):
+            top = n == 0
+            out.append([
+                MAPPERS[mapper] if top else "", moment, interval(q["precision"]),
+                interval(q["recall"]), f"{q['claimed']:.2f}", number(q["ece"], ".3f"),
+                number(q["skill"], "+.2f"), f"{f['seconds']:.2f}" if top else "",
+                f"{f['megabytes']:.1f}" if top else "",
+            ])  # fmt: skip
+    return out
+
+
+def stratum_rows(world: World) -> list[Row]:
+    """Return maps at the last decision by stratum of the true ground."""
+    last = {MAPPERS[mapper]: f["last"] for mapper, f in world["maps"].items() if f["last"]}
+    strata = dict.fromkeys(name for q in last.values() for name in q["strata"])
+    out = []
+    for stratum in strata:
+        told = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
+        for n, (mapper, s) in enumerate(told.items()):
+            out.append([
+                stratum if n == 0 else "", mapper, number(s["safe"], ".3f") if n == 0 else "",
+                interval(s["precision"]), interval(s["recall"]), number(s["skill"], "+.2f"),
+            ])  # fmt: skip
+    return out
+
+
+ROWS: dict[str, Callable[[World], list[Row]]] = {
+    "landings": landing_rows, "maps": map_rows, "strata": stratum_rows,
+}  # fmt: skip
