@@ -182,9 +182,11 @@ def _flown(
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
         if engine == "ray" and ran.state == "interrupted":
+            from lunarsim.campaign.engines.ray_cluster import leave_at_once
+
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(INTERRUPTED)  # Ray takes seconds to take its leave; its processes end with us
+            leave_at_once(INTERRUPTED)
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
 
 
