@@ -226,8 +226,9 @@ def export(folder: Path, out: Path, timing: bool) -> None:
 @campaign.command()
 @_FOLDER
 @click.option(
-    "--out", type=PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
-)
+    "--out", type=PATH, default=None, show_default="report.html in FOLDER",
+    help="HTML file; or Markdown file (.md), its tables alone.",
+)  # fmt: skip
 def report(folder: Path, out: Path | None) -> None:
     """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
     from lunarsim.campaign.report import write_report
