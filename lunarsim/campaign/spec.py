@@ -1,7 +1,7 @@
 """The spec of a campaign: one TOML file that says all that is flown.
 
 name = "sun-and-policies"
-scenario = "golombek.toml"          # relative to this file, or a name; or a table, the scenario itself
+scenario = "golombek.toml"          # relative to this file; or a name, or a table
 flights = 200
 seed = 1
 
