@@ -34,6 +34,7 @@ from lunarsim.safety.ensemble import Ensemble, Odds, cautious, doubted
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.safety.thinning import Thinning
 from lunarsim.safety.unseen_rocks import HeightCurve
 
 Array = NDArray[np.float64]
@@ -97,6 +98,9 @@ class Evidence:
         Samples on a square metre.
     noise, spacing
         Standard deviation of a sample, and distance of neighbouring ones, m.
+    thinning
+        What another eye leaves of the rocks that no sample has met, over the ground about each
+        site. None: all of them.
     """
 
     level: StochasticSafety
@@ -108,8 +112,12 @@ class Evidence:
     density: Array
     noise: float
     spacing: float
+    thinning: Thinning | None = None
 
     def __post_init__(self) -> None:
+        if self.thinning is not None and self.thinning.shape != self.level.grid.shape:
+            shape = self.thinning.shape
+            raise InputError("calibration.thinning", shape, f"a raster {self.level.grid.shape}")
         for name in ("planes", "nominal"):
             grid = getattr(self, name).grid
             if grid != self.level.grid:
@@ -171,11 +179,13 @@ class Evidence:
     def _expected(self, height: Array, area: float) -> Array:
         """Return rocks above a height (rows, cols) or () in an area about each site."""
         each = self.curve.unseen(height, self.density)
-        if height.ndim:
-            return np.asarray(area * each)
-        # The density may change under the footprint.
-        width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
-        return np.asarray(area * ndimage.uniform_filter(each, width, mode="nearest"))
+        if not height.ndim:
+            # The density may change under the footprint.
+            width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
+            each = ndimage.uniform_filter(each, width, mode="nearest")
+        if self.thinning is not None:
+            each = each * self.thinning.at(height)
+        return np.asarray(area * each)
 
 
 def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
@@ -265,6 +275,7 @@ def calibrated_safety(
     evidence: Evidence,
     model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
+    where: BoolMap | None = None,
 ) -> tuple[FloatMap, BoolMap]:
     """Return the probability that a site is safe (rows, cols), and where it is a frequency.
 
@@ -279,6 +290,8 @@ def calibrated_safety(
         Left out: the packaged one.
     refit
         Last stage and domain of a scenario's own; left out: those of the packaged regression.
+    where
+        Sites to judge (rows, cols), the others are given 0; left out: all.
 
     Raises
     ------
@@ -289,7 +302,9 @@ def calibrated_safety(
     if refit is not None:
         refit.check(evidence.lander, model)
     seen, known = evidence.observed, in_domain(evidence)
-    covered = known if refit is None else in_domain(evidence, refit.domain)
+    if where is not None:
+        seen, known = seen & where, known & where
+    covered = known if refit is None else in_domain(evidence, refit.domain) & seen
     p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():
         most, clear = ceiling(evidence)[seen], clear_of_pads(evidence)[seen]

@@ -17,6 +17,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.early_ground import EarlyGround, turned_about
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
+from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
@@ -62,6 +63,7 @@ class QuadtreeMapping:
     sites: SiteSettings = quantity(SiteSettings(), help="what a site must be like")
 
     takes: ClassVar[type] = LidarScan
+    publishes: ClassVar[type] = ReliefEvidence
 
     def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
         """Return the mapper of one flight."""
@@ -244,6 +246,10 @@ class QuadtreeMapper(HazardMapper):
             # What points tell of sites belongs to the same points that the sites were selected on.
             self._drawn = self._draw(self.select())
         return self._drawn
+
+    def evidence(self) -> ReliefEvidence | None:
+        """Return the map alone: what it follows from is that of sites, not of cells."""
+        return None if self.blank else ReliefEvidence(self.hazard_map())
 
     def scoreboard(self, site: Array) -> Scoreboard:
         """Return the ranked sites as they were when sites were last selected, by Eq. 9."""
