@@ -116,7 +116,7 @@ class OnboardComputer:
 
     def _built_mappers(self) -> dict[str, HazardMapper]:
         """Return the mappers in their order; those made of others are built after these."""
-        parts, built = self.briefing.software.mappers, {}
+        parts, built = self.briefing.software.mappers, dict[str, HazardMapper]()
         for name, part in sorted(parts.items(), key=lambda item: hasattr(item[1], "of")):
             given = (self.briefing, self.navigation)
             with named_in(f"mappers.{name}"):

@@ -60,6 +60,12 @@ class FusionTerms:
         if not 0.0 <= self.relief_prior < 1.0:
             raise InputError("relief_prior", self.relief_prior, "at least 0, and less than 1")
 
+    @property
+    def height_ratio(self) -> float:
+        """Height over diameter of the rocks that are expected."""
+        fixed = {"hemisphere": 0.5, "cube": 1.0}
+        return fixed.get(self.rocks.shape, self.rocks.height_ratio[0])
+
 
 def fused_map(
     relief: ReliefEvidence | None, rocks: RockEvidence | None, terms: FusionTerms
@@ -130,7 +136,7 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
         mean = mean_over_discs(left, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING
         ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON)))
-    return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.rocks.height_ratio[0])
+    return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
 
 
 def _thinned(relief: ReliefEvidence, thinning: Thinning) -> tuple[FloatMap, BoolMap]:
