@@ -233,9 +233,7 @@ class ClearEvidence:
         for s in range(len(out)):
             looked = (self.lit[s] > 0.0) | (self.dark[s] > 0.0)
             number = np.float32(self._number[self._class == s].sum())
-            hidden = self._possible(s) & self.explained[s]
-            told = looked & ~hidden
-            out[s][told] = self._density(s)[told] / number
+            out[s][looked] = self._density(s)[looked] / number
         return out
 
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
