@@ -148,7 +148,7 @@ def fly(task: Task) -> dict[str, Any]:
     if fails == "drop-outs":
         for name in ("dem", "quadtree"):
             mapper = simulation.computer.mappers[name]
-            mapper.update = _dropping(mapper.update)  # type: ignore[method-assign]
+            mapper.update = dropping(mapper.update)  # type: ignore[method-assign]
     clock = Clock({name: simulation.computer.mappers[name] for name in MAPS})
     eye = simulation.computer.mappers["rocks"]
     judged: dict[str, Any] = {}
@@ -203,7 +203,7 @@ class Clock:
         return {n: 1e3 * s / max(len(self._drawn[n]), 1) for n, s in self._seconds.items()}
 
 
-def _dropping(update: Callable[..., None]) -> Callable[..., None]:
+def dropping(update: Callable[..., None]) -> Callable[..., None]:
     """Return the method of a mapper, given scans of which half of the returns are lost."""
 
     def taken(scan: LidarScan, estimate: Any) -> None:

@@ -62,7 +62,7 @@ def test_the_fused_map_is_set_against_the_best_other_field_by_field(study):
 
 def test_half_of_the_returns_are_lost_alike_for_all(study):
     taken = []
-    lossy = study._dropping(lambda scan, estimate: taken.append(scan.range))
+    lossy = study.dropping(lambda scan, estimate: taken.append(scan.range))
     scan = Scan(3.21, np.ones((100, 100)))
     lossy(scan, None)
     lossy(scan, None)
