@@ -60,6 +60,9 @@ COUNT = FREE + RISING
 _ODDS = 4.0
 _LEFT_OF_SLOPE = np.array([[0.94, 0.96], [1.0, 0.85]])
 _UNDER_PADS = 2.0
+# Chance that is left where rocks too low to be counted would tilt the lander too far: less than is
+# surely safe.
+UNCOUNTED = 0.94
 # In the domain at most so many hazards stand unseen in a footprint, and so many rocks, or holes,
 # under the pads that would tilt the lander over its limit.
 MOST_HAZARDS = 0.003
@@ -159,7 +162,12 @@ class Evidence:
     def tilting(self) -> Array:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
         height = tilting_height(self.slope, self.lander)
-        return self._expected(height, pad_ring_area(self.lander))
+        return self._expected(self.curve, height, pad_ring_area(self.lander))
+
+    def expected_under_pads(self) -> Array:
+        """Return the same with no fewer rocks than expected of those too low to be counted."""
+        height = tilting_height(self.slope, self.lander)
+        return self._expected(self.curve.careful, height, pad_ring_area(self.lander))
 
     def sinking(self) -> Array:
         """Return how many unseen holes under the pads would tilt the lander too far."""
@@ -170,15 +178,16 @@ class Evidence:
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
         height = (1.0 - self.roughness) * self.lander.roughness_limit
-        return self._expected(height, footprint_area(self.lander))
+        return self._expected(self.curve, height, footprint_area(self.lander))
 
     def hazards(self) -> Array:
         """Return how many unseen rocks in the footprint alone would be too high."""
-        return self._expected(np.array(self.lander.roughness_limit), footprint_area(self.lander))
+        height = np.array(self.lander.roughness_limit)
+        return self._expected(self.curve, height, footprint_area(self.lander))
 
-    def _expected(self, height: Array, area: float) -> Array:
+    def _expected(self, curve: HeightCurve, height: Array, area: float) -> Array:
         """Return rocks above a height (rows, cols) or () in an area about each site."""
-        each = self.curve.unseen(height, self.density)
+        each = curve.unseen(height, self.density)
         if not height.ndim:
             # The density may change under the footprint.
             width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
@@ -366,8 +375,13 @@ def clear_of_pads(evidence: Evidence) -> Array:
     """Return the chance that no unseen rock tilts the lander too far, however many (rows, cols).
 
     On a slope a rock under a pad need not be high for that: twice as many count as may be there.
+    Where one would do that is lower than any that was counted, the mission's law says how many
+    there are, and no site is surely safe.
     """
-    return np.asarray(np.exp(-_UNDER_PADS * evidence.tilting()))
+    e = evidence
+    rocks = e.expected_under_pads()
+    low = tilting_height(e.slope, e.lander) < e.curve.counted
+    return np.asarray(np.exp(-_UNDER_PADS * rocks) * np.where(low, UNCOUNTED, 1.0))
 
 
 def bound(evidence: Evidence) -> Array:

@@ -49,10 +49,28 @@ class HeightCurve:
         Rising (n,), m.
     share
         Of the ground above each (n,), falling.
+    counted
+        Least height above which samples were counted, m; 0: all.
+    expected
+        Share (n,) that the mission's law expects; None: what was counted holds for all heights.
     """
 
     height: Array
     share: Array
+    counted: float = 0.0
+    expected: Array | None = None
+
+    @cached_property
+    def careful(self) -> HeightCurve:
+        """The same, with no fewer low rocks than the law expects below what was counted.
+
+        That there are few high rocks says nothing of gravel.
+        """
+        if self.expected is None:
+            return self
+        low = self.height < self.counted
+        share = np.where(low, np.maximum(self.share, self.expected), self.share)
+        return HeightCurve(self.height, np.minimum.accumulate(np.minimum(share, _MOST)))
 
     def at(self, height: ArrayLike) -> Array:
         """Return the share above heights (...), m; those beyond the curve count as its ends."""
@@ -160,7 +178,7 @@ def height_curve(
     # Beyond what can be counted the law's own shape goes on from there.
     times = np.interp(np.log(height), np.log(counted), np.log(found / law))
     share = np.minimum(expected * np.exp(times), _MOST)
-    return HeightCurve(height, np.minimum.accumulate(share))
+    return HeightCurve(height, np.minimum.accumulate(share), float(counted[0]), expected)
 
 
 def depth_curve(

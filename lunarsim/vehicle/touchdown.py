@@ -149,7 +149,9 @@ def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, floa
     Eqs. 8 and 9 of the Gaussian DEM paper, the worse over the admissible support planes.
     """
     low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
-    axes = [np.arange(a, b + GROUND_SPACING, GROUND_SPACING) for a, b in zip(low, high, strict=True)]
+    axes = [
+        np.arange(a, b + GROUND_SPACING, GROUND_SPACING) for a, b in zip(low, high, strict=True)
+    ]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     points = points[_inside_polygon(points, legs[:, :2])]
     z = ground.elevation(points)

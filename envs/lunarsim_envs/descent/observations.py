@@ -60,7 +60,9 @@ def register(part: Part) -> None:
     if part.name in PARTS:
         raise InputError("name", part.name, "a name of its own: there is such a part already")
     if part.size < 1 or not part.low < part.high:
-        raise InputError(part.name, (part.size, part.low, part.high), "a size of 1 or more, a range")
+        raise InputError(
+            part.name, (part.size, part.low, part.high), "a size of 1 or more, a range"
+        )
     PARTS[part.name] = part
 
 

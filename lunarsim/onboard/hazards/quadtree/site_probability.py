@@ -31,7 +31,7 @@ from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
 from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.calibration import STEEPEST
+from lunarsim.safety.calibration import STEEPEST, UNCOUNTED
 from lunarsim.safety.ensemble import Ensemble, cautious
 from lunarsim.safety.exposure import (
     footprint_area,
@@ -203,6 +203,17 @@ class SiteEvidence:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
         height = tilting_height(self.fitted_slope, self.lander)
         return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
+
+    def clear_of_pads(self) -> Array:
+        """Return the chance that no rock too low to be counted tilts the lander too far (n,).
+
+        As `lunarsim.safety.calibration.clear_of_pads`; where only higher ones would, 1, for the
+        regression knows of these.
+        """
+        height = tilting_height(self.fitted_slope, self.lander)
+        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.thinnest)
+        low = height < self.curve.counted
+        return np.asarray(np.where(low, UNCOUNTED * np.exp(-found), 1.0))
 
     def sinking(self) -> Array:
         """Return how many unseen holes under the pads would tilt the lander too far."""
@@ -378,6 +389,7 @@ def ceiling(evidence: SiteEvidence) -> Array:
         np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_LEFT_OF_PLANE),
         np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
         np.interp(e.top, *_LEFT_OF_TOP),
+        e.clear_of_pads(),
     )
     return np.asarray(MOST * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
 
