@@ -165,7 +165,7 @@ class Evidence:
         return self._expected(self.curve, height, pad_ring_area(self.lander))
 
     def expected_under_pads(self) -> Array:
-        """Return the same with no fewer rocks than expected of those too low to be counted."""
+        """Return the same with gravel as it was counted; see `HeightCurve.careful`."""
         height = tilting_height(self.slope, self.lander)
         return self._expected(self.curve.careful, height, pad_ring_area(self.lander))
 
@@ -375,12 +375,12 @@ def clear_of_pads(evidence: Evidence) -> Array:
     """Return the chance that no unseen rock tilts the lander too far, however many (rows, cols).
 
     On a slope a rock under a pad need not be high for that: twice as many count as may be there.
-    Where one would do that is lower than any that was counted, the mission's law says how many
+    Where one that is lower than any that was counted would do it, the mission's law says how many
     there are, and no site is surely safe.
     """
     e = evidence
     rocks = e.expected_under_pads()
-    low = tilting_height(e.slope, e.lander) < e.curve.counted
+    low = tilting_height(e.slope, e.lander) < e.curve.gravel_counted
     return np.asarray(np.exp(-_UNDER_PADS * rocks) * np.where(low, UNCOUNTED, 1.0))
 
 

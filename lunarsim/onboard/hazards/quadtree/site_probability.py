@@ -35,6 +35,7 @@ from lunarsim.safety.calibration import STEEPEST, UNCOUNTED
 from lunarsim.safety.ensemble import Ensemble, cautious
 from lunarsim.safety.exposure import (
     footprint_area,
+    least_tilting_height,
     pad_ring_area,
     tilt_of,
     tilting_height,
@@ -70,6 +71,8 @@ MOST = 0.99
 # Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
 # what stands out of the ground.
 MOST_NOISE = 0.12
+# See `SiteEvidence.clear_of_pads`.
+_KNOWN = 1.5
 # The smoothest zones of a map are this share of all.
 _SMOOTHEST = 0.1
 # Cells on which the mean ground is judged, and the largest that count as seen, m.
@@ -205,15 +208,15 @@ class SiteEvidence:
         return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
 
     def clear_of_pads(self) -> Array:
-        """Return the chance that no rock too low to be counted tilts the lander too far (n,).
+        """Return the chance that no gravel tilts the lander too far, however much (n,).
 
-        As `lunarsim.safety.calibration.clear_of_pads`; where only higher ones would, 1, for the
-        regression knows of these.
+        As `lunarsim.safety.calibration.clear_of_pads`; 1 where only rocks would that are higher by
+        `_KNOWN` than the least of which the regression was told.
         """
-        height = tilting_height(self.fitted_slope, self.lander)
+        height = least_tilting_height(self.fitted_slope, self.lander)
         found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.thinnest)
-        low = height < self.curve.counted
-        return np.asarray(np.where(low, UNCOUNTED * np.exp(-found), 1.0))
+        left = np.where(height < self.curve.gravel_counted, UNCOUNTED, 1.0)
+        return np.where(height < _KNOWN * self.curve.counted, left * np.exp(-found), 1.0)
 
     def sinking(self) -> Array:
         """Return how many unseen holes under the pads would tilt the lander too far."""
