@@ -45,7 +45,7 @@ def pad_at(y, pad, out):
 
 @kernel()
 def highest(z, frame, x, y, disc):
-    """Return the highest ground under a pad that stands at a point, m; NaN where some is unknown."""
+    """Return the highest ground under a pad that stands at a point, m; NaN where unknown."""
     best = -np.inf
     for k in range(len(disc)):
         here = height_at(z, frame, x + disc[k, 0], y + disc[k, 1])

@@ -173,7 +173,14 @@ class GaussianDemMapper(HazardMapper):
         self._time, self._due, self._stale = 0.0, -np.inf, False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; a scan without returns changes nothing."""
+        """Add a scan taken at the estimated pose; a scan without returns changes nothing.
+
+        Raises
+        ------
+        InputError
+            If the scan, or the pose, is none; see `LidarScan.check`.
+        """
+        measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
         early = self._early.takes(estimate.tilt_sigma)
         taken = (self._turning if early else self._samples).add(

@@ -105,7 +105,8 @@ class QuadtreeMapper(HazardMapper):
     Raises
     ------
     InputError
-        If the interval is negative or not finite, or `rocks` are none.
+        If the interval is negative or not finite, `rocks` are none, or the lander is wider than
+        the map.
 
     Attributes
     ----------
@@ -154,6 +155,11 @@ class QuadtreeMapper(HazardMapper):
             split_count=split_count,
         )  # fmt: skip
         footprint = self._lander.leg_radius + 0.5 * self._lander.pad_diameter
+        if 2.0 * footprint > max(east - west, north - south):
+            raise InputError(
+                "vehicle.leg_radius", self._lander.leg_radius,
+                f"a lander that the map of {max(east - west, north - south):g} m has room for",
+            )  # fmt: skip
         self.selector = SiteSelector(
             self.map, self._settings, self._interest, thorough=True, footprint=footprint
         )
@@ -201,17 +207,11 @@ class QuadtreeMapper(HazardMapper):
         Raises
         ------
         InputError
-            If a range, or what is stated of its error, is not positive.
+            If the scan, or the pose, is none; see `LidarScan.check`.
         """
-        returned = np.isfinite(measurement.range)
-        if not returned.any():
+        measurement.check(estimate.position, estimate.attitude)
+        if np.isnan(measurement.range).all():
             return
-        sigma = measurement.height_sigma(estimate.attitude)[returned]
-        for name, values in (("range", measurement.range[returned]), ("sigma", sigma)):
-            wrong = ~((values > 0.0) & np.isfinite(values))
-            if wrong.any():
-                told = "positive and finite where there is a return"
-                raise InputError(f"scan.{name}", float(values[wrong][0]), told)
         self._insert(measurement, estimate.position, estimate.attitude)
         if self._early.takes(estimate.tilt_sigma):
             self._unsure = self.map.count
