@@ -160,7 +160,7 @@ def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, floa
         stretch = np.hypot(1.0, np.hypot(gx, gy))
         slope = max(slope, float(np.arccos(1.0 / stretch)))
         height = (z - z0 - points @ np.array([gx, gy])) / stretch
-        roughness = max(roughness, float(height.max(initial=0.0)))
+        roughness = float(np.maximum(roughness, height.max(initial=0.0)))  # NaN where unknown
     return slope, roughness
 
 

@@ -73,4 +73,4 @@ class Actions:
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:
         """Return the action that stands nearest to physical units (..., size)."""
         scaled = (np.asarray(physical, dtype=np.float64) - self.offset) / self.scale
-        return np.clip(scaled, -1.0, 1.0).astype(np.float32)
+        return np.asarray(np.clip(scaled, -1.0, 1.0), dtype=np.float32)

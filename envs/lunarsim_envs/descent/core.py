@@ -91,7 +91,7 @@ class Descents:
         """
         for lane, seed in zip(np.flatnonzero(mask), seeds, strict=True):
             if seed is not None or not self.lanes.has_key[lane]:
-                self.key(lane, seeding.np_random(seed)[0])
+                self.key(int(lane), seeding.np_random(seed)[0])
 
     def key(self, lane: int, rng: np.random.Generator) -> None:
         """Draw the key of a lane."""

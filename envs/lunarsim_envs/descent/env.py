@@ -18,7 +18,7 @@ from lunarsim_envs.descent.rewards import DescentWeights
 Shown = NDArray[np.float32]
 
 
-class DescentEnv(gymnasium.Env[Shown, Shown]):
+class DescentEnv(gymnasium.Env[Any, Any]):
     """One descent; see `GuidanceEnv` and `ControlEnv` for what differs."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -72,7 +72,7 @@ class DescentEnv(gymnasium.Env[Shown, Shown]):
         return d.observe()[0], sum(named.values()), *ends, info
 
 
-class DescentVectorEnv(gymnasium.vector.VectorEnv[Shown, Shown, Shown]):
+class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Many descents at once, in one kernel; see `GuidanceEnv` and `ControlEnv`.
 
     Lane i with seed s flies what one environment with seed s + i flies, bit for bit, with any
@@ -146,7 +146,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Shown, Shown, Shown]):
             return [int(seed) + int(lane) for lane in lanes]
         if len(seed) != self.num_envs:
             raise ValueError(f"seed of length {len(seed)}: must be one for each of {self.num_envs}")
-        return [seed[lane] for lane in lanes]
+        return [seed[int(lane)] for lane in lanes]
 
     def step(
         self, actions: ArrayLike

@@ -195,7 +195,7 @@ class Lanes:
     @property
     def safe(self) -> NDArray[np.bool_]:
         """Whether each has landed within all limits (n,)."""
-        return (self.ended == LANDED) & (self.failed == 0)
+        return np.asarray((self.ended == LANDED) & (self.failed == 0))
 
     def words(self, lane: int) -> tuple[str, ...]:
         """Return the limits that a lane's flight failed."""
