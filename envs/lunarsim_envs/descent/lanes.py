@@ -122,6 +122,8 @@ class Lanes:
         States (n, 15): position, velocity (ENU), attitude (scalar last), body rate, mass, thrust.
     target
         Where each is to land (n, 3), m.
+    world
+        Index of the world that each flies over (n,).
     time
         Since the start of each flight (n,), s.
     ended
@@ -147,7 +149,7 @@ class Lanes:
         self.starts = np.tile(craft.start, (count, 1))
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
-        self._loop, self._world = np.zeros((count, 10)), np.zeros(count, np.int64)
+        self._loop, self.world = np.zeros((count, 10)), np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
         self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
         self._lander = np.array(
@@ -169,7 +171,7 @@ class Lanes:
         """Draw a new flight in every lane of `mask` (n,)."""
         w = self.worlds
         k.begin(
-            mask, self._keys, self._begun, self.y, self._loop, self.target, self._world, self.time,
+            mask, self._keys, self._begun, self.y, self._loop, self.target, self.world, self.time,
             self.ended, self.starts, self.craft.aim, self._upright, self._weight, w.reliefs,
             w.relief_frame,
         )  # fmt: skip
@@ -189,7 +191,7 @@ class Lanes:
             self.ended == FLYING, self.y, self._loop, actions, self.guided, self.steps, d.step,
             c.limit, d.figures, d.inertia, PLAIN_RIG, self._lander, c.heading, d.lander.pads,
             self._disc, GROUND_SPACING, self._limits, d.lander.com_height, w.grounds, w.frame,
-            w.levels, self._world, self.time, self.ended, self.failed, self.told,
+            w.levels, self.world, self.time, self.ended, self.failed, self.told,
         )  # fmt: skip
 
     @property
