@@ -6,6 +6,8 @@ hang on its key and on how many flights it has begun, on nothing else.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lunarsim._frame_kernels import rotation_between
@@ -93,33 +95,82 @@ def begin(
         ended[i] = FLYING
 
 
-@kernel()
-def _ask(y, loop, action, guided, lander, heading, attitude):
-    """Return the thrust that an action asks for, N; the attitude, or torques, go where they act.
+class Vehicle(NamedTuple):
+    """A lander and how it is flown, SI; see `advance_body` and `judge` for what is not told here.
 
-    `lander` (9,): least and greatest thrust, tilt, gains of the attitude loop, greatest torques.
+    `control` (9,): least and greatest thrust, tilt, gains of the attitude loop, greatest torques.
     """
+
+    figures: np.ndarray
+    inertia: np.ndarray
+    rig: np.ndarray
+    control: np.ndarray
+    heading: float
+    pads: np.ndarray
+    disc: np.ndarray
+    spacing: float
+    limits: np.ndarray
+    com_height: float
+
+
+class Grounds(NamedTuple):
+    """Heights with rocks of each world (k, rows, cols), where they are, the extremes (k, 2), m."""
+
+    z: np.ndarray
+    frame: np.ndarray
+    levels: np.ndarray
+
+
+class Flights(NamedTuple):
+    """How flights stand (n,): world, time (s), end, limits failed, and the touchdown (n, 7)."""
+
+    world: np.ndarray
+    time: np.ndarray
+    ended: np.ndarray
+    failed: np.ndarray
+    told: np.ndarray
+
+
+@kernel()
+def _ask(y, loop, action, guided, vehicle, attitude):
+    """Return the thrust that an action asks for, N; the attitude, or torques, go where they act."""
+    control = vehicle.control
     if guided:
         for k in range(4):
             loop[k] = y[6 + k]
-        return steer(action, y[13], lander[0], lander[1], heading, lander[2], attitude)
+        return steer(action, y[13], control[0], control[1], vehicle.heading, control[2], attitude)
     for k in range(3):
-        loop[7 + k] = min(max(action[1 + k], -lander[6 + k]), lander[6 + k])
-    return min(max(action[0], lander[0]), lander[1])
+        loop[7 + k] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
+    return min(max(action[0], control[0]), control[1])
+
+
+@kernel()
+def _end(i, y, vehicle, grounds, flights):
+    """Tell whether a flight has ended, on the ground or under the map, and note how."""
+    w = flights.world[i]
+    z, frame = grounds.z[w], grounds.frame
+    if touches(y, vehicle.pads, vehicle.disc, z, frame):
+        figures = vehicle.figures
+        flights.ended[i] = LANDED
+        flights.failed[i] = judge(
+            y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, vehicle.limits,
+            vehicle.com_height, figures[0], figures[3], figures[4], vehicle.inertia,
+            flights.told[i],
+        )  # fmt: skip
+        return True
+    if y[2] < grounds.levels[w, 0] - 1.0:
+        flights.ended[i] = LOST
+        flights.failed[i] = OFF_MAP
+        return True
+    return False
 
 
 @kernel(shared=True)
-def advance(
-    share, active, y, loop, actions, guided, steps, dt, limit, figures, inertia, rig, lander,
-    heading, pads, disc, spacing, limits, com_height, grounds, frame, levels, world, time, ended,
-    failed, told,
-):  # fmt: skip
-    """Fly every active lane for `steps` steps under its action, or to its end.
+def advance(share, y, loop, actions, guided, steps, dt, limit, vehicle, grounds, flights):
+    """Fly every lane that is in flight for `steps` steps under its action, or to its end.
 
     Parameters
     ----------
-    active
-        Lanes that fly (n,).
     y, loop
         State (n, 15) and attitude loop (n, 10).
     actions, guided
@@ -127,54 +178,38 @@ def advance(
         perfect gyroscopes; else thrust and torques (n, 4), N and N m.
     steps, dt, limit
         Steps of the integration, their length, and when a flight is over, s.
-    figures, inertia, rig
-        Of the vehicle: see `advance_body`.
-    lander, heading
-        See `_ask`.
-    pads, disc, spacing, limits, com_height
-        See `judge`.
-    grounds, frame, levels, world
-        Ground with rocks of each world (k, rows, cols), where it is, its least and greatest
-        height (k, 2), and the world of each lane.
-    time, ended, failed, told
-        Time of flight (n,), s; how each stands (n,); limits failed (n,) and figures of the
-        touchdown (n, 7): see `judge`.
+    vehicle, grounds, flights
+        See there.
     """
     work = np.empty((5, 15))
     attitude = np.empty(4)
     known = np.empty(3)
     before = np.empty(4)
     turn = np.empty(3)
-    reach = np.sqrt(np.max(np.sum(pads * pads, axis=1))) + 0.1
+    v = vehicle
+    figures, inertia, rig, gains, most = v.figures, v.inertia, v.rig, v.control[3:6], v.control[6:]
+    dry, wet, time, ended = figures[3], figures[4], flights.time, flights.ended
+    reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1
     for i in range(share[0], len(y), share[1]):
-        if not active[i]:
+        if ended[i] != FLYING:
             continue
-        here, own = y[i], loop[i]
-        thrust = _ask(here, own, actions[i], guided, lander, heading, attitude)
-        full = (here[13] - figures[3]) / (figures[4] - figures[3])
+        here, own, torque = y[i], loop[i], loop[i, 7:]
+        thrust = _ask(here, own, actions[i], guided, v, attitude)
+        full = (here[13] - dry) / (wet - dry)
         for k in range(3):
             known[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
-        w = world[i]
         for _ in range(steps):
             if guided:
-                demand(own, attitude, lander[3:6], known, lander[6:])
+                demand(own, attitude, gains, known, most)
             for k in range(4):
                 before[k] = here[6 + k]
-            advance_body(here, dt, thrust, own[7:], figures, inertia, rig, work)
+            advance_body(here, dt, thrust, torque, figures, inertia, rig, work)
             time[i] += dt
             if guided:
                 rotation_between(before, here[6:10], turn)
                 follow(own, turn, dt)
-            if here[2] - reach <= levels[w, 1] and touches(here, pads, disc, grounds[w], frame):
-                ended[i] = LANDED
-                failed[i] = judge(
-                    here, pads, disc, spacing, grounds[w], frame, limits, com_height, figures[0],
-                    figures[3], figures[4], inertia, told[i],
-                )  # fmt: skip
-                break
-            if here[2] < levels[w, 0] - 1.0:
-                ended[i] = LOST
-                failed[i] = OFF_MAP
+            low = here[2] - reach <= grounds.levels[flights.world[i], 1]
+            if low and _end(i, here, vehicle, grounds, flights):
                 break
         if ended[i] == FLYING and time[i] >= limit - 0.5 * dt:
             ended[i] = LATE

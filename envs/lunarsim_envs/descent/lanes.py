@@ -155,15 +155,21 @@ class Lanes:
         self._loop, self.world = np.zeros((count, 10)), np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
         self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
-        self._lander = np.array(
-            [lander.thrust_min, lander.thrust_max, craft.max_tilt, *craft.gains, *lander.torque_max]
-        )
-        self._limits = np.array(
-            [lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
-             lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance]
+        v = lander
+        control = [v.thrust_min, v.thrust_max, craft.max_tilt, *craft.gains, *v.torque_max]
+        limits = [
+            v.vertical_speed_limit, v.horizontal_speed_limit, v.tilt_limit, v.rate_limit,
+            v.slope_limit, v.roughness_limit, v.belly_clearance,
+        ]  # fmt: skip
+        self._vehicle = k.Vehicle(
+            d.figures, d.inertia, PLAIN_RIG, np.array(control), craft.heading, v.pads,
+            pad_disc(0.5 * v.pad_diameter), GROUND_SPACING, np.array(limits), v.com_height,
         )  # fmt: skip
-        self._figures, self._inertia, self._pads = d.figures, d.inertia, lander.pads
-        self._disc = pad_disc(0.5 * lander.pad_diameter)
+        self._grounds = k.Grounds(worlds.grounds, worlds.frame, worlds.levels)
+
+    @property
+    def _flights(self) -> k.Flights:
+        return k.Flights(self.world, self.time, self.ended, self.failed, self.told)
 
     def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
         """Give lanes their keys, from which all of their later flights are drawn."""
@@ -191,14 +197,11 @@ class Lanes:
         actions
             Thrust accelerations (n, 3), ENU, m/s^2, or thrust and torques (n, 4), N and N m.
         """
-        c, d, w = self.craft, self.craft.dynamics, self.worlds
+        step = self.craft.dynamics.step
         with threads_for(_STEP * self.count * self.steps):
             k.advance(
-                self.ended == FLYING, self.y, self._loop, actions, self.guided, self.steps, d.step,
-                c.limit, self._figures, self._inertia, PLAIN_RIG, self._lander, c.heading,
-                self._pads, self._disc, GROUND_SPACING, self._limits, d.lander.com_height,
-                w.grounds, w.frame, w.levels, self.world, self.time, self.ended, self.failed,
-                self.told,
+                self.y, self._loop, actions, self.guided, self.steps, step, self.craft.limit,
+                self._vehicle, self._grounds, self._flights,
             )  # fmt: skip
 
     @property
