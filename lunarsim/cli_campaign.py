@@ -64,13 +64,15 @@ def campaign() -> None:
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
     """Write every flight's inputs of SPEC (a TOML file) without flying."""
-    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.flying import check_files, plan_of
     from lunarsim.campaign.spec import CampaignSpec
 
     if out is not None:
         suffix = out.suffix.lower()
         check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
-    planned = plan_of(CampaignSpec.load(spec))
+    loaded = CampaignSpec.load(spec)
+    check_files(loaded)
+    planned = plan_of(loaded)
     if out is not None:
         from lunarsim.campaign.planned import write_plan
         from lunarsim.whole_files import write_whole

@@ -94,8 +94,11 @@ OWN = {
         (["empty.toml"], ["empty.toml", "at least one key"]),
         ([SPEC, "--out", "x.txt"], ["--out = 'x.txt'", ".csv"]),
         (["wrong.toml"], ["sun", "unknown key"]),
+        (["gone_spec.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
+        (["drawn_spec.toml", "--out", "x.csv"], ["terrain.path", "cut.tif", "whole raster"]),
     ],
     "campaign run": [
+        (["drawn_spec.toml", "--out", "new"], ["terrain.path", "cut.tif", "whole raster"]),
         (["gone.toml", "--out", "new"], ["gone.toml", "an existing TOML file"]),
         ([SPEC, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
         ([SPEC, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
@@ -155,6 +158,15 @@ OWN = {
         ([GOOD, "--out", "t.nc", "--size", "1e9"], ["--size = 1000000000.0", "EiB"]),
     ],
 }  # fmt: skip
+# The second choice, which the first flight does not draw, is no whole raster.
+DRAWN = """
+flights = 1
+[scenario.terrain]
+kind = "dtm"
+path = "whole.tif"
+[dispersions]
+"terrain.path" = { kind = "choice", values = ["whole.tif", "cut.tif"], weights = [1.0, 0.0] }
+"""
 CASES = [(name, *case) for name, cases in OWN.items() for case in cases] + [
     (name, [*arguments, *more], words) for name, more in TAKE_A_SCENARIO.items()
     for arguments, words in OF_A_SCENARIO
@@ -187,12 +199,15 @@ def mistakes(tmp_path_factory):
     (here / "full" / "notes.txt").write_text("mine")
     (here / "empty.toml").write_text("# nothing\n")
     (here / "broken.toml").write_text("name = [")
+    (here / "gone_spec.toml").write_text('scenario = "gone_dtm.toml"\nflights = 2\n')
+    (here / "drawn_spec.toml").write_text(DRAWN)
     (here / "wrong.toml").write_text("[sun]\nelevation_deg = 95.0\n")
     (here / "words.toml").write_text('[vehicle]\ndry_mass_kg = "1100"\n')
     (here / "loop.toml").symlink_to("loop.toml")
     (here / "there.json").write_text(json.dumps({}))
     _raster(here / "bands.tif", 3)
     _raster(here / "high.tif", 1, 1e30)
+    _raster(here / "whole.tif", 1)
     _raster(here / "cut.tif", 1)
     whole = (here / "cut.tif").read_bytes()
     (here / "cut.tif").write_bytes(whole[: len(whole) // 2])

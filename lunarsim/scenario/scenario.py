@@ -213,6 +213,18 @@ class Scenario:
         """Return the scenario as TOML, defaults included."""
         return tomli_w.dumps(self.to_dict())
 
+    def check_files(self) -> None:
+        """Read the files that the ground is made of; other parts read theirs when they are made.
+
+        Raises
+        ------
+        InputError
+            If one cannot be read, or does not fit what it is used for.
+        """
+        check = getattr(self.terrain.make(), "check_files", None)
+        if check is not None:
+            check()
+
     def save(self, path: str | Path) -> None:
         """Write the scenario as TOML, defaults included."""
         write_text_whole(Path(path), self.to_toml())
