@@ -28,7 +28,12 @@ OF_A_SCENARIO = [
     (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
     (["folder"], ["scenario", "folder", "an existing TOML file"]),
     (["wrong.toml"], ["sun.elevation_deg = 95.0", "less than or equal to 90"]),
+    (["short.toml"], ["start.position_m = [-900, 0]", "a list of 3 values in m"]),
+    (["chosen.toml"], ["policy = 'safest'", 'a table [policy] with kind = "safest"']),
+    (["wide.toml"], ["scenario", "wide.toml", "a TOML file, which is text in UTF-8"]),
     (["words.toml"], ["vehicle.dry_mass_kg = '1100'", "a plain number in kg"]),
+    ([GOOD, "--set", "start.position_m=5"], ["--set start.position_m = 5", "a list of 3 values"]),
+    ([GOOD, "--set", "rocks=0.08"], ["--set rocks = 0.08", "a table [rocks] with keys"]),
     ([GOOD, "--set", "rocks.cover"], ["--set", "KEY=VALUE"]),
     ([GOOD, "--set", "rocks.covr=0.1"], ["--set rocks.covr", "did you mean 'cover'"]),
     ([GOOD, "--set", "terrain.size_m=1e9"], ["1000000000.0", "55.5 EiB", "at most 20000 posts"]),
@@ -40,6 +45,7 @@ OWN = {
         ([GOOD, "--policy", "safset"], ["--policy = 'safset'", "did you mean 'safest'"]),
         ([GOOD, "--guidance", "apolo"], ["--guidance = 'apolo'", "did you mean 'apollo'"]),
         ([GOOD, "--seed", "-1"], ["--seed", "-1", "x>=0"]),
+        ([GOOD, "--seed", "1.5"], ["--seed", "'1.5' is not a valid integer."]),
         ([GOOD, "--flight", "many"], ["--flight", "many", "integer"]),
         ([GOOD, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
         ([GOOD, "--out", "wrong.toml"], ["--out = 'wrong.toml'", "a folder, not a file"]),
@@ -80,7 +86,10 @@ OWN = {
     ],
     "sweep": [
         ([GOOD, "--out", "new", "--over", "rocks.cover"], ["--over", "KEY=A,B,C"]),
-        ([GOOD, "--out", "new", "--over", "rocks.cover=0.1,0.9"], ["rocks.cover = 0.9", "0.2"]),
+        ([GOOD, "--out", "new", "--over", "rocks.cover=0.1,0.9"], ["--over rocks.cover = 0.9"]),
+        ([GOOD, "--out", "new", "--over", "sun.elevation=5"], ["--over sun.elevation", "_deg"]),
+        ([GOOD, "--out", "new", "--set", "policy=safest", "--over", "policy=safest,no-divert"],
+         ["--set = 'policy=safest'", "no key that --over sets too"]),
         ([GOOD, "--out", "full", "--over", "rocks.cover=0.1", "--flights", "1"], ["--out", "full"]),
         ([GOOD, "--out", "/proc/none", "--over", "rocks.cover=0.1"], ["--out", "/proc/none"]),
     ],
@@ -203,6 +212,9 @@ def mistakes(tmp_path_factory):
     (here / "drawn_spec.toml").write_text(DRAWN)
     (here / "wrong.toml").write_text("[sun]\nelevation_deg = 95.0\n")
     (here / "words.toml").write_text('[vehicle]\ndry_mass_kg = "1100"\n')
+    (here / "short.toml").write_text("[start]\nposition_m = [-900, 0]\n")
+    (here / "chosen.toml").write_text('policy = "safest"\n')
+    (here / "wide.toml").write_text('name = "mare"\n', encoding="utf-16")
     (here / "loop.toml").symlink_to("loop.toml")
     (here / "there.json").write_text(json.dumps({}))
     _raster(here / "bands.tif", 3)

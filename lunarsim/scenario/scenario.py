@@ -268,13 +268,15 @@ def _number(data: Mapping[str, Any], key: str, default: float) -> float:
 
 def _mapping(path: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(path, value, "a table")
+        raise InputError(path, value, f"a table [{path}] with keys of its own")
     return value
 
 
 def _chosen(
     path: str, contract: str, value: Any, default: str | None, folder: Path | None
 ) -> ChosenPart:
+    if isinstance(value, str):
+        raise InputError(path, value, f'a table [{path}] with kind = "{value}"')
     data = dict(_mapping(path, value))
     kind = data.pop("kind", default)
     if not isinstance(kind, str):
