@@ -116,6 +116,27 @@ def test_frames_keep_their_axes_and_show_action_reward_and_the_last_metres(env):
     assert min(seconds) < 0.05
 
 
+def test_the_first_frame_of_a_flight_takes_no_longer_than_others(env):
+    seconds = []
+    for seed in (1, 2, 3):
+        env.reset(seed=seed)
+        begun = time.process_time()
+        env.render()
+        seconds.append(time.process_time() - begun)
+    assert min(seconds) < 0.05
+
+
+def test_a_film_holds_nothing_of_the_flight_before(small_scenario, monkeypatch):
+    env = gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array_list")
+    drawn, draw = [], Frames.draw
+    monkeypatch.setattr(Frames, "draw", lambda *a: drawn.append(a[0].simulation) or draw(*a))
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        assert len(env.render()) == 1
+    assert len(drawn) == 2
+    assert drawn[1] is env.unwrapped.simulation
+
+
 def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
     env.reset(seed=1)
     observation = env.unwrapped.simulation.observe()
