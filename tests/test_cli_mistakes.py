@@ -27,6 +27,7 @@ OF_A_SCENARIO = [
     (["empty.toml"], ["scenario", "empty.toml", "at least one key"]),
     (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
     (["folder"], ["scenario", "folder", "an existing TOML file"]),
+    (["x" * 300 + ".toml"], ["x.toml: File name too long"]),
     (["wrong.toml"], ["sun.elevation_deg = 95.0", "less than or equal to 90"]),
     (["short.toml"], ["start.position_m = [-900, 0]", "a list of 3 values in m"]),
     (["chosen.toml"], ["policy = 'safest'", 'a table [policy] with kind = "safest"']),
@@ -48,6 +49,7 @@ OWN = {
         ([GOOD, "--seed", "1.5"], ["--seed", "'1.5' is not a valid integer."]),
         ([GOOD, "--flight", "many"], ["--flight", "many", "integer"]),
         ([GOOD, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
+        ([GOOD, "--out", "hides"], ["--out = 'hides'", "an empty or new folder"]),
         ([GOOD, "--out", "wrong.toml"], ["--out = 'wrong.toml'", "a folder, not a file"]),
         ([GOOD, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
         (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
@@ -206,6 +208,8 @@ def mistakes(tmp_path_factory):
     (here / "folder").mkdir()
     (here / "full").mkdir()
     (here / "full" / "notes.txt").write_text("mine")
+    (here / "hides").mkdir()
+    (here / "hides" / ".notes").write_text("mine")
     (here / "empty.toml").write_text("# nothing\n")
     (here / "broken.toml").write_text("name = [")
     (here / "gone_spec.toml").write_text('scenario = "gone_dtm.toml"\nflights = 2\n')
