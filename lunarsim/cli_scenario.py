@@ -44,6 +44,8 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     """
     loaded = load_scenario(scenario, changes)
     loaded.check_files()
+    # As a flight does before it begins.
+    loaded.vehicle.make().check_hover(loaded.gravity_m_s2)
     click.echo(loaded.to_toml(), nl=False)
 
 

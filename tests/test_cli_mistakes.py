@@ -136,6 +136,8 @@ OWN = {
         (["gone_dtm.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
         (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
         (["high.toml"], ["terrain.path", "high.tif", "elevations in metres"]),
+        ([GOOD, "--set", "vehicle.thrust_max_n=2000"], ["vehicle.thrust_max_n", "cannot hover"]),
+        ([GOOD, "--set", "gravity_m_s2=0.4"], ["vehicle.thrust_min_n", "cannot descend"]),
         (["loop.toml"], ["scenario = 'loop.toml'", "an existing TOML file"]),
         ([GOOD, "--set", "policy=safset"], ["did you mean 'safest'? Or \"module:Class\""]),
         ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),

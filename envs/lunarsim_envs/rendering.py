@@ -85,6 +85,18 @@ class Frames:
         """What the last frame said of action, reward and end."""
         return str(self._title.get_text())
 
+    @property
+    def target(self) -> tuple[float, float]:
+        """Where the last frame has the site, east and north, m."""
+        east, north = self._target.center
+        return float(east), float(north)
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Where the last frame has the lander: distance over the ground and height, m."""
+        away, up = self._heres[0].get_data()
+        return float(np.asarray(away)[-1]), float(np.asarray(up)[-1])
+
     def draw(
         self, observation: Observation, action: int | None, reward: float | None
     ) -> NDArray[np.uint8]:

@@ -36,9 +36,7 @@ def notes_on(scenario: Scenario) -> list[str]:
         Checked; nothing here keeps it from being flown.
     """
     lander = scenario.vehicle.make()
-    figures = []
-    if isinstance(lander, Lander):
-        figures = [*_lander_notes(lander), *_thrust_notes(lander, scenario.gravity_m_s2)]
+    figures = list(_lander_notes(lander)) if isinstance(lander, Lander) else []
     return [*figures, *_without_effect(scenario)]
 
 
@@ -61,21 +59,6 @@ def _lander_notes(lander: Lander) -> Iterator[str]:
             "does it go with inertia_full_kg_m2?"
         )
     yield from _standing_notes(lander)
-
-
-def _thrust_notes(lander: Lander, gravity: float) -> Iterator[str]:
-    """Yield what thrust and masses say of each other."""
-    full, dry = gravity * lander.wet_mass, gravity * lander.dry_mass
-    if lander.thrust_max <= full:
-        yield (
-            f"vehicle.thrust_max_n = {lander.thrust_max:g}: less than its weight of {full:.4g} N "
-            f"with {lander.wet_mass:g} kg, it cannot brake"
-        )
-    if lander.thrust_min >= dry:
-        yield (
-            f"vehicle.thrust_min_n = {lander.thrust_min:g}: more than its weight of {dry:.4g} N "
-            f"with {lander.dry_mass:g} kg, tanks empty: it climbs at the least throttle"
-        )
 
 
 def _gyration_notes(lander: Lander) -> Iterator[str]:

@@ -116,6 +116,24 @@ def test_frames_keep_their_axes_and_show_action_reward_and_the_last_metres(env):
     assert min(seconds) < 0.05
 
 
+def test_frames_have_lander_and_site_where_they_are_believed_to_be(env):
+    _, info = env.reset(seed=1)
+    env.render()
+    first, moved, ended = env.unwrapped.frames.target, 0.0, False
+    while not ended:
+        action = int(np.flatnonzero(info["action_mask"])[-1])
+        _, _, ended, _, info = env.step(action)
+        env.render()
+        simulation, frames = env.unwrapped.simulation, env.unwrapped.frames
+        site, believed = simulation.site, simulation.estimate.position
+        assert frames.target == pytest.approx(site[:2])
+        # The path's last point is that of the last cycle.
+        away, up = np.hypot(*(believed - site)[:2]), believed[2] - site[2]
+        assert frames.place == pytest.approx((away, up), abs=4.0)
+        moved = max(moved, np.hypot(*np.subtract(first, site[:2])))
+    assert moved > 3.0
+
+
 def test_the_first_frame_of_a_flight_takes_no_longer_than_others(env):
     seconds = []
     for seed in (1, 2, 3):
@@ -224,6 +242,11 @@ def test_a_film_goes_down_to_the_ground(small_scenario, tmp_path):
         for mine, theirs in ((frames[0], shown[0]), (frames[-1], shown[-1])):
             assert np.abs(mine.astype(int) - theirs).mean() < 8.0
     assert {path.name for path in tmp_path.iterdir()} == {"film.gif", "film.mp4"}
+    pace = env.metadata["render_fps"]
+    with Image.open(tmp_path / "film.gif") as gif:
+        assert gif.info["duration"] == 1000 / pace
+    film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == pace
 
 
 def _played(path):

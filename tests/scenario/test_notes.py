@@ -38,14 +38,6 @@ def test_the_default_study_has_nothing_odd():
         ),
         ({"vehicle": {"torque_max_n_m": [1.0, 600.0, 300.0]}}, "vehicle.torque_max_n_m", "rad/s^2"),
         ({"vehicle": {"com_height_m": 20.0}}, "vehicle.slope_limit_deg = 10", "from 4.75 deg on"),
-        (
-            {"vehicle": {"thrust_max_n": 2430.0}},
-            "vehicle.thrust_max_n = 2430", "its weight of 2433 N with 1500 kg, it cannot brake",
-        ),
-        (
-            {"vehicle": {"thrust_min_n": 600.0}, "gravity_m_s2": 0.5},
-            "vehicle.thrust_min_n = 600", "weight of 550 N with 1100 kg, tanks empty",
-        ),
         ({"vehicle": {"roughness_limit_m": 0.4}}, "vehicle.roughness_limit_m", "belly touches"),
         ({"sun": {"elevation_deg": 5.0}}, "sun.elevation_deg = 5", "no sensor of kind 'camera'"),
         (
@@ -69,11 +61,6 @@ def test_each_oddity_is_told_once_with_key_and_value(tables, begins, told):
     (note,) = [n for n in notes(**tables) if n.startswith(begins)]
     assert told in note
     assert "\n" not in note
-
-
-def test_an_engine_that_holds_it_is_not_odd():
-    assert notes(vehicle={"thrust_max_n": 2440.0}) == []
-    assert notes(vehicle={"thrust_min_n": 1780.0}) == []
 
 
 def test_the_sun_is_of_use_to_what_sees_it():

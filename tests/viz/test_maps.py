@@ -94,6 +94,23 @@ def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
     assert handles["path over the ground"].get_color() == path.get_color()
 
 
+def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
+    _, _, truth = flown
+    figure = drawn(*flown)
+    handles = {handle.get_label(): handle for handle in figure.legends[0].legend_handles}
+    image = _panels(figure)[1].images[1]
+    shown = image.to_rgba(image.get_array(), alpha=1.0)
+    safe, seen = truth.safety.safe, truth.safety.observed
+    for name, where in (
+        ("truly safe at every heading", seen & safe),
+        ("true hazard", seen & ~safe),
+        ("edge of the terrain", ~seen),
+    ):
+        assert where.any()
+        wanted = to_rgba(handles[name].get_facecolor())
+        assert np.abs(shown[where] - wanted).max() < 0.01, name
+
+
 def test_bars_lie_below_their_own_panels(flown, drawn):
     figure = drawn(*flown)
     panels = _panels(figure)
