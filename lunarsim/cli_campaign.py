@@ -194,9 +194,11 @@ def _flown(
     if not ran.complete:
         click.echo("not complete: the same command goes on", err=True)
         if engine == "ray" and ran.state == "interrupted":
+            from lunarsim.campaign.engines.ray_cluster import leave_at_once
+
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(INTERRUPTED)  # Ray takes seconds to take its leave; its processes end with us
+            leave_at_once(INTERRUPTED)
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
 
 
@@ -236,8 +238,9 @@ def export(folder: Path, out: Path, timing: bool) -> None:
 @campaign.command()
 @_FOLDER
 @click.option(
-    "--out", type=PATH, default=None, show_default="report.html in FOLDER", help="HTML file."
-)
+    "--out", type=PATH, default=None, show_default="report.html in FOLDER",
+    help="HTML file; or Markdown file (.md), its tables alone.",
+)  # fmt: skip
 def report(folder: Path, out: Path | None) -> None:
     """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
     from lunarsim.campaign.report import write_report

@@ -10,3 +10,9 @@ gymnasium.register(
     id="lunarsim/Retarget-v0",
     entry_point="lunarsim_envs.retarget:RetargetEnv",
 )
+for _level in ("Guidance", "Control"):
+    gymnasium.register(
+        id=f"lunarsim/{_level}-v0",
+        entry_point=f"lunarsim_envs.descent.env:{_level}Env",
+        vector_entry_point=f"lunarsim_envs.descent.env:{_level}VectorEnv",
+    )

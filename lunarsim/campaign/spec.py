@@ -1,7 +1,7 @@
 """The spec of a campaign: one TOML file that says all that is flown.
 
 name = "sun-and-policies"
-scenario = "golombek.toml"          # relative to this file; or the scenario itself as a table
+scenario = "golombek.toml"          # relative to this file; or a name, or a table
 flights = 200
 seed = 1
 
@@ -48,7 +48,7 @@ from lunarsim.campaign.subset_settings import Subset
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import quantity, settings_of
-from lunarsim.scenario import Scenario
+from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
@@ -384,8 +384,8 @@ def _scenario(given: Any, folder: Path | None) -> Scenario:
     if isinstance(given, Mapping):
         return Scenario.from_dict(given, folder)
     if not isinstance(given, str):
-        raise InputError("scenario", given, "the path of a scenario file, or its tables")
-    return Scenario.load(given if folder is None else folder / given)
+        raise InputError("scenario", given, "the path or name of a scenario, or its tables")
+    return Scenario.load(shipped.found(Path(given), folder))
 
 
 def _list(given: Any) -> list[Any]:

@@ -58,3 +58,8 @@ class PrecisionRecall:
         """Return the precision at the highest threshold with this recall, or at the lowest one."""
         precision, found = self.curve()
         return float(precision[min(int(np.searchsorted(found, recall)), len(found) - 1)])
+
+    def recall_at(self, precision: float) -> float:
+        """Return the greatest recall of a threshold with this precision or more; 0 without any."""
+        own, found = self.curve()
+        return float(found[own >= precision].max(initial=0.0))

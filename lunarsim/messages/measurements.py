@@ -107,6 +107,45 @@ class LidarScan:
     sigma: Array
     shape: tuple[int, int]
 
+    def check(self, position: Array, attitude: Array) -> None:
+        """Refuse what no scanner gives, and a pose that is none.
+
+        Parameters
+        ----------
+        position, attitude
+            At which the scan is taken to have been made, (3,) and (4,).
+
+        Raises
+        ------
+        InputError
+            If shapes do not belong together, numbers are not real, ranges or deviations of returns
+            are not positive and finite, the mount is no rotation, or the pose not finite.
+        """
+        n = int(np.prod(self.shape))
+        wanted = {"range": (n,), "sigma": (n,), "direction": (n, 3), "mount": (3, 3)}
+        for name, shape in wanted.items():
+            value = getattr(self, name)
+            if np.shape(value) != shape:
+                told = f"of shape {shape} for {self.shape[0]} x {self.shape[1]} pixels"
+                raise InputError(f"scan.{name}", np.shape(value), told)
+            if np.asarray(value).dtype.kind not in "fiu" or isinstance(value, np.ma.MaskedArray):
+                kind = "masked" if isinstance(value, np.ma.MaskedArray) else np.asarray(value).dtype
+                raise InputError(f"scan.{name}", str(kind), "real numbers; NaN for no return")
+        returned = ~np.isnan(self.range)
+        for name in ("range", "sigma"):
+            values = getattr(self, name)[returned]
+            wrong = ~((values > 0.0) & np.isfinite(values))
+            if wrong.any():
+                told = "positive and finite where there is a return, NaN for no return"
+                raise InputError(f"scan.{name}", float(values[wrong][0]), told)
+        if not np.allclose(self.mount @ self.mount.T, np.eye(3), atol=1e-6):
+            raise InputError("scan.mount", np.asarray(self.mount).tolist(), "a rotation (3, 3)")
+        if not (np.shape(position) == (3,) and np.isfinite(position).all()):
+            raise InputError("estimate.position", np.asarray(position).tolist(), "finite (3,)")
+        if not (np.shape(attitude) == (4,) and abs(np.linalg.norm(attitude) - 1.0) < 1e-3):
+            told = "a quaternion (4,) of norm 1"
+            raise InputError("estimate.attitude", np.asarray(attitude).tolist(), told)
+
     def points(self, position: Array, attitude: Array) -> Array:
         """Return the returns (rows * cols, 3) in ENU; NaN for no return.
 

@@ -75,10 +75,7 @@ class OnboardComputer:
         self.decisions = software.decisions
         with named_in("navigation"):
             self.navigation = software.navigation.build(briefing)
-        self.mappers: dict[str, HazardMapper] = {}
-        for name, part in software.mappers.items():
-            with named_in(f"mappers.{name}"):
-                self.mappers[name] = part.build(briefing, self.navigation)
+        self.mappers = self._built_mappers()
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
@@ -117,6 +114,17 @@ class OnboardComputer:
         self._barred, self._mapped_lost = False, False
         self._levelled = np.eye(3)
 
+    def _built_mappers(self) -> dict[str, HazardMapper]:
+        """Return the mappers in their order; those made of others are built after these."""
+        parts, built = self.briefing.software.mappers, dict[str, HazardMapper]()
+        for name, part in sorted(parts.items(), key=lambda item: hasattr(item[1], "of")):
+            given = (self.briefing, self.navigation)
+            with named_in(f"mappers.{name}"):
+                built[name] = (
+                    part.build(*given, built) if hasattr(part, "of") else part.build(*given)
+                )
+        return {name: built[name] for name in parts}
+
     # --- what is known --------------------------------------------------------------------
 
     @property
@@ -137,8 +145,12 @@ class OnboardComputer:
 
     @property
     def decisions_map(self) -> str:
-        """Name of the mapper whose map decides; empty for a lander without one."""
-        return str(self.decisions.map or next(iter(self.mappers), ""))
+        """Name of the mapper whose map decides; empty for a lander without one.
+
+        If the scenario names none: the first that is made of others, else the first.
+        """
+        joined = (name for name, mapper in self.mappers.items() if mapper.sources)
+        return str(self.decisions.map or next(joined, next(iter(self.mappers), "")))
 
     @property
     def mapper(self) -> HazardMapper | None:
@@ -303,6 +315,7 @@ class OnboardComputer:
             if self.briefing.software.mappers[name].sensor == sensor:
                 mapper.update(*self.navigation.corrected(sensor, measurement, after))
                 self.mapped.add(name)
+        self.mapped |= {n for n, m in self.mappers.items() if m.sources & self.mapped}
 
     def _follow_navigation(self) -> None:
         """Note what navigation reports, and move the briefed target where it is known to lie."""

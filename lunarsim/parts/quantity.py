@@ -198,6 +198,8 @@ def check_bounds(part: Any, table: str) -> None:
         value = getattr(part, f.name)
         if q is None or q.hidden or value is None:
             continue
+        if str(f.type).startswith(("float", "int")) and isinstance(value, str | bytes):
+            raise InputError(f"{table}.{f.name}", value, f"a number, not text; {q.expected}")
         given = q.from_si(tuple(value) if isinstance(value, list | np.ndarray) else value)
         for one in given if isinstance(given, tuple) else (given,):
             if isinstance(one, Real) and not q.allows(float(one)):

@@ -96,6 +96,7 @@ CONTRACTS: dict[str, Contract] = {
             "gaussian-dem": "lunarsim.onboard.hazards.gaussian_dem.mapper:GaussianDemMapping",
             "shadow": "lunarsim.onboard.hazards.shadows.mapper:ShadowMapping",
             "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapping",
+            "fused": "lunarsim.onboard.hazards.fusion.mapper:FusedMapping",
         },
         ("build", "takes", "sensor"),
     ),

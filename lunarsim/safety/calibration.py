@@ -34,6 +34,7 @@ from lunarsim.safety.ensemble import Ensemble, Odds, cautious, doubted
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.safety.thinning import Thinning
 from lunarsim.safety.unseen_rocks import HeightCurve
 
 Array = NDArray[np.float64]
@@ -59,6 +60,9 @@ COUNT = FREE + RISING
 _ODDS = 4.0
 _LEFT_OF_SLOPE = np.array([[0.94, 0.96], [1.0, 0.85]])
 _UNDER_PADS = 2.0
+# Chance that is left where rocks too low to be counted would tilt the lander too far: less than is
+# surely safe.
+UNCOUNTED = 0.94
 # In the domain at most so many hazards stand unseen in a footprint, and so many rocks, or holes,
 # under the pads that would tilt the lander over its limit.
 MOST_HAZARDS = 0.003
@@ -97,6 +101,9 @@ class Evidence:
         Samples on a square metre.
     noise, spacing
         Standard deviation of a sample, and distance of neighbouring ones, m.
+    thinning
+        What another eye leaves of the rocks that no sample has met, over the ground about each
+        site. None: all of them.
     """
 
     level: StochasticSafety
@@ -108,8 +115,12 @@ class Evidence:
     density: Array
     noise: float
     spacing: float
+    thinning: Thinning | None = None
 
     def __post_init__(self) -> None:
+        if self.thinning is not None and self.thinning.shape != self.level.grid.shape:
+            shape = self.thinning.shape
+            raise InputError("calibration.thinning", shape, f"a raster {self.level.grid.shape}")
         for name in ("planes", "nominal"):
             grid = getattr(self, name).grid
             if grid != self.level.grid:
@@ -151,7 +162,12 @@ class Evidence:
     def tilting(self) -> Array:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
         height = tilting_height(self.slope, self.lander)
-        return self._expected(height, pad_ring_area(self.lander))
+        return self._expected(self.curve, height, pad_ring_area(self.lander))
+
+    def expected_under_pads(self) -> Array:
+        """Return the same with gravel as it was counted; see `HeightCurve.careful`."""
+        height = tilting_height(self.slope, self.lander)
+        return self._expected(self.curve.careful, height, pad_ring_area(self.lander))
 
     def sinking(self) -> Array:
         """Return how many unseen holes under the pads would tilt the lander too far."""
@@ -162,20 +178,23 @@ class Evidence:
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
         height = (1.0 - self.roughness) * self.lander.roughness_limit
-        return self._expected(height, footprint_area(self.lander))
+        return self._expected(self.curve, height, footprint_area(self.lander))
 
     def hazards(self) -> Array:
         """Return how many unseen rocks in the footprint alone would be too high."""
-        return self._expected(np.array(self.lander.roughness_limit), footprint_area(self.lander))
+        height = np.array(self.lander.roughness_limit)
+        return self._expected(self.curve, height, footprint_area(self.lander))
 
-    def _expected(self, height: Array, area: float) -> Array:
+    def _expected(self, curve: HeightCurve, height: Array, area: float) -> Array:
         """Return rocks above a height (rows, cols) or () in an area about each site."""
-        each = self.curve.unseen(height, self.density)
-        if height.ndim:
-            return np.asarray(area * each)
-        # The density may change under the footprint.
-        width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
-        return np.asarray(area * ndimage.uniform_filter(each, width, mode="nearest"))
+        each = curve.unseen(height, self.density)
+        if not height.ndim:
+            # The density may change under the footprint.
+            width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
+            each = ndimage.uniform_filter(each, width, mode="nearest")
+        if self.thinning is not None:
+            each = each * self.thinning.at(height)
+        return np.asarray(area * each)
 
 
 def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
@@ -265,6 +284,7 @@ def calibrated_safety(
     evidence: Evidence,
     model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
+    where: BoolMap | None = None,
 ) -> tuple[FloatMap, BoolMap]:
     """Return the probability that a site is safe (rows, cols), and where it is a frequency.
 
@@ -279,6 +299,8 @@ def calibrated_safety(
         Left out: the packaged one.
     refit
         Last stage and domain of a scenario's own; left out: those of the packaged regression.
+    where
+        Sites to judge (rows, cols), the others are given 0; left out: all.
 
     Raises
     ------
@@ -289,7 +311,9 @@ def calibrated_safety(
     if refit is not None:
         refit.check(evidence.lander, model)
     seen, known = evidence.observed, in_domain(evidence)
-    covered = known if refit is None else in_domain(evidence, refit.domain)
+    if where is not None:
+        seen, known = seen & where, known & where
+    covered = known if refit is None else in_domain(evidence, refit.domain) & seen
     p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():
         most, clear = ceiling(evidence)[seen], clear_of_pads(evidence)[seen]
@@ -351,8 +375,13 @@ def clear_of_pads(evidence: Evidence) -> Array:
     """Return the chance that no unseen rock tilts the lander too far, however many (rows, cols).
 
     On a slope a rock under a pad need not be high for that: twice as many count as may be there.
+    Where one that is lower than any that was counted would do it, the mission's law says how many
+    there are, and no site is surely safe.
     """
-    return np.asarray(np.exp(-_UNDER_PADS * evidence.tilting()))
+    e = evidence
+    rocks = e.expected_under_pads()
+    low = tilting_height(e.slope, e.lander) < e.curve.gravel_counted
+    return np.asarray(np.exp(-_UNDER_PADS * rocks) * np.where(low, UNCOUNTED, 1.0))
 
 
 def bound(evidence: Evidence) -> Array:

@@ -82,7 +82,11 @@ def exact_safety(
     """
     footprint = footprint_of(lander, grid.posting)
     if heading is not None:
-        if not np.isfinite(heading):
+        if not (
+            isinstance(heading, (int, float, np.number))
+            and np.isrealobj(heading)
+            and np.isfinite(heading)
+        ):
             raise InputError("heading", heading, "a finite azimuth, rad")
         index = footprint.nearest_heading(lander, grid.posting, heading)
         footprint = footprint.one_heading(index)

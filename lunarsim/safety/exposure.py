@@ -38,6 +38,16 @@ def tilting_height(slope: Array, lander: Lander) -> Array:
     return np.asarray((1.0 - slope) * np.tan(lander.slope_limit) * _SPAN * lander.leg_radius)
 
 
+def least_tilting_height(slope: Array, lander: Lander) -> Array:
+    """Return the least height that does so at some heading (...), m; as `tilting_height`.
+
+    A pad of four turns the lander about the line of its neighbours, through the middle; a pad of
+    three about the line of the other two.
+    """
+    span = 1.0 if lander.legs == 4 else 1.5
+    return np.asarray((1.0 - slope) * np.tan(lander.slope_limit) * span * lander.leg_radius)
+
+
 def tilt_of(height: Array, lander: Lander) -> Array:
     """Return the tangent of the tilt (...) of a lander on level ground, a pad raised (...), m."""
     return np.asarray(height / (_SPAN * lander.leg_radius))

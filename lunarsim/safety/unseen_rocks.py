@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _HEIGHTS = np.geomspace(0.08, 8.0, 40)
 # Heights at which samples are counted, over the limit; those within the noise are left out.
 _COUNTED = np.array([0.4, 0.6, 0.8, 1.0])
+# The same for gravel, which tilts a lander on a slope; the regressions were fitted without.
+_GRAVEL = np.array([0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
 _NOISE = 3.5
 # The rock law counts as much as this many samples.
 _PRIOR_SAMPLES = 60.0
@@ -49,10 +51,26 @@ class HeightCurve:
         Rising (n,), m.
     share
         Of the ground above each (n,), falling.
+    counted
+        Least height above which samples were counted for it, m; 0: all.
+    gravel, gravel_counted
+        Share (n,) by counts of low rises too, and the least height of these; None: the other
+        holds for all heights.
     """
 
     height: Array
     share: Array
+    counted: float = 0.0
+    gravel: Array | None = None
+    gravel_counted: float = 0.0
+
+    @cached_property
+    def careful(self) -> HeightCurve:
+        """The same with gravel as it was counted, and no less than the law's below that.
+
+        That there are few high rocks says nothing of low ones.
+        """
+        return self if self.gravel is None else HeightCurve(self.height, self.gravel)
 
     def at(self, height: ArrayLike) -> Array:
         """Return the share above heights (...), m; those beyond the curve count as its ends."""
@@ -148,19 +166,35 @@ def height_curve(
         Of the Golombek law that the mission expects, and of its rocks.
     """
     height = limit * _HEIGHTS
-    expected = law_share(height, cover, height_ratio)
-    counted = limit * _COUNTED
-    counted = counted[counted >= _NOISE * noise]
-    if not counted.size:
-        counted = limit * _COUNTED[-1:]
+    law = law_share(height, cover, height_ratio)
     z = np.asarray(rises, dtype=np.float64)
+    times, counted = _times_law(z, noise, limit * _COUNTED, height, law)
+    lower, least = _times_law(z, noise, limit * _GRAVEL, height, law)
+    lower = np.where(height < least, np.maximum(lower, 1.0), lower)
+    share = _falling(law * times)
+    return HeightCurve(height, share, counted, _falling(np.maximum(law * lower, share)), least)
+
+
+def _falling(share: Array) -> Array:
+    """Return shares (n,) that are possible and fall with height."""
+    return np.asarray(np.minimum.accumulate(np.minimum(share, _MOST)))
+
+
+def _times_law(
+    z: Array, noise: float, counted: Array, height: Array, law: Array
+) -> tuple[Array, float]:
+    """Return how many times the law's share stands above heights (n,), and the least counted.
+
+    Samples count above some heights, of which those within the noise are left out; beyond these
+    the law's own shape goes on from there.
+    """
+    above_noise = counted[counted >= _NOISE * noise]
+    counted = above_noise if above_noise.size else counted[-1:]
     above = (z[:, None] > counted).sum(axis=0)
-    law = np.exp(np.interp(np.log(counted), np.log(height), np.log(expected)))
-    found = (above + _PRIOR_SAMPLES * law) / (z.size + _PRIOR_SAMPLES)
-    # Beyond what can be counted the law's own shape goes on from there.
-    times = np.interp(np.log(height), np.log(counted), np.log(found / law))
-    share = np.minimum(expected * np.exp(times), _MOST)
-    return HeightCurve(height, np.minimum.accumulate(share))
+    expected = np.exp(np.interp(np.log(counted), np.log(height), np.log(law)))
+    found = (above + _PRIOR_SAMPLES * expected) / (z.size + _PRIOR_SAMPLES)
+    times = np.interp(np.log(height), np.log(counted), np.log(found / expected))
+    return np.exp(times), float(counted[0])
 
 
 def depth_curve(

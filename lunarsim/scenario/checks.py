@@ -11,6 +11,7 @@ import numpy as np
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.hazards.fusion import FusedMapping
 from lunarsim.onboard.hazards.mapper import check_map
 from lunarsim.parts import loadable
 
@@ -164,6 +165,9 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
+        if isinstance(mapper, FusedMapping):
+            _check_sources(field, mapper, scenario)
+            continue
         _check_map(field, mapper, scenario)
         if mapper.sensor not in sensors:
             raise InputError(
@@ -184,6 +188,14 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
                 f"{_kinds_of('navigation', wanted)}: {field} of kind {part.kind!r} maps with that "
                 "filter",
             )  # fmt: skip
+
+
+def _check_sources(field: str, fused: FusedMapping, scenario: Tables) -> None:
+    """Refuse a fused map that cannot be made of the mappers that there are."""
+    try:
+        fused.chosen({name: part.make() for name, part in scenario.mappers.items()})
+    except InputError as error:
+        raise InputError(f"{field}.{error.field}", error.value, error.expected) from None
 
 
 def _check_map(field: str, mapper: Any, scenario: Tables) -> None:

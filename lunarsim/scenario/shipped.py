@@ -38,24 +38,32 @@ def path_of(name: str) -> Path:
     return known[name]
 
 
-def found(given: Path) -> Path:
+def found(given: Path, beside: Path | None = None) -> Path:
     """Return a file as it is; where there is none, the scenario that is shipped by that name.
+
+    Parameters
+    ----------
+    given
+        Path or name.
+    beside
+        Folder that a path is relative to; None: the current one.
 
     Raises
     ------
     InputError
         If it is neither: with the name or the file beside it that is most like it.
     """
-    if given.exists():
-        return given
+    path = given if beside is None else beside / given
+    if path.exists():
+        return path
     known = names()
     if str(given) in known:
         return known[str(given)]
-    beside = [str(given.parent / p.name) for p in given.parent.glob("*.toml") if p.is_file()]
-    near = suggestion(str(given), [*known, *beside])
+    others = [str(given.parent / p.name) for p in path.parent.glob("*.toml") if p.is_file()]
+    near = suggestion(str(given), [*known, *others])
     if not near.startswith("did you mean"):
         near = "or a name that `lunarsim scenario list` shows"
-    raise InputError("scenario", str(given), f"an existing TOML file; {near}")
+    raise InputError("scenario", str(path), f"an existing TOML file; {near}")
 
 
 def description_of(path: Path) -> str:

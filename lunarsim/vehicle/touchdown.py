@@ -17,7 +17,7 @@ from lunarsim.vehicle.state import State
 Array = NDArray[np.float64]
 
 # Spacing of the points at which the ground under pads and belly is looked up, m.
-_SAMPLE = 0.04
+GROUND_SPACING = 0.04
 
 
 class Ground(Protocol):
@@ -116,9 +116,9 @@ def support_planes(legs: Array) -> list[Array]:
     return planes
 
 
-def _disc(radius: float) -> Array:
+def pad_disc(radius: float) -> Array:
     """Return points (n, 2) that fill a disc, centre and rim included."""
-    n = int(np.ceil(radius / _SAMPLE))
+    n = int(np.ceil(radius / GROUND_SPACING))
     axis = np.linspace(-radius, radius, 2 * n + 1)
     xy = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     angle = np.linspace(0.0, 2.0 * np.pi, max(8, 4 * n), endpoint=False)
@@ -130,7 +130,7 @@ def pad_contacts(lander: Lander, state: State, ground: Ground) -> Array:
     """Return the points (legs, 3) on which the pads would rest: highest ground under each pad."""
     pads = lander.pads - com_of(lander, state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
-    spots = centres[:, None, :2] + _disc(0.5 * lander.pad_diameter)
+    spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
     return np.column_stack((centres[:, :2], ground.elevation(spots).max(axis=1)))
 
 
@@ -149,7 +149,9 @@ def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, floa
     Eqs. 8 and 9 of the Gaussian DEM paper, the worse over the admissible support planes.
     """
     low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
-    axes = [np.arange(a, b + _SAMPLE, _SAMPLE) for a, b in zip(low, high, strict=True)]
+    axes = [
+        np.arange(a, b + GROUND_SPACING, GROUND_SPACING) for a, b in zip(low, high, strict=True)
+    ]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     points = points[_inside_polygon(points, legs[:, :2])]
     z = ground.elevation(points)
@@ -158,7 +160,7 @@ def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, floa
         stretch = np.hypot(1.0, np.hypot(gx, gy))
         slope = max(slope, float(np.arccos(1.0 / stretch)))
         height = (z - z0 - points @ np.array([gx, gy])) / stretch
-        roughness = max(roughness, float(height.max(initial=0.0)))
+        roughness = float(np.maximum(roughness, height.max(initial=0.0)))  # NaN where unknown
     return slope, roughness
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -131,6 +132,21 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
         assert words in head
     assert run("campaign", "report", tmp_path, "--out", out).exit_code == 2
     assert run("campaign", "report", swept, "--out", tmp_path / "r.txt").exit_code == 2
+
+
+def test_tables_of_the_report_in_markdown(swept, tmp_path):
+    """Those of the page: a row an arm, a row a pair, as many cells as its head has."""
+    out, page = tmp_path / "r.md", tmp_path / "r.html"
+    assert run("campaign", "report", swept, "--out", out).exit_code == 0
+    assert run("campaign", "report", swept, "--out", page).exit_code == 0
+    summary, differences, *_ = re.findall(r"(?:^\|.*\n)+", out.read_text(), re.MULTILINE)
+    arms = load_results(swept).arms
+    assert len(summary.splitlines()) == 2 + len(arms)
+    assert len(differences.splitlines()) == 2 + math.comb(len(arms), 2)
+    assert len({line.count(" |") for line in summary.splitlines()}) == 1
+    shares = re.findall(r"\d\.\d{3} (\[\d\.\d{3}, \d\.\d{3}\])", summary)
+    assert len(shares) == len(arms) and all(share in page.read_text() for share in shares)
+    assert re.search(r"\[[+-]\d\.\d{3}, [+-]\d\.\d{3}\]", differences)
 
 
 @pytest.mark.parametrize("flights", [12, 200], ids=["to the end", "stopped"])

@@ -89,7 +89,7 @@ def test_a_node_that_is_taken_away_changes_nothing(tmp_path):
 
 @pytest.mark.slow
 def test_an_interrupt_waits_for_no_farewell_and_leaves_nobody(tmp_path):
-    """Ray's own end takes up to nine seconds; its processes end with the one that started them."""
+    """Ray's own end takes up to nine seconds, and its agents' a minute where it is not told."""
     spec = {"scenario": TINY_FLIGHT, "flights": 400, "seed": 1}
     (tmp_path / "s.toml").write_text(CampaignSpec.from_dict(spec).to_toml())
     folder = tmp_path / "c"
@@ -111,7 +111,7 @@ def test_an_interrupt_waits_for_no_farewell_and_leaves_nobody(tmp_path):
     assert driver.returncode == 130 and "interrupted" in said
     found = load_results(folder)
     assert found.manifest["state"] == "interrupted" and len(found.table) > 0
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + 10.0
     while any(_runs(other) for other in others):
         assert time.monotonic() < until
         time.sleep(0.2)

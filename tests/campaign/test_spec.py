@@ -17,6 +17,7 @@ from lunarsim.campaign.flying import plan_of
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
 from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
 from tests.conftest import SCENARIOS
 
 TEXT = f"""
@@ -152,7 +153,8 @@ BAD = [
     ({"time_limit_s": 0}, "time_limit_s", "greater than 0"),
     ({"records": "some"}, "records", "failures"),
     ({"scenario": "none.toml"}, "scenario", "existing TOML"),
-    ({"scenario": None}, "scenario", "path of a scenario"),
+    ({"scenario": "hirisee"}, "scenario", "did you mean 'hirise'"),
+    ({"scenario": None}, "scenario", "path or name of a scenario"),
     ({"factors": {"rocks.covr": [1]}}, "factors.rocks.covr", "did you mean 'cover'"),
     ({"factors": {"policy": ["safets"]}}, "factors.policy.kind", "did you mean 'safest'"),
     ({"factors": {"policy": []}}, "factors.policy", "at least one value"),
@@ -189,6 +191,16 @@ MATRICES = [
     ([[1.0, 0.5]], "2 rows"),
     ([[1.0, float("nan")], [float("nan"), 1.0]], "finite"),
 ]
+
+
+def test_a_scenario_by_name_or_by_a_file_beside_the_spec(tmp_path):
+    """A file is the one meant where both are."""
+    (tmp_path / "s.toml").write_text('scenario = "hirise"\nflights = 1\nseed = 1\n')
+    by_name = CampaignSpec.load(tmp_path / "s.toml").scenario
+    assert by_name.to_dict() == Scenario.load(SCENARIOS / "hirise.toml").to_dict()
+    (tmp_path / "hirise").write_bytes((SCENARIOS / "mare.toml").read_bytes())
+    mine = CampaignSpec.load(tmp_path / "s.toml").scenario
+    assert mine.to_dict() == Scenario.load(SCENARIOS / "mare.toml").to_dict() != by_name.to_dict()
 
 
 @pytest.mark.parametrize(("change", "field", "says"), BAD, ids=str)

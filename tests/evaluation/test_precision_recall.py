@@ -75,3 +75,12 @@ def test_local_ground_lies_where_a_map_with_this_error_has_it():
     true = grid.centres() - error[:2]
     assert ground == pytest.approx(0.2 * true[..., 0] - 0.1 * true[..., 1] + 0.7, abs=1e-4)
     assert grid.moved(error).centre == pytest.approx((4.0, 1.0))
+
+
+def test_recall_at_a_precision_is_the_greatest_of_any_threshold():
+    # From the surest down: one safe, one unsafe, then nine safe.
+    p = [0.99, 0.9, *[0.6] * 9]
+    curve = PrecisionRecall.of(p, [True, False, *[True] * 9])
+    assert curve.recall_at(0.95) == pytest.approx(0.1)
+    assert curve.recall_at(0.9) == pytest.approx(1.0)
+    assert PrecisionRecall.of([0.9], [False]).recall_at(0.5) == 0.0

@@ -14,7 +14,7 @@ from lunarsim.evaluation.site_calibration import Sites, drawn_sites, judged_by_f
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import FARTHER
+from lunarsim.safety.calibration import FARTHER, calibrated_safety, ceiling
 from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, cautious, told
 from lunarsim.world.truth import Truth
 from tests.map_evidence import evidence
@@ -44,6 +44,17 @@ def test_sites_are_judged_where_they_truly_are():
     assert [len(s) for s in some] == [20, 20, 20]
     assert np.array_equal(some[0].tilting, some[1].tilting)
     assert not np.array_equal(some[0].tilting, some[2].tilting)
+
+
+def test_sites_that_gravel_may_tilt_count_as_not_claimed_as_on_the_map():
+    """What is claimed of sites is what `calibrated_safety` claims of them."""
+    e = evidence(rough=0.05, level=6.0, planes=6.0, slope=np.linspace(0.1, 0.97, 81).reshape(9, 9))
+    e = replace(e, curve=replace(e.curve, gravel=np.full(len(e.curve.height), 0.2)))
+    _, claimed = calibrated_safety(e)
+    found = Sites.of(e, e.observed, e.observed, 0)
+    assert 0 < claimed.sum() < claimed.size
+    assert np.array_equal((found.known & found.agreed), claimed[e.observed])
+    assert (ceiling(e)[~claimed] > SURE).any()  # it was the rocks that told
 
 
 def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, seed: int = 1,

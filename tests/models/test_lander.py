@@ -18,6 +18,8 @@ G = 1.622
         ({"pad_diameter": 3.0}, "pad_diameter"),
         ({"slope_limit": 1.2}, "slope_limit"),
         ({"thrust_lag": -1.0}, "thrust_lag"),
+        ({"leg_radius": "2"}, "leg_radius"),
+        ({"legs": "4"}, "legs"),
     ],
 )
 def test_impossible_landers(change, field):

@@ -19,6 +19,7 @@ from lunarsim.safety.calibration import (
     FREE,
     MOST_HAZARDS,
     MOST_SINKING,
+    UNCOUNTED,
     bound,
     calibrated_safety,
     ceiling,
@@ -28,6 +29,7 @@ from lunarsim.safety.calibration import (
 )
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import MARGIN, SURE, UNTOLD, Ensemble
+from lunarsim.safety.exposure import tilting_height
 from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 
@@ -252,6 +254,40 @@ def test_noise_is_no_rock():
     taken_for_ground = height_curve(rises, 0.01, 0.25, 0.05).at(0.25)
     assert noisy <= taken_for_ground + 1e-9
     assert noisy < 0.01
+
+
+def test_few_high_rocks_say_nothing_of_rocks_too_low_to_be_counted():
+    """Below what was counted there are no fewer than the law expects; above it is as counted."""
+    height = 0.25 * np.geomspace(0.08, 8.0, 40)
+    law = law_share(height, 0.05, 0.5)
+    for noise, least in ((0.005, 0.05), (0.02, 0.075), (0.04, 0.15), (0.2, 0.25)):
+        bare = height_curve(np.zeros(20_000), noise, 0.25, 0.05)
+        assert bare.gravel_counted == pytest.approx(least)
+        assert bare.counted == pytest.approx(max(least, 0.1))
+        low = height < least
+        assert (bare.share < 0.1 * law).all()
+        assert bare.careful.share[low] == pytest.approx(law[low])
+        assert bare.careful.share[~low] == pytest.approx(bare.share[~low])
+    rises = np.zeros(20_000)
+    rises[:4000] = 0.06
+    gravel = height_curve(rises, 0.005, 0.25, 0.05)
+    assert gravel.at(0.05) < 0.001  # nothing is higher than 0.1 m
+    assert gravel.careful.at(0.045) > 0.2
+    assert gravel.careful.at(0.1) == pytest.approx(gravel.at(0.1))
+
+
+def test_where_rocks_too_low_to_be_counted_tilt_the_lander_no_site_is_surely_safe():
+    good = {"rough": 0.05, "level": 6.0, "planes": 6.0}
+    height = 0.25 * np.geomspace(0.08, 8.0, 40)
+    for expected, most in ((0.0, UNCOUNTED), (1.0, 0.01)):
+        gravel = 1e-9 + np.where(height < 0.1, 0.2 * expected, 0.0)
+        curve = HeightCurve(height, np.full(40, 1e-9), 0.1, gravel, 0.1)
+        for slope, counts in ((0.7, True), (0.9, False)):
+            e = replace(evidence(**good, slope=slope), curve=curve)
+            assert (tilting_height(e.slope, e.lander) > 0.1).all() == counts
+            p, claimed = calibrated_safety(e, fits_of(9.0))
+            assert claimed.all() == counts and claimed.any() == counts
+            assert (p > 0.99).all() if counts else (p <= most).all()
 
 
 def test_unseen_rocks_are_those_that_random_samples_miss():

@@ -174,7 +174,7 @@ def test_variances_of_another_shape_or_kind_are_refused(variance):
             judge(lattice(0), variance, GRID, LANDER)
 
 
-@pytest.mark.parametrize("heading", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("heading", [np.nan, np.inf, -np.inf, 1j, "north"])
 def test_a_heading_is_finite(heading):
     with pytest.raises(InputError, match="heading"):
         exact_safety(lattice(0), GRID, LANDER, heading=heading)

@@ -13,6 +13,7 @@ from tests.worlds import SCENARIOS
 IMU = {"kind": "imu"}
 FIX = {"kind": "navigation-fix"}
 FLASH = {"kind": "flash-lidar"}
+DEM = {"kind": "gaussian-dem"}
 CAMERA = {"kind": "camera"}
 SHADOW = {"kind": "shadow", "sensor": "eye"}
 
@@ -142,6 +143,26 @@ WRONG = {
     "decisions on a map that is not there": (
         {"decisions": {"map": "dam"}},
         "decisions.map", "dam", "did you mean 'dem'?",
+    ),
+    "a fused map of one that is not there": (
+        {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dam"]}}},
+        "mappers.all.of", "dam", "did you mean 'dem'?",
+    ),
+    "a fused map of itself": (
+        {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dem", "all"]}}},
+        "mappers.all.of", "all", "publishes evidence",
+    ),
+    "a fused map of a mapper twice": (
+        {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dem", "dem"]}}},
+        "mappers.all.of", ("dem", "dem"), "each mapper once",
+    ),
+    "a fused map of two maps of the same returns": (
+        {"mappers": {"dem": DEM, "other": DEM, "all": {"kind": "fused"}}},
+        "mappers.all.of", ("dem", "other"), "one mapper of elevations",
+    ),
+    "a fused map of nothing": (
+        {"mappers": {"all": {"kind": "fused"}}},
+        "mappers.all.of", (), "at least one other mapper",
     ),
 }  # fmt: skip
 

@@ -44,7 +44,7 @@ def flown():
 
 def test_each_mapper_gives_its_own_map(flown):
     simulation, flight = flown
-    assert set(flight.maps) == {"dem", "rocks"}
+    assert set(flight.maps) == {"dem", "rocks", "fused"}
     for name, record in flight.maps.items():
         assert record.hazard_map.observed.mean() > 0.3, name
         quality = map_quality(record.hazard_map, simulation.truth, record.error)
@@ -58,6 +58,38 @@ def test_each_mapper_gives_its_own_map(flown):
     assert np.nanstd(dem.elevation) > 0.02
     assert np.nanstd(rocks.elevation) == 0.0
     assert len(flight.maps["rocks"].tables["rocks"]["radius"]) > 10
+
+
+def test_the_fused_map_is_made_of_both(flown):
+    """Where only one eye saw it is that one's; more is seen, and no less is told from the rest."""
+    simulation, flight = flown
+    dem, rocks, fused = (flight.maps[name].hazard_map for name in ("dem", "rocks", "fused"))
+    assert fused.grid == dem.grid
+    assert fused.observed[dem.observed].all()
+    assert fused.observed.sum() > dem.observed.sum()
+    changed = dem.observed & (fused.p_safe != dem.p_safe)
+    assert changed.sum() > 0.05 * dem.observed.sum()
+    errors = [flight.maps[name].error for name in ("dem", "rocks", "fused")]
+    truth = simulation.truth
+    precision = [
+        map_quality(m, truth, error).precision
+        for m, error in zip((dem, rocks, fused), errors, strict=True)
+    ]
+    assert precision[2] > min(precision[:2])
+    # Asked for again, nothing is drawn anew.
+    mapper = simulation.computer.mappers["fused"]
+    assert mapper.hazard_map() is mapper.hazard_map()
+
+
+def test_the_fused_map_decides_unless_another_is_named():
+    shipped = Scenario.load(SCENARIOS / "two_eyes.toml")
+    assert Simulation(scenario("fused"), 4).computer.decisions_map == "fused"
+    assert shipped.decisions.map == "fused"
+    left_out = Simulation(scenario(""), 4).computer
+    assert left_out.decisions_map == "fused"
+    assert list(left_out.mappers) == ["dem", "rocks", "fused"]
+    first = scenario("").changed(mappers={"fused": None})
+    assert Simulation(first, 4).computer.decisions_map == "dem"
 
 
 def test_both_sensors_served_and_the_policy_flew_on_the_one_named(flown):
@@ -227,7 +259,7 @@ def test_the_other_map_can_decide(flown):
 def test_the_record_gives_both_back(flown, tmp_path):
     _, flight = flown
     again = Flight.load(flight.save(tmp_path / "flight"))
-    assert set(again.maps) == {"dem", "rocks"}
+    assert set(again.maps) == {"dem", "rocks", "fused"}
     for name, record in flight.maps.items():
         assert np.array_equal(again.maps[name].hazard_map.p_safe, record.hazard_map.p_safe)
         for table, columns in record.tables.items():

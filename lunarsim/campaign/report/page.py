@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +53,17 @@ def write_report(folder: str | Path, out: Path) -> Results:
     folder
         Of the campaign.
     out
-        HTML file; it needs no network.
+        HTML file, which needs no network, or Markdown file (.md), its tables alone.
 
     Raises
     ------
     InputError
         If the folder holds no flown flight, the file will not do, or plotly or jinja2 lack.
     """
-    check_output("--out", out, ".html")
+    tables_alone = out.suffix.lower() == ".md"
+    if not tables_alone and out.suffix.lower() != ".html":
+        raise InputError("--out", str(out), "a file name that ends in .html or .md")
+    check_output("--out", out, out.suffix.lower())
     try:
         import jinja2  # noqa: PLC0415  (an extra)
         from plotly.offline import get_plotlyjs  # noqa: PLC0415
@@ -70,16 +74,38 @@ def write_report(folder: str | Path, out: Path) -> Results:
     found = load_results(folder)
     if not len(found.table):
         raise InputError("folder", str(folder), "a campaign with at least one flight flown")
-    text = Path(__file__).with_name("page.html.j2").read_text(encoding="utf-8")
-    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
-        text
-    )
+    template = _markdown(jinja2) if tables_alone else _page(jinja2)
     # Nothing that a text of a flight says may end the script that it stands in.
     page = template.render(
         **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
     )
     write_text_whole(out, page)
     return found
+
+
+def _page(jinja2: Any) -> Any:
+    """Return the template of the HTML page."""
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    return environment.from_string(_text("page.html.j2"))
+
+
+def _markdown(jinja2: Any) -> Any:
+    """Return the template of the tables in Markdown, a row of a table a line."""
+
+    def row(cells: Iterable[object]) -> str:
+        told = (" ".join(str(c).split()).replace("|", "\\|") for c in cells)
+        return f"| {' | '.join(told)} |"
+
+    def head(cells: Sequence[object]) -> str:
+        return row(cells) + "\n" + row(["---"] * len(cells))
+
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters |= {"row": row, "head": head}
+    return environment.from_string(_text("page.md.j2"))
+
+
+def _text(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 def _in_script(text: str) -> Any:

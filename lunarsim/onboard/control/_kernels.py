@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import rotation_between, turned
+from lunarsim._frame_kernels import along_thrust, rotation_between, turned
 from lunarsim._jit import kernel
 
 
@@ -44,3 +44,22 @@ def replay(state, target, gains, inertia, torque_max, increments, step):
         torques[n] = state[7:]
         follow(state, increments[n], step)
     return torques
+
+
+@kernel()
+def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
+    """Write the attitude (4,) that gives a thrust acceleration (3,); return the thrust, N.
+
+    See `thrust.thrust_to_command`.
+    """
+    most = thrust_max / mass
+    up = min(max(acceleration[2], 1e-3), most)
+    east, north = acceleration[0], acceleration[1]
+    size = np.hypot(east, north)
+    limit = min(np.sqrt(max(most * most - up * up, 0.0)), up * np.tan(max_tilt))
+    if size > limit:
+        east *= limit / size
+        north *= limit / size
+    attitude[:] = along_thrust(np.array([east, north, up]), heading)
+    thrust = np.sqrt(east * east + north * north + up * up) * mass
+    return min(max(thrust, thrust_min), thrust_max)

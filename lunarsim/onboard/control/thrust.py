@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.frames import attitude_from_thrust
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.control import _kernels as k
 
 
 def thrust_to_command(
@@ -36,13 +36,9 @@ def thrust_to_command(
     max_tilt
         Largest tilt of the thrust from the vertical, rad.
     """
-    most = lander.thrust_max / mass
-    up = min(max(float(acceleration[2]), 1e-3), most)
-    sideways = np.array(acceleration[:2], dtype=np.float64)
-    size = float(np.hypot(*sideways))
-    limit = min(np.sqrt(max(most * most - up * up, 0.0)), up * np.tan(max_tilt))
-    if size > limit:
-        sideways *= limit / size
-    vector = np.array([sideways[0], sideways[1], up])
-    thrust = float(np.clip(np.linalg.norm(vector) * mass, lander.thrust_min, lander.thrust_max))
-    return Command(thrust, attitude_from_thrust(vector, heading))
+    attitude = np.empty(4)
+    thrust = k.steer(
+        np.ascontiguousarray(acceleration, dtype=np.float64), mass, lander.thrust_min,
+        lander.thrust_max, heading, max_tilt, attitude,
+    )  # fmt: skip
+    return Command(float(thrust), attitude)

@@ -13,6 +13,7 @@ from lunarsim.grid import Grid, check_side
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.published import Published
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 
@@ -81,6 +82,18 @@ class HazardMapper(ABC):
         """
         return None
 
+    def evidence(self) -> Published | None:
+        """Return what the map was made of, for maps of several mappers; None while it is nothing.
+
+        A mapper whose part says what it `publishes` overrides this.
+        """
+        return None
+
+    @property
+    def sources(self) -> frozenset[str]:
+        """Names of the mappers whose evidence it maps; empty: it maps measurements."""
+        return frozenset()
+
     def tables(self) -> dict[str, dict[str, Array]]:
         """Return what else is worth a record: name to columns (n,), local frame."""
         return {}
@@ -95,6 +108,8 @@ class MapperPart(Protocol):
         Type of measurements that it maps.
     navigation
         May be left out: part of navigation that it cannot work without.
+    publishes
+        May be left out: type of the evidence that it gives to maps of several mappers.
     sensor
         Name of the sensor whose measurements it maps.
     """

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expit
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
@@ -112,6 +113,68 @@ def test_what_is_claimed_holds_where_small_rocks_under_a_pad_tilt_the_lander_ove
     # Ground of which a tenth is unsafe, for rocks that no sample has told, is not surely safe.
     assert share[0] > 0.3
     assert share[1] < 0.1
+
+
+@pytest.mark.parametrize("name", ["calibrated", "quadtree"])
+@pytest.mark.parametrize("expected", [0.05, 1e-6])
+def test_gravel_is_not_taken_for_bare_ground(name, expected):
+    """Whether the mission expects any or not: what is surely safe is, where gravel tilts it too."""
+    rocks = RockExpectation(cover=expected)
+    made = {"calibrated": GaussianDemMapper, "quadtree": QuadtreeMapper}[name]
+    for tilt in (4.0, 8.4, 9.0):
+        terrain = tilted(tilt, 10_000, 0.18)
+        truth = exact_safety(terrain.raster(MAP), MAP, Lander())
+        mapper = made(MAP, lander=Lander(), rocks=rocks)
+        for scan, estimate in flashes(terrain):
+            mapper.update(scan, estimate)
+        drawn = mapper.hazard_map()
+        judged = drawn.observed & truth.observed
+        sure = judged & drawn.in_domain & (drawn.p_safe > 0.95)
+        assert sure.mean() > 0.3 or tilt > 4.0
+        assert tilt < 9.0 or truth.safe[judged].mean() < 0.9
+        if sure.any():
+            assert drawn.p_safe[sure].mean() - truth.safe[sure].mean() < 0.005
+
+
+BAD_SCANS = [
+    ("range", lambda s: s.range[:-1], "scan.range"),
+    ("range", lambda s: s.range.reshape(s.shape), "scan.range"),
+    ("range", lambda s: s.range + 0j, "scan.range"),
+    ("range", lambda s: np.ma.masked_array(s.range, s.range > 0.0), "scan.range"),
+    ("range", lambda s: np.where(np.arange(s.range.size) == 9, np.inf, s.range), "scan.range"),
+    ("range", lambda s: np.where(np.arange(s.range.size) == 9, -3.0, s.range), "scan.range"),
+    ("sigma", lambda s: s.sigma[:-1], "scan.sigma"),
+    ("sigma", lambda s: 0.01, "scan.sigma"),
+    ("sigma", lambda s: np.full(s.sigma.size, np.nan), "scan.sigma"),
+    ("sigma", lambda s: 0.0 * s.sigma, "scan.sigma"),
+    ("shape", lambda s: (127, 128), "scan.range"),
+    ("mount", lambda s: 2.0 * s.mount, "scan.mount"),
+    ("mount", lambda s: np.full((3, 3), np.nan), "scan.mount"),
+]
+BAD_POSES = [
+    ("position", np.array([np.nan, 0.0, 100.0])), ("attitude", np.zeros(4)),
+    ("attitude", np.full(4, np.nan)), ("attitude", np.array([0.0, 0.0, 0.0, 1.5])),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["calibrated", "quadtree"])
+def test_scans_and_poses_that_none_gives_are_refused_and_change_nothing(name):
+    taken = flashes(tilted(0.0))
+    scan, estimate = taken[0]
+    mapper = MAPPERS[name]()
+    for field, change, named in BAD_SCANS:
+        with pytest.raises(InputError) as caught:
+            mapper.update(replace(scan, **{field: change(scan)}), estimate)
+        assert caught.value.field == named
+    for field, value in BAD_POSES:
+        with pytest.raises(InputError) as caught:
+            mapper.update(scan, replace(estimate, **{field: value}))
+        assert caught.value.field == f"estimate.{field}"
+    for each in taken:
+        mapper.update(*each)
+    found, wanted = mapper.hazard_map(), mapped(name, tilted(0.0))
+    assert found.observed.any()
+    assert np.array_equal(found.p_safe, wanted.p_safe)
 
 
 def test_the_calibrated_map_says_where_it_holds():

@@ -56,10 +56,12 @@ def plain(values: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        If they are complex.
+        If they are complex, text, or true and false.
     """
     if np.iscomplexobj(values):
         raise ValueError("complex numbers: must be real")
+    if np.asarray(values).dtype.kind not in "fiuO":
+        raise ValueError(f"values of type {np.asarray(values).dtype}: must be real numbers")
     if isinstance(values, np.ma.MaskedArray):
         return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
     return np.asarray(values, dtype=np.float64)

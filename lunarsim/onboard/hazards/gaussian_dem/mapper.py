@@ -19,6 +19,7 @@ from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
+from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
@@ -76,6 +77,7 @@ class GaussianDemMapping:
     )
 
     takes: ClassVar[type] = LidarScan
+    publishes: ClassVar[type] = ReliefEvidence
 
     def __post_init__(self) -> None:
         check_bounds(self, "mappers")
@@ -166,11 +168,19 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._turning = SamplePool(grid), SamplePool(grid)
         self._early = EarlyGround()
         self._map = HazardMap.unobserved(grid)
+        self._judged: Evidence | None = None
         self._interval = interval
         self._time, self._due, self._stale = 0.0, -np.inf, False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; a scan without returns changes nothing."""
+        """Add a scan taken at the estimated pose; a scan without returns changes nothing.
+
+        Raises
+        ------
+        InputError
+            If the scan, or the pose, is none; see `LidarScan.check`.
+        """
+        measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
         early = self._early.takes(estimate.tilt_sigma)
         taken = (self._turning if early else self._samples).add(
@@ -205,11 +215,20 @@ class GaussianDemMapper(HazardMapper):
             self._stale, self._due = False, self._time + self._interval
         return self._map
 
+    def evidence(self) -> ReliefEvidence | None:
+        """Return the map as it was last drawn and what it was drawn from; None before any.
+
+        Of the tests that know no calibration, the map alone.
+        """
+        drawn = self.hazard_map()
+        return None if self.blank else ReliefEvidence(drawn, self._judged, self.refit)
+
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
         self._time = time
 
     def _draw(self, dem: PooledDem) -> HazardMap:
+        self._judged = None
         if not len(dem.sampling.rises):
             return HazardMap.unobserved(self.grid)
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
@@ -217,6 +236,7 @@ class GaussianDemMapper(HazardMapper):
         if self.safety == "calibrated":
             evidence = evidence_of(dem, self.lander, self.rocks)
             p, known = calibrated_safety(evidence, refit=self.refit)
+            self._judged = evidence
             return HazardMap(
                 self.grid, p, evidence.observed, dem.mean, dem.variance, in_domain=known
             )
@@ -236,6 +256,7 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._turning = self._about(centre)
         self.grid = self._samples.grid
         self._map, self._stale = HazardMap.unobserved(self.grid), not self.blank
+        self._judged = None
         self._due = -np.inf
 
     def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:

@@ -26,6 +26,8 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+# No deviation or spacing of samples is longer, m.
+_LONGEST = 1e4
 # Ranges are not known better than this, whatever a sensor says.
 _LEAST_SIGMA = 1e-4
 
@@ -221,7 +223,8 @@ def _overlap(count: int, by: int) -> tuple[slice, slice]:
 
 def _positive(name: str, values: Array) -> Array:
     out = np.ascontiguousarray(values, dtype=np.float64)
-    if not (np.isfinite(out).all() and (out > 0.0).all()):
-        raise InputError(name, float(out[~(out > 0.0)][0]) if (~(out > 0.0)).any() else "inf",
-                         "positive lengths in metres")  # fmt: skip
+    wrong = ~((out > 0.0) & (out <= _LONGEST))
+    if wrong.any():
+        told = f"positive lengths of at most {_LONGEST:g} m"
+        raise InputError(name, float(out[wrong][0]), told)
     return out

@@ -77,7 +77,7 @@ def place(points, centre, half, depths, highest):
         x = np.float32(points[i, 0] - centre[0])
         y = np.float32(points[i, 1] - centre[1])
         z = np.float32(points[i, 2] - centre[2])
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+        if np.isnan(x) or np.isnan(y) or np.isnan(z):
             missing += 1
             continue
         if not (-half <= x < half and -half <= y < half):

@@ -17,6 +17,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.early_ground import EarlyGround, turned_about
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
+from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
@@ -62,6 +63,7 @@ class QuadtreeMapping:
     sites: SiteSettings = quantity(SiteSettings(), help="what a site must be like")
 
     takes: ClassVar[type] = LidarScan
+    publishes: ClassVar[type] = ReliefEvidence
 
     def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
         """Return the mapper of one flight."""
@@ -103,7 +105,8 @@ class QuadtreeMapper(HazardMapper):
     Raises
     ------
     InputError
-        If the interval is negative or not finite, or `rocks` are none.
+        If the interval is negative or not finite, `rocks` are none, or the lander is wider than
+        the map.
 
     Attributes
     ----------
@@ -152,6 +155,11 @@ class QuadtreeMapper(HazardMapper):
             split_count=split_count,
         )  # fmt: skip
         footprint = self._lander.leg_radius + 0.5 * self._lander.pad_diameter
+        if 2.0 * footprint > max(east - west, north - south):
+            raise InputError(
+                "vehicle.leg_radius", self._lander.leg_radius,
+                f"a lander that the map of {max(east - west, north - south):g} m has room for",
+            )  # fmt: skip
         self.selector = SiteSelector(
             self.map, self._settings, self._interest, thorough=True, footprint=footprint
         )
@@ -199,17 +207,11 @@ class QuadtreeMapper(HazardMapper):
         Raises
         ------
         InputError
-            If a range, or what is stated of its error, is not positive.
+            If the scan, or the pose, is none; see `LidarScan.check`.
         """
-        returned = np.isfinite(measurement.range)
-        if not returned.any():
+        measurement.check(estimate.position, estimate.attitude)
+        if np.isnan(measurement.range).all():
             return
-        sigma = measurement.height_sigma(estimate.attitude)[returned]
-        for name, values in (("range", measurement.range[returned]), ("sigma", sigma)):
-            wrong = ~((values > 0.0) & np.isfinite(values))
-            if wrong.any():
-                told = "positive and finite where there is a return"
-                raise InputError(f"scan.{name}", float(values[wrong][0]), told)
         self._insert(measurement, estimate.position, estimate.attitude)
         if self._early.takes(estimate.tilt_sigma):
             self._unsure = self.map.count
@@ -244,6 +246,10 @@ class QuadtreeMapper(HazardMapper):
             # What points tell of sites belongs to the same points that the sites were selected on.
             self._drawn = self._draw(self.select())
         return self._drawn
+
+    def evidence(self) -> ReliefEvidence | None:
+        """Return the map alone: what it follows from is that of sites, not of cells."""
+        return None if self.blank else ReliefEvidence(self.hazard_map())
 
     def scoreboard(self, site: Array) -> Scoreboard:
         """Return the ranked sites as they were when sites were last selected, by Eq. 9."""

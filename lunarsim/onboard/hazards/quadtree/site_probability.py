@@ -31,10 +31,11 @@ from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
 from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.calibration import STEEPEST
+from lunarsim.safety.calibration import STEEPEST, UNCOUNTED
 from lunarsim.safety.ensemble import Ensemble, cautious
 from lunarsim.safety.exposure import (
     footprint_area,
+    least_tilting_height,
     pad_ring_area,
     tilt_of,
     tilting_height,
@@ -70,6 +71,8 @@ MOST = 0.99
 # Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
 # what stands out of the ground.
 MOST_NOISE = 0.12
+# See `SiteEvidence.clear_of_pads`.
+_KNOWN = 1.5
 # The smoothest zones of a map are this share of all.
 _SMOOTHEST = 0.1
 # Cells on which the mean ground is judged, and the largest that count as seen, m.
@@ -203,6 +206,17 @@ class SiteEvidence:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
         height = tilting_height(self.fitted_slope, self.lander)
         return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
+
+    def clear_of_pads(self) -> Array:
+        """Return the chance that no gravel tilts the lander too far, however much (n,).
+
+        As `lunarsim.safety.calibration.clear_of_pads`; 1 where only rocks would that are higher by
+        `_KNOWN` than the least of which the regression was told.
+        """
+        height = least_tilting_height(self.fitted_slope, self.lander)
+        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.thinnest)
+        left = np.where(height < self.curve.gravel_counted, UNCOUNTED, 1.0)
+        return np.where(height < _KNOWN * self.curve.counted, left * np.exp(-found), 1.0)
 
     def sinking(self) -> Array:
         """Return how many unseen holes under the pads would tilt the lander too far."""
@@ -378,6 +392,7 @@ def ceiling(evidence: SiteEvidence) -> Array:
         np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_LEFT_OF_PLANE),
         np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
         np.interp(e.top, *_LEFT_OF_TOP),
+        e.clear_of_pads(),
     )
     return np.asarray(MOST * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
 

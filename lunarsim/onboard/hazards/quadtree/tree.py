@@ -279,6 +279,9 @@ def _checked(points: ArrayLike) -> Array:
     """Return points as an array (n, 3); raise InputError if they are none, or not finite or NaN."""
     if np.iscomplexobj(points):
         raise InputError("quadtree.points", "complex numbers", "real coordinates in metres")
+    if np.asarray(points).dtype.kind not in "fiuO":
+        told = "real coordinates in metres"
+        raise InputError("quadtree.points", str(np.asarray(points).dtype), told)
     if isinstance(points, np.ma.MaskedArray):
         points = np.ma.filled(points.astype(np.float64), np.nan)
     points = np.ascontiguousarray(points, dtype=np.float64)

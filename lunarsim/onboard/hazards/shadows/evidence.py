@@ -213,6 +213,29 @@ class ClearEvidence:
         density[crowded] = number.sum() / max(share, least)
         return density
 
+    @property
+    def tested(self) -> Array:
+        """Least diameter of the rocks that each test stands for (sizes,), rising, m."""
+        return np.asarray(2.0 * self._tested)
+
+    def ratios(self) -> NDArray[np.float32]:
+        """Return rocks that may be there and are not tracked over those expected unseen.
+
+        Below 1 where the ground was seen lit, above where it is dark and no rock that is tracked
+        throws the shadow, and 1 where there was no look, or a tracked rock's shadow may hide one.
+
+        Returns
+        -------
+        ratio
+            (sizes, rows, cols).
+        """
+        out = np.ones(self.lit.shape, np.float32)
+        for s in range(len(out)):
+            looked = (self.lit[s] > 0.0) | (self.dark[s] > 0.0)
+            number = np.float32(self._number[self._class == s].sum())
+            out[s][looked] = self._density(s)[looked] / number
+        return out
+
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return how many rocks that are not tracked reach into a disc about each place.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -19,7 +20,12 @@ from lunarsim.models.instruments import CameraInstrument
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
-from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
+from lunarsim.onboard.hazards.published import RockEvidence
+from lunarsim.onboard.hazards.shadows.probability_map import (
+    HazardPrior,
+    ProbabilityMap,
+    rocks_of,
+)
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
@@ -91,6 +97,7 @@ class ShadowMapping:
     )
 
     takes: ClassVar[type] = Picture
+    publishes: ClassVar[type] = RockEvidence
     navigation: ClassVar[type | None] = RockNavigation
 
     def build(self, briefing: Briefing, navigation: Navigation) -> ShadowMapper:
@@ -292,6 +299,22 @@ class ShadowMapper(HazardMapper):
             self._map = self._plausible(self.probability.hazard_map(self.tracker, self.footprint))
             self._mapped = self._time
         return self._level(self._map)
+
+    def evidence(self) -> RockEvidence | None:
+        """Return what pictures say of rocks; None where they say nothing.
+
+        Of a map that cannot be believed, see `_plausible`, rocks count and clear ground does not.
+        """
+        drawn = self.hazard_map()
+        if self.blank or self.tracker.filter.pictures.watches["shadows"].lost:
+            return None
+        ratio = self.probability.ratios()
+        if drawn.in_domain is not None and not drawn.in_domain.any():
+            ratio = np.maximum(ratio, np.float32(1.0))
+        return RockEvidence(
+            drawn, self.probability.evidence.tested, ratio, rocks_of(self.tracker),
+            partial(self.probability.clear_of, footprint=self.footprint),
+        )  # fmt: skip
 
     def _plausible(self, drawn: HazardMap) -> HazardMap:
         """Return a map that says whether it can be believed, and report where all of it is safe.

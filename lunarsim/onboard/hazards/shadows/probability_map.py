@@ -13,6 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.published import RockTracks
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence, Heights
 from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
@@ -188,38 +189,37 @@ class ProbabilityMap:
             into which a rock must not reach.
         """
         clear = 1.0 - self._residual(footprint)
-        f, vague = tracker.filter, tracker.tentative
-        own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
-        self._paint(clear, footprint, f.xy, own, f.radius, f.radius_variance, tracker.existence)
-        self._paint(
-            clear, footprint, vague.xy, vague.sigma, vague.radius, vague.radius_variance,
-            vague.existence,
-        )  # fmt: skip
+        self._paint(clear, footprint, rocks_of(tracker))
         return (1.0 - clear).astype(np.float32)
 
-    def _paint(
-        self,
-        clear: Array,
-        footprint: float,
-        xy: Array,
-        sigma: Array,
-        radius: Array,
-        variance: Array,
-        existence: Array,
-    ) -> None:
+    def clear_of(self, rocks: RockTracks, footprint: float) -> Array:
+        """Return the probability that no tracked rock reaches in (rows, cols).
+
+        Parameters
+        ----------
+        rocks
+            The rocks.
+        footprint
+            As for `probability`.
+        """
+        clear = np.ones(self.grid.shape)
+        self._paint(clear, footprint, rocks)
+        return clear
+
+    def _paint(self, clear: Array, footprint: float, rocks: RockTracks) -> None:
         """Multiply the probability that cells are clear (rows, cols) by that of each rock."""
-        model = self.model
+        model, radius = self.model, rocks.radius
         # Rocks are no discs, and the filter's errors shrink as if every look were a new draw of
         # the shape: what many looks do not average out is put back here.
-        variance = variance + (model.radius_sigma * radius) ** 2
-        sigma = np.hypot(sigma, model.centre_sigma * radius)
+        variance = rocks.radius_variance + (model.radius_sigma * radius) ** 2
+        sigma = np.hypot(rocks.sigma, model.centre_sigma * radius)
         # Small rocks are the more numerous, so a rock is likelier to be smaller than it looks
         # than larger: Golombek's dN/dr has the logarithmic slope -2 q - 2 / r.
         slope = 2.0 * golombek_exponent(self.prior.cover) + 2.0 / np.maximum(radius, 0.05)
         radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
         # A rock counts by the probability that it is large enough to matter.
         large = ndtr((radius - 0.5 * self.prior.least_diameter) / np.sqrt(variance))
-        at = np.flatnonzero(large * existence > 1e-4)
+        at = np.flatnonzero(large * rocks.existence > 1e-4)
         if at.size == 0:
             return
         outline, rough = model.outline
@@ -230,9 +230,13 @@ class ProbabilityMap:
         distance = np.linspace(0.0, 1.0, _DISTANCES) * reach[:, None]
         profile = cover_probability(distance, sigma, mean, spread, self.form)
         kernels.paint(
-            clear, self.grid.x0, self.grid.y0, self.grid.posting, xy[at], reach, profile,
-            (existence * large)[at],
+            clear, self.grid.x0, self.grid.y0, self.grid.posting, rocks.xy[at], reach, profile,
+            (rocks.existence * large)[at],
         )  # fmt: skip
+
+    def ratios(self) -> NDArray[np.float32]:
+        """Return `ClearEvidence.ratios` on the map's cells (sizes, rows, cols)."""
+        return np.stack([self._fine(of_size) for of_size in self.evidence.ratios()])
 
     def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
         """Return the map for a lander whose footprint has the given radius (m)."""
@@ -248,3 +252,16 @@ class ProbabilityMap:
     def expected_rocks(self) -> float:
         """Return how many rocks that are hazards should have been found on the map."""
         return self.evidence.expected_found()
+
+
+def rocks_of(tracker: RockTracker) -> RockTracks:
+    """Return the rocks that are tracked, and after them what may be one."""
+    f, vague = tracker.filter, tracker.tentative
+    own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
+    return RockTracks(
+        np.concatenate((f.xy, vague.xy)),
+        np.concatenate((own, vague.sigma)),
+        np.concatenate((f.radius, vague.radius)),
+        np.concatenate((f.radius_variance, vague.radius_variance)),
+        np.concatenate((tracker.existence, vague.existence)),
+    )

@@ -211,7 +211,10 @@ def test_samples_of_a_bird_or_a_planet_away_are_refused():
         pool.add([[0.0, 0.0, np.inf]], 0.1, 0.5)
     with pytest.raises(InputError, match="shape"):
         pool.add(np.zeros((3, 2)), 0.1, 0.5)
-    for wrong in (0.0, -1.0, np.nan, np.inf):
+    for text in (points.astype(str), points > 0.0):
+        with pytest.raises(InputError, match="must be real numbers"):
+            pool.add(text, sigma, 0.5)
+    for wrong in (0.0, -1.0, np.nan, np.inf, 1e300):
         with pytest.raises(InputError, match="sigma"):
             pool.add(points, wrong, 0.5)
         with pytest.raises(InputError, match="spacing"):

@@ -191,10 +191,24 @@ def test_impossible_maps_are_refused(arguments, field):
         [[0.0, 0.0, np.inf]],
         [[-np.inf, 0.0, 0.0], [0.0, 0.0, 0.0]],
         [[0.0, 0.0, 1j]],
+        [["0.0", "0.0", "1.0"]],
+        np.ones((2, 3), bool),
+        [[0.0, 0.0, 1e300]],
         # Counted from the Moon's middle.
         np.array([[0.0, 0.0, 1_737_400.0], [1.0, 1.0, 1_737_400.0]]),
     ],
-    ids=["two columns", "one row", "three axes", "infinite", "infinite east", "complex", "datum"],
+    ids=[
+        "two columns",
+        "one row",
+        "three axes",
+        "infinite",
+        "infinite east",
+        "complex",
+        "text",
+        "truth",
+        "absurd",
+        "datum",
+    ],
 )
 def test_points_that_cannot_be_are_refused(points):
     quadtree = QuadtreeMap((0.0, 0.0), 10.0)

@@ -196,3 +196,20 @@ def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
     assert evidence.seen()[:, :50].mean() > 0.8
     assert not evidence.seen()[:, 80:].any()
     assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())
+
+
+def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    assert (evidence.ratios() == 1.0).all()
+    evidence.lit[:, 10:100, 10:100] = 1e3
+    evidence.dark[:, 40:50, 40:50] = 2e3
+    evidence.dark[:, 60:70, 60:70] = 2e3
+    evidence.explained[:, 60:70, 60:70] = True
+    ratio = evidence.ratios()
+    assert ratio.shape == (len(evidence.tested), *GRID.shape)
+    assert (np.diff(evidence.tested) > 0.0).all()
+    assert ratio[:, 20, 20] == pytest.approx(DetectionRates().cleared[2])
+    assert (ratio[:, 45, 45] > 5.0).all()
+    # What a tracked rock's shadow hides is as it was, as is what nobody looked at.
+    assert (ratio[:, 65, 65] == 1.0).all()
+    assert (ratio[:, 5, 5] == 1.0).all()

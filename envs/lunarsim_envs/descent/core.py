@@ -1,0 +1,122 @@
+"""What one descent and many share: lanes, what is shown of them, actions, rewards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario, shipped
+from lunarsim.scenario.changes import with_values
+from lunarsim_envs.descent.actions import Actions
+from lunarsim_envs.descent.lanes import FLYING, LATE, Craft, Lanes
+from lunarsim_envs.descent.observations import DEFAULT, Shown
+from lunarsim_envs.descent.options import check_height, take
+from lunarsim_envs.descent.rewards import DescentWeights, Rewards
+from lunarsim_envs.descent.worlds import Worlds
+
+Mask = NDArray[np.bool_]
+
+
+def level() -> Scenario:
+    """Return nearly level ground without rocks, and starts 400 to 600 m up."""
+    return Scenario.from_dict(
+        {
+            "name": "level",
+            "terrain": {"kind": "fractal", "rms_slope_deg": 1.0},
+            "rocks": {"cover": 0.0},
+            "start": {"position_sigma_m": 30.0, "velocity_sigma_m_s": 3.0},
+            "simulation": {"max_time_s": 120.0},
+        }
+    )
+
+
+def scenario_of(given: Scenario | str | Path | None, changes: Mapping[str, Any] | None) -> Scenario:
+    """Return a scenario from itself, a path, a name or nothing, with other values of some keys."""
+    if given is None:
+        scenario = level()
+    elif isinstance(given, Scenario):
+        scenario = given
+    else:
+        scenario = Scenario.load(shipped.found(Path(given)))
+    return with_values(scenario, changes or {}, "changes")
+
+
+class Descents:
+    """Lanes with their spaces and rewards; the environments are made of it.
+
+    Parameters
+    ----------
+    count
+        Of lanes.
+    guided
+        Whether actions are thrust accelerations.
+    scenario, changes, rate_hz, observation, weights, worlds, world_seed
+        See `env.GuidanceEnv`.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        *,
+        guided: bool,
+        scenario: Scenario | str | Path | None,
+        changes: Mapping[str, Any] | None,
+        rate_hz: float,
+        observation: Sequence[str] | None,
+        weights: DescentWeights | None,
+        worlds: int,
+        world_seed: int,
+    ) -> None:
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+            raise InputError("num_envs", count, "a whole number, at least 1")
+        self.scenario = scenario_of(scenario, changes)
+        craft = Craft.of(self.scenario)
+        self.shown = Shown(DEFAULT if observation is None else observation)
+        self.actions = Actions(craft.dynamics.lander, guided=guided)
+        ground = Worlds.of(self.scenario, worlds, world_seed)
+        self.lanes = Lanes(int(count), craft, ground, guided=guided, rate=rate_hz)
+        check_height(craft.start, self.lanes)
+        self.rewards = Rewards(weights or DescentWeights(), self.lanes)
+
+    def seed(self, mask: Mask, seeds: Sequence[int | None]) -> None:
+        """Give lanes of `mask` new keys from their seeds; one of None goes on as it was.
+
+        A lane that never had a seed draws one.
+        """
+        for lane, seed in zip(np.flatnonzero(mask), seeds, strict=True):
+            if seed is not None or not self.lanes.has_key[lane]:
+                self.key(int(lane), seeding.np_random(seed)[0])
+
+    def key(self, lane: int, rng: np.random.Generator) -> None:
+        """Draw the key of a lane."""
+        one = np.zeros(self.lanes.count, np.bool_)
+        one[lane] = True
+        self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
+
+    def begin(self, mask: Mask, options: Mapping[str, Any] | None = None) -> None:
+        """Begin new flights in the lanes of `mask`, from where the options say."""
+        take(options, self.lanes, mask)
+        self.restart(mask)
+
+    def restart(self, mask: Mask) -> None:
+        """Begin new flights in the lanes of `mask`, from where their last reset said."""
+        self.lanes.begin(mask)
+        self.rewards.begin(mask)
+
+    def observe(self) -> NDArray[np.float32]:
+        """Return what is shown of every lane (n, size)."""
+        return self.shown.of(self.lanes)
+
+    def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
+        """Move all lanes in flight; return terms of the reward, moved, terminated, truncated."""
+        moved = self.lanes.ended == FLYING
+        self.lanes.move(self.actions.physical(action, self.lanes.count))
+        over = moved & (self.lanes.ended != FLYING)
+        late = over & (self.lanes.ended == LATE)
+        return self.rewards.terms(moved), moved, over & ~late, late

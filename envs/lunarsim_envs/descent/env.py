@@ -1,0 +1,296 @@
+"""``lunarsim/Guidance-v0`` and ``lunarsim/Control-v0``: an agent flies the descent itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.scenario import Scenario
+from lunarsim_envs.descent.core import Descents
+from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.descent.rewards import DescentWeights
+
+Shown = NDArray[np.float32]
+
+
+class DescentEnv(gymnasium.Env[Any, Any]):
+    """One descent; see `GuidanceEnv` and `ControlEnv` for what differs."""
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    guided: ClassVar[bool]
+    rate: ClassVar[float]
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path | None = None,
+        changes: Mapping[str, Any] | None = None,
+        rate_hz: float | None = None,
+        observation: Sequence[str] | None = None,
+        weights: DescentWeights | None = None,
+        worlds: int = 1,
+        world_seed: int = 0,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"render_mode = {render_mode!r}: must be None")
+        self.render_mode = None
+        self.descents = Descents(
+            1, guided=self.guided, scenario=scenario, changes=changes,
+            rate_hz=self.rate if rate_hz is None else rate_hz, observation=observation,
+            weights=weights, worlds=worlds, world_seed=world_seed,
+        )  # fmt: skip
+        self.action_space = self.descents.actions.space
+        self.observation_space = self.descents.shown.space
+        self._one = np.ones(1, np.bool_)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Shown, dict[str, Any]]:
+        """Draw a new flight."""
+        super().reset(seed=seed)
+        if seed is not None or not self.descents.lanes.has_key[0]:
+            self.descents.key(0, self.np_random)
+        self.descents.begin(self._one, options)
+        return self.descents.observe()[0], {}
+
+    def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
+        """Fly on to the next action, or to the end."""
+        d = self.descents
+        if d.lanes.ended[0] != FLYING:
+            raise gymnasium.error.ResetNeeded("no flight is in the air: call reset()")
+        terms, _, terminated, truncated = d.step(np.asarray(action)[None])
+        named = {name: float(term[0]) for name, term in terms.items()}
+        info: dict[str, Any] = {"reward_terms": named}
+        if terminated[0] or truncated[0]:
+            info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
+        ends = bool(terminated[0]), bool(truncated[0])
+        return d.observe()[0], sum(named.values()), *ends, info
+
+
+class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """Many descents at once, in one kernel; see `GuidanceEnv` and `ControlEnv`.
+
+    Lane i with seed s flies what one environment with seed s + i flies, bit for bit, with any
+    number of lanes and threads.
+    """
+
+    guided: ClassVar[bool]
+    rate: ClassVar[float]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: Scenario | str | Path | None = None,
+        changes: Mapping[str, Any] | None = None,
+        rate_hz: float | None = None,
+        observation: Sequence[str] | None = None,
+        weights: DescentWeights | None = None,
+        worlds: int = 1,
+        world_seed: int = 0,
+        autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
+    ) -> None:
+        self.descents = Descents(
+            num_envs, guided=self.guided, scenario=scenario, changes=changes,
+            rate_hz=self.rate if rate_hz is None else rate_hz, observation=observation,
+            weights=weights, worlds=worlds, world_seed=world_seed,
+        )  # fmt: skip
+        self.num_envs = num_envs
+        self.autoreset_mode = gymnasium.vector.AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_action_space = self.descents.actions.space
+        self.single_observation_space = self.descents.shown.space
+        batch = gymnasium.vector.utils.batch_space
+        self.action_space = batch(self.single_action_space, num_envs)
+        self.observation_space = batch(self.single_observation_space, num_envs)
+        self._due = np.zeros(num_envs, np.bool_)
+        self.render_mode = None
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Shown, dict[str, Any]]:
+        """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
+        left = dict(options or {})
+        mask = self._mask(left.pop("reset_mask", None))
+        self.descents.seed(mask, self._seeds(seed, mask))
+        self.descents.begin(mask, left)
+        self._due[mask] = False
+        return self.descents.observe(), {}
+
+    def _mask(self, given: Any) -> NDArray[np.bool_]:
+        if given is None:
+            return np.ones(self.num_envs, np.bool_)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] = {given!r}: must be {self.num_envs} of true and false, "
+                "at least one true"
+            )
+        return mask
+
+    def _seeds(
+        self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]
+    ) -> Sequence[int | None]:
+        """Return the seed of each lane of the mask."""
+        lanes = np.flatnonzero(mask)
+        if seed is None:
+            return [None] * len(lanes)
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + int(lane) for lane in lanes]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed of length {len(seed)}: must be one for each of {self.num_envs}")
+        return [seed[int(lane)] for lane in lanes]
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[Shown, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Fly all lanes on to the next action, or to their ends."""
+        d, mode = self.descents, gymnasium.vector.AutoresetMode
+        idle = d.lanes.ended != FLYING
+        if (idle & ~self._due).any():
+            raise gymnasium.error.ResetNeeded(
+                "a lane's flight is not in the air: call reset(), with its reset_mask"
+            )
+        terms, moved, terminated, truncated = d.step(actions)
+        over = terminated | truncated
+        info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
+        if over.any():
+            info |= {"safe": d.lanes.safe & over, "_safe": over}
+            info |= {"failed": np.where(over, d.lanes.failed, 0), "_failed": over}
+        if self.autoreset_mode is mode.NEXT_STEP:
+            if self._due.any():
+                d.restart(self._due)
+            self._due = over
+        elif self.autoreset_mode is mode.SAME_STEP and over.any():
+            info |= {"final_obs": d.observe(), "_final_obs": over}
+            kept = ("reward_terms", "safe", "_safe", "failed", "_failed")
+            info["final_info"] = {name: info[name] for name in kept}
+            info["_final_info"] = over
+            d.restart(over)
+        return d.observe(), np.sum(list(terms.values()), axis=0), terminated, truncated, info
+
+
+class GuidanceEnv(DescentEnv):
+    """Fly a lander to its target by thrust accelerations.
+
+    The agent takes the place of the guidance law: the attitude loop and the throttle follow what
+    it asks for, on perfect sensors.
+
+    ## Action Space
+
+    ``Box(-1, 1, (3,))``, five times a second: the wanted thrust acceleration, ENU. East and north
+    from -A to A, up from 0 to A, A = thrust_max / dry_mass (5.45 m/s^2). What the engine, or the
+    largest tilt of the scenario's approach, does not allow is cut as for a guidance law.
+    ``env.unwrapped.descents.actions.action(acceleration)`` turns m/s^2 into an action.
+
+    ## Observation Space
+
+    ``Box`` of float32, named parts one after another (``observation=[...]`` chooses others):
+
+    - ``position`` (3,): of the centre of mass from the target, ENU, m.
+    - ``velocity`` (3,): ENU, m/s.
+    - ``attitude`` (4,): quaternion from body axes to ENU, scalar last.
+    - ``rate`` (3,): of the body, body axes, rad/s.
+    - ``thrust`` (1,): of the engine now, over the mass, m/s^2.
+    - ``propellant`` (1,): left, kg.
+
+    Also ``time_left`` (1,), s. `lunarsim_envs.descent.observations.register` adds more.
+
+    ## Rewards
+
+    The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 within all limits, -1
+    for a crash or a flight off the map), ``propellant`` (-0.001 a kilogram), ``miss`` (-0.01 a
+    metre between a safe touchdown and the target, up to 50 m), ``shaping`` (potential-based: its
+    discounted sum is the same for all flights from one start). Every crash returns less than any
+    safe landing, shaping aside; weights with which it may not are refused.
+
+    ## Starting State
+
+    About 600 m away and 500 m up, at 28 m/s towards the target and 18 m/s down, upright, with
+    full tanks (the table [start] of the scenario; by default with 30 m and 3 m/s of dispersion).
+    ``reset(options=...)`` takes ``position_m``, ``velocity_m_s``, ``position_sigma_m`` and
+    ``velocity_sigma_m_s``.
+
+    ## Episode End
+
+    Terminated at the touchdown, whose verdict is the simulation's (``info["safe"]``,
+    ``info["failed"]``), or below the map. Truncated by the scenario's time limit (120 s).
+
+    ## Arguments
+
+    - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a shipped
+      one; by default nearly level ground without rocks.
+    - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.05}``.
+    - ``rate_hz``: actions a second.
+    - ``observation``: names of its parts.
+    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`.
+    - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
+      meets one of them. Ground is a raster of 0.1 m about the targets.
+    - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
+      vectorization_mode="vector_entry_point")``: so many flights in one kernel; "NextStep",
+      "SameStep" or "Disabled". Lane i with seed s flies what one environment with seed s + i does.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    guided, rate = True, 5.0
+
+
+class GuidanceVectorEnv(DescentVectorEnv):
+    """Many of `GuidanceEnv` at once."""
+
+    guided, rate = True, 5.0
+
+
+class ControlEnv(DescentEnv):
+    """Fly a lander to its target by throttle and torques.
+
+    The agent takes the place of guidance and control.
+
+    ## Action Space
+
+    ``Box(-1, 1, (4,))``, fifty times a second: the engine's thrust, from its least (-1) to its
+    greatest (1), and torques about the body axes as shares of the greatest. The engine runs all
+    the way.
+
+    ## Observation Space
+
+    As `lunarsim/Guidance-v0`.
+
+    ## Rewards
+
+    As `lunarsim/Guidance-v0`.
+
+    ## Starting State
+
+    As `lunarsim/Guidance-v0`.
+
+    ## Episode End
+
+    As `lunarsim/Guidance-v0`.
+
+    ## Arguments
+
+    As `lunarsim/Guidance-v0`.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    guided, rate = False, 50.0
+
+
+class ControlVectorEnv(DescentVectorEnv):
+    """Many of `ControlEnv` at once."""
+
+    guided, rate = False, 50.0

@@ -1,0 +1,204 @@
+"""Landers side by side, a lane each: what they are, where they stand, and how they move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import attitude_from_thrust
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.control.attitude import ProportionalDerivative
+from lunarsim.scenario import Scenario
+from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
+from lunarsim.vehicle.touchdown import GROUND_SPACING, pad_disc
+from lunarsim_envs.descent import _kernels as k
+from lunarsim_envs.descent.worlds import Worlds
+
+Array = NDArray[np.float64]
+
+FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
+# Limits that a verdict names, in the order of its bits; see `judge_touchdown`.
+LIMITS = (
+    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
+    "tip-over",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Craft:
+    """A scenario's lander, start and clock, as the kernels take them.
+
+    Attributes
+    ----------
+    dynamics
+        Vehicle, gravity and step.
+    gains
+        Of the attitude loop (3,); see `ProportionalDerivative`.
+    heading, max_tilt
+        Azimuth of body x and largest tilt of a commanded thrust, rad.
+    start
+        Planned position and velocity and their standard deviations (8,).
+    aim
+        Middle and half sides of the targets' scatter (4,), m.
+    limit
+        When a flight is over, s.
+    """
+
+    dynamics: Dynamics
+    gains: Array
+    heading: float
+    max_tilt: float
+    start: Array
+    aim: Array
+    limit: float
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Craft:
+        """Return what a scenario flies.
+
+        Raises
+        ------
+        InputError
+            If it has thrusters, legs or a control law that only the whole simulation flies.
+        """
+        lander, control = scenario.vehicle.make(), scenario.control.make()
+        if isinstance(lander, JetLander):
+            raise InputError("vehicle.kind", "jet-lander", "a lander whose torques act as asked")
+        if scenario.legs is not None:
+            raise InputError("legs", "given", "left out: here the state at the touchdown counts")
+        if type(control) is not ProportionalDerivative:
+            raise InputError("control.kind", type(control).__name__, "the default control law")
+        lander.check_hover(scenario.gravity_m_s2)
+        start, target = scenario.start.make(), scenario.target.make()
+        clock, approach = scenario.simulation.make(), scenario.approach.make()
+        return cls(
+            Dynamics(lander, scenario.gravity_m_s2, clock.step),
+            control.gains,
+            start.heading,
+            approach.max_tilt,
+            np.array(
+                [*start.position, *start.velocity, start.position_sigma, start.velocity_sigma]
+            ),
+            np.array([*target.position, *target.scatter]),
+            clock.max_time,
+        )
+
+    def steps(self, rate: float) -> int:
+        """Return the steps of the integration between two actions.
+
+        Raises
+        ------
+        InputError
+            If they are not a whole number.
+        """
+        steps = 1.0 / (rate * self.dynamics.step)
+        if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-6):
+            raise InputError(
+                "rate_hz", rate, f"a whole number of steps of {self.dynamics.step} s between two"
+            )
+        return round(steps)
+
+
+class Lanes:
+    """Landers side by side.
+
+    Parameters
+    ----------
+    count
+        Number of lanes n.
+    craft, worlds
+        What flies, and over what.
+    guided
+        Whether actions are thrust accelerations, or thrust and torques; see `move`.
+    rate
+        Actions a second.
+
+    Attributes
+    ----------
+    y
+        States (n, 15): position, velocity (ENU), attitude (scalar last), body rate, mass, thrust.
+    target
+        Where each is to land (n, 3), m.
+    time
+        Since the start of each flight (n,), s.
+    ended
+        FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (n,).
+    failed, told
+        Limits that a landing failed, a bit each in the order of `LIMITS` (n,); its vertical and
+        horizontal speed, tilt, rate, slope, roughness and tip margin (n, 7), SI.
+    starts
+        Of each lane, as `Craft.start` (n, 8).
+    has_key
+        Whether each was given a key (n,).
+    """
+
+    def __init__(
+        self, count: int, craft: Craft, worlds: Worlds, *, guided: bool, rate: float
+    ) -> None:
+        d, lander = craft.dynamics, craft.dynamics.lander
+        self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided
+        self.steps = craft.steps(rate)
+        self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
+        self.time, self.told = np.zeros(count), np.full((count, 7), np.nan)
+        self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
+        self.starts = np.tile(craft.start, (count, 1))
+        self.has_key = np.zeros(count, np.bool_)
+        self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
+        self._loop, self._world = np.zeros((count, 10)), np.zeros(count, np.int64)
+        self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
+        self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
+        self._lander = np.array(
+            [lander.thrust_min, lander.thrust_max, craft.max_tilt, *craft.gains, *lander.torque_max]
+        )
+        self._limits = np.array(
+            [lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
+             lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance]
+        )  # fmt: skip
+        self._disc = pad_disc(0.5 * lander.pad_diameter)
+
+    def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
+        """Give lanes their keys, from which all of their later flights are drawn."""
+        self._keys[mask] = keys
+        self._begun[mask] = 0
+        self.has_key[mask] = True
+
+    def begin(self, mask: NDArray[np.bool_]) -> None:
+        """Draw a new flight in every lane of `mask` (n,)."""
+        w = self.worlds
+        k.begin(
+            mask, self._keys, self._begun, self.y, self._loop, self.target, self._world, self.time,
+            self.ended, self.starts, self.craft.aim, self._upright, self._weight, w.reliefs,
+            w.relief_frame,
+        )  # fmt: skip
+        self.failed[mask] = 0
+        self.told[mask] = np.nan
+
+    def move(self, actions: Array) -> None:
+        """Fly all lanes that are in flight to the next action, or to their end.
+
+        Parameters
+        ----------
+        actions
+            Thrust accelerations (n, 3), ENU, m/s^2, or thrust and torques (n, 4), N and N m.
+        """
+        c, d, w = self.craft, self.craft.dynamics, self.worlds
+        k.advance(
+            self.ended == FLYING, self.y, self._loop, actions, self.guided, self.steps, d.step,
+            c.limit, d.figures, d.inertia, PLAIN_RIG, self._lander, c.heading, d.lander.pads,
+            self._disc, GROUND_SPACING, self._limits, d.lander.com_height, w.grounds, w.frame,
+            w.levels, self._world, self.time, self.ended, self.failed, self.told,
+        )  # fmt: skip
+
+    @property
+    def safe(self) -> NDArray[np.bool_]:
+        """Whether each has landed within all limits (n,)."""
+        return np.asarray((self.ended == LANDED) & (self.failed == 0))
+
+    def words(self, lane: int) -> tuple[str, ...]:
+        """Return the limits that a lane's flight failed."""
+        if self.ended[lane] == LATE:
+            return ("time-limit",)
+        return tuple(name for bit, name in enumerate(LIMITS) if self.failed[lane] >> bit & 1)

@@ -1,0 +1,131 @@
+"""What an agent is shown of a descent: named parts, one after another.
+
+A part of one's own is added by `register`, and named in an environment's `observation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim_envs.descent.lanes import Lanes
+
+Array = NDArray[np.float64]
+
+# No distance (m), speed (m/s) or mass (kg) of a descent is larger: what would be is clipped.
+FAR = 5000.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of an observation.
+
+    Attributes
+    ----------
+    name, unit, meaning
+        As documents tell them.
+    size, low, high
+        Numbers in it, and the bounds of each.
+    of
+        Returns it for all lanes (n, size).
+    """
+
+    name: str
+    size: int
+    unit: str
+    low: float
+    high: float
+    meaning: str
+    of: Callable[[Lanes], Array]
+
+
+PARTS: dict[str, Part] = {}
+# What is seen unless something else is asked for.
+DEFAULT = ("position", "velocity", "attitude", "rate", "thrust", "propellant")
+
+
+def register(part: Part) -> None:
+    """Add a part.
+
+    Raises
+    ------
+    InputError
+        If there is one of its name, or it has no room.
+    """
+    if part.name in PARTS:
+        raise InputError("name", part.name, "a name of its own: there is such a part already")
+    if part.size < 1 or not part.low < part.high:
+        raise InputError(
+            part.name, (part.size, part.low, part.high), "a size of 1 or more, a range"
+        )
+    PARTS[part.name] = part
+
+
+def _thrust(lanes: Lanes) -> Array:
+    return lanes.y[:, 14:15] / lanes.y[:, 13:14]
+
+
+def _propellant(lanes: Lanes) -> Array:
+    return lanes.y[:, 13:14] - lanes.craft.dynamics.lander.dry_mass
+
+
+def _left(lanes: Lanes) -> Array:
+    return (lanes.craft.limit - lanes.time)[:, None]
+
+
+for _part in (
+    Part("position", 3, "m", -FAR, FAR, "of the centre of mass from the target, ENU",
+         lambda lanes: lanes.y[:, :3] - lanes.target),
+    Part("velocity", 3, "m/s", -FAR, FAR, "ENU", lambda lanes: lanes.y[:, 3:6]),
+    Part("attitude", 4, "", -1.0, 1.0, "quaternion from body axes to ENU, scalar last",
+         lambda lanes: lanes.y[:, 6:10]),
+    Part("rate", 3, "rad/s", -10.0, 10.0, "of the body, body axes",
+         lambda lanes: lanes.y[:, 10:13]),
+    Part("thrust", 1, "m/s^2", 0.0, 100.0, "of the engine now, over the mass", _thrust),
+    Part("propellant", 1, "kg", -1.0, FAR, "left", _propellant),
+    Part("time_left", 1, "s", 0.0, 1e5, "until the flight is broken off", _left),
+):  # fmt: skip
+    register(_part)
+
+
+class Shown:
+    """An observation made of parts.
+
+    Parameters
+    ----------
+    names
+        Of the parts, in their order.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or comes twice, or there is none.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        if isinstance(names, str) or not len(names):
+            raise InputError("observation", names, "a list of at least one part")
+        for name in names:
+            if name not in PARTS:
+                raise InputError("observation", name, suggestion(name, PARTS))
+        if len(set(names)) < len(names):
+            raise InputError("observation", list(names), "each part once")
+        self.parts = [PARTS[name] for name in names]
+        sizes = [p.size for p in self.parts]
+        self._low = np.repeat([p.low for p in self.parts], sizes).astype(np.float32)
+        self._high = np.repeat([p.high for p in self.parts], sizes).astype(np.float32)
+
+    @property
+    def space(self) -> spaces.Box:
+        """Of one lane."""
+        return spaces.Box(self._low, self._high)
+
+    def of(self, lanes: Lanes) -> NDArray[np.float32]:
+        """Return the observation of every lane (n, size)."""
+        told = np.concatenate([p.of(lanes) for p in self.parts], axis=1).astype(np.float32)
+        return np.clip(told, self._low, self._high, out=told)

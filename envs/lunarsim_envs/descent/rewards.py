@@ -1,0 +1,131 @@
+"""Rewards of a descent: the sum of named terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim_envs.descent.lanes import FLYING, LATE, Lanes
+
+Array = NDArray[np.float64]
+
+# A landing farther from its target than this counts as this far, m.
+MOST_MISS = 50.0
+
+
+@dataclass(frozen=True)
+class DescentWeights:
+    """Weights of the terms.
+
+    Attributes
+    ----------
+    safe, crash
+        For a touchdown within all limits, and for any other end but the time limit.
+    propellant
+        Cost of a kilogram.
+    miss
+        Cost of a metre between a safe touchdown and the target, up to 50 m.
+    shaping
+        Of the potential; 0 leaves it out. See `Rewards`.
+    discount
+        The learner's: with another one shaping may change which policy is best.
+    """
+
+    safe: float = 1.0
+    crash: float = -1.0
+    propellant: float = 0.001
+    miss: float = 0.01
+    shaping: float = 1.0
+    discount: float = 0.99
+
+    def check(self, propellant: float) -> None:
+        """Refuse weights with which a crash may return more than a safe landing.
+
+        Parameters
+        ----------
+        propellant
+            In full tanks, kg.
+
+        Raises
+        ------
+        InputError
+            Naming the weight.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not np.isfinite(value):
+                raise InputError(f"weights.{field.name}", value, "a finite number")
+            if field.name in ("propellant", "miss", "shaping") and value < 0.0:
+                raise InputError(f"weights.{field.name}", value, "0 or more: it is a cost")
+        if not 0.0 < self.discount <= 1.0:
+            raise InputError("weights.discount", self.discount, "above 0, at most 1")
+        least = self.crash + self.propellant * propellant + self.miss * MOST_MISS
+        if not self.safe > least:
+            raise InputError(
+                "weights.safe", self.safe,
+                f"more than {least:g}: else a crash may return more than a landing that is safe "
+                f"but far off and took all propellant",
+            )  # fmt: skip
+
+
+class Rewards:
+    """The terms of every step.
+
+    ``touchdown``, ``propellant`` and ``miss`` are what counts. ``shaping`` is the discount times
+    the potential after the step less that before it, and the potential is 0 once a flight has
+    ended: over an episode its discounted sum is minus the potential of the start, whatever is
+    done, so it changes no policy's place among others (Ng, Harada and Russell, "Policy invariance
+    under reward transformations", ICML 1999). The potential falls with distance and speed, each
+    over that of the planned start. A flight that is broken off by the time limit has not ended:
+    its last potential counts.
+
+    Parameters
+    ----------
+    weights
+        Of the terms.
+    lanes
+        Whose flights.
+    """
+
+    names = ("touchdown", "propellant", "miss", "shaping")
+
+    def __init__(self, weights: DescentWeights, lanes: Lanes) -> None:
+        weights.check(lanes.craft.dynamics.lander.propellant_mass)
+        self.weights, self.lanes = weights, lanes
+        start = lanes.craft.start
+        self._far = max(float(np.linalg.norm(start[:3])), 1.0)
+        self._fast = max(float(np.linalg.norm(start[3:6])), 1.0)
+        self._mass = np.zeros(lanes.count)
+        self._potential = np.zeros(lanes.count)
+
+    def potential(self) -> Array:
+        """Return the potential of every lane as it stands (n,), flown to an end or not."""
+        y = self.lanes.y
+        away = np.linalg.norm(y[:, :3] - self.lanes.target, axis=1) / self._far
+        fast = np.linalg.norm(y[:, 3:6], axis=1) / self._fast
+        return np.asarray(-self.weights.shaping * (away + fast))
+
+    def begin(self, mask: NDArray[np.bool_]) -> None:
+        """Note how the lanes of `mask` begin."""
+        self._mass[mask] = self.lanes.y[mask, 13]
+        self._potential[mask] = self.potential()[mask]
+
+    def terms(self, moved: NDArray[np.bool_]) -> dict[str, Array]:
+        """Return the terms of the last step (n,) by name; 0 in lanes that did not move."""
+        w, lanes = self.weights, self.lanes
+        over = (lanes.ended != FLYING) & (lanes.ended != LATE)
+        after = np.where(over, 0.0, self.potential())
+        off = np.linalg.norm(lanes.y[:, :2] - lanes.target[:, :2], axis=1)
+        safe = lanes.safe
+        told = {
+            "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
+            "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),
+            "miss": np.where(safe, -w.miss * np.minimum(off, MOST_MISS), 0.0),
+            "shaping": w.discount * after - self._potential,
+        }
+        self._mass = np.where(moved, lanes.y[:, 13], self._mass)
+        self._potential = np.where(moved, after, self._potential)
+        return {name: np.where(moved, term, 0.0) for name, term in told.items()}

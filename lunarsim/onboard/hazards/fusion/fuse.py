@@ -1,0 +1,170 @@
+"""Evidence of an eye for the ground and of an eye for rocks, as one probability.
+
+p = pi x exp(-Lambda) x prod_i (1 - r_i q_i): the ground is fit to land on, no rock that nobody has
+seen stands there, and none of those that were. A calibrated map of elevations tells the first
+two in one, from features that rise with the expected number of unseen rocks. Of these, only
+so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so the same
+regression judges what is left. Rocks that are tracked are multiplied up, each with the
+odds that the elevations leave it (`existence_given_relief`).
+
+So the map is that of the elevations, bit for bit, where the other eye saw nothing; where no
+elevation was measured it is the other eye's, times what the mission expects of the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
+from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
+from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.safety.ensemble import HOPELESS, SURE
+from lunarsim.safety.thinning import Thinning
+
+# Of single precision, as sums over discs leave it.
+_ROUNDING = np.float32(1e-5)
+
+
+@dataclass(frozen=True)
+class FusionTerms:
+    """What is known before any evidence.
+
+    Attributes
+    ----------
+    lander, rocks
+        Geometry and limits; what the mission expects.
+    relief_prior
+        Probability that slope and relief of ground that no elevation was measured of are within
+        the lander's limits.
+
+    Raises
+    ------
+    InputError
+        If the prior is no probability, or is 1: ground that was not measured is never certain.
+    """
+
+    lander: Lander
+    rocks: RockExpectation
+    relief_prior: float = 0.9
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.relief_prior < 1.0:
+            raise InputError("relief_prior", self.relief_prior, "at least 0, and less than 1")
+
+    @property
+    def height_ratio(self) -> float:
+        """Height over diameter of the rocks that are expected."""
+        fixed = {"hemisphere": 0.5, "cube": 1.0}
+        return fixed.get(self.rocks.shape, self.rocks.height_ratio[0])
+
+
+def fused_map(
+    relief: ReliefEvidence | None, rocks: RockEvidence | None, terms: FusionTerms
+) -> HazardMap:
+    """Return the map of two eyes, either of which may have seen nothing yet.
+
+    It lies on the cells of the elevations' map, if there is one.
+
+    Parameters
+    ----------
+    relief, rocks
+        Evidence of an eye for the ground and of an eye for rocks; None: none so far. At least one.
+    terms
+        What is known beforehand.
+
+    Raises
+    ------
+    InputError
+        If there is no evidence at all.
+    """
+    if relief is None:
+        if rocks is None:
+            raise InputError("fused_map", None, "evidence of at least one mapper")
+        return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
+    if rocks is None:
+        return relief.drawn
+    drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
+    p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
+    surely_not = known & (p <= HOPELESS)
+    tracks = rocks.tracks
+    there = replace(tracks, existence=existence_given_relief(tracks, relief, terms.lander))
+    clear = on_grid(rocks.clear(there), rocks.drawn.grid, drawn.grid, 1.0, "least")
+    p = (p * clear).astype(np.float32)
+    seen = drawn.observed
+    elevation = drawn.elevation
+    if elevation is not None and alone.elevation is not None:
+        elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
+    return replace(
+        drawn,
+        p_safe=np.where(seen, p, alone.p_safe),
+        observed=seen | alone.observed,
+        elevation=elevation,
+        in_domain=seen & known & ((p >= SURE) | surely_not),
+    )
+
+
+def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
+    """Return what an eye for rocks leaves of those that another has not seen, site by site.
+
+    Two eyes may miss a rock for one reason: no look leaves less than `COMMON`. Off its map it has
+    seen nothing. What is left under a footprint is the mean over where a rock's middle may lie.
+
+    Parameters
+    ----------
+    rocks
+        The evidence.
+    grid
+        The sites.
+    terms
+        What is known beforehand.
+    """
+    lander = terms.lander
+    footprint = lander.leg_radius + 0.5 * lander.pad_diameter
+    ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
+    for n, diameter in enumerate(rocks.diameter):
+        left = np.maximum(rocks.ratio[n], np.float32(COMMON))
+        left = on_grid(left, rocks.drawn.grid, grid, 1.0, "greatest")
+        mean = mean_over_discs(left, (footprint + 0.5 * diameter) / grid.posting, 1.0)
+        untouched = np.abs(mean - 1.0) < _ROUNDING
+        ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON)))
+    return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
+
+
+def _thinned(relief: ReliefEvidence, thinning: Thinning) -> tuple[FloatMap, BoolMap]:
+    """Return the elevations' probability with fewer unseen rocks, and where it is a frequency."""
+    drawn = relief.drawn
+    known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
+    if relief.judged is None:
+        return drawn.p_safe, known
+    where = thinning.touched & drawn.observed
+    if not where.any():
+        return drawn.p_safe, known
+    evidence = replace(relief.judged, thinning=thinning)
+    p, claimed = calibrated_safety(evidence, refit=relief.refit, where=where)
+    return np.where(where, p, drawn.p_safe), np.where(where, claimed, known)
+
+
+def _of_rocks(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
+    """Return the map of an eye for rocks on other cells, the ground as the mission expects it.
+
+    Nowhere is it a frequency: how the ground lies was not measured.
+    """
+    drawn, own = rocks.drawn, rocks.drawn.grid
+    seen = on_grid(drawn.observed, own, grid, False, "least")
+    p = np.float32(prior) * on_grid(drawn.p_safe, own, grid, 0.0, "least")
+    elevation = drawn.elevation
+    if elevation is not None:
+        elevation = on_grid(elevation, own, grid, np.nan, "least")
+    return HazardMap(
+        grid, np.where(seen, p, np.float32(0.0)), seen, elevation,
+        in_domain=np.zeros(grid.shape, np.bool_),
+    )  # fmt: skip

@@ -1,0 +1,115 @@
+"""What mappers publish besides their maps: evidence, from which maps of several are made.
+
+Probabilities cannot be multiplied up without knowing what they stand for: a rock that two eyes see
+would count twice, and one that neither saw once for each. Evidence can: how the ground lies, how
+many rocks may stand there unseen, and which rocks are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.safety.calibration import Evidence
+from lunarsim.safety.refit import ScenarioCalibration
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RockTracks:
+    """Rocks that an eye has seen, each by itself.
+
+    Attributes
+    ----------
+    xy
+        Centres (n, 2), local frame, m.
+    sigma
+        Of the centres, an axis, relative to the lander (n,), m.
+    radius, radius_variance
+        m (n,), m^2.
+    existence
+        Probability that each is a rock (n,).
+
+    Raises
+    ------
+    InputError
+        If they are not of as many rocks.
+    """
+
+    xy: Array
+    sigma: Array
+    radius: Array
+    radius_variance: Array
+    existence: Array
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            wanted = (len(self.radius), 2) if f.name == "xy" else (len(self.radius),)
+            if np.shape(value) != wanted:
+                raise InputError(f"rocks.{f.name}", np.shape(value), f"an array {wanted}")
+
+
+@dataclass(frozen=True)
+class ReliefEvidence:
+    """What a mapper of elevations knows of the ground.
+
+    Attributes
+    ----------
+    drawn
+        Its own map.
+    judged
+        What its probability follows from; None: it does not tell.
+    refit
+        Last stage of its calibration; None: that of the package.
+    """
+
+    drawn: HazardMap
+    judged: Evidence | None = None
+    refit: ScenarioCalibration | None = None
+
+
+@dataclass(frozen=True)
+class RockEvidence:
+    """What a mapper of rocks knows of them.
+
+    Attributes
+    ----------
+    drawn
+        Its own map.
+    diameter
+        Least one of each class of sizes (sizes,), rising, m.
+    ratio
+        Of each class, the rocks that are not tracked and may be at a place over those expected
+        there before any look (sizes, rows, cols), on the cells of the map; 1 where nothing was
+        seen.
+    tracks
+        Rocks that are tracked, or may be.
+    clear
+        Gives the probability that none of such rocks reaches into the footprint (rows, cols).
+
+    Raises
+    ------
+    InputError
+        If the ratio is not on the map's cells, or not of as many classes.
+    """
+
+    drawn: HazardMap
+    diameter: Array
+    ratio: NDArray[np.float32]
+    tracks: RockTracks
+    clear: Callable[[RockTracks], Array]
+
+    def __post_init__(self) -> None:
+        wanted = (len(self.diameter), *self.drawn.grid.shape)
+        if self.ratio.shape != wanted:
+            raise InputError("evidence.ratio", self.ratio.shape, f"a raster {wanted}")
+
+
+Published = ReliefEvidence | RockEvidence

@@ -1,0 +1,222 @@
+"""Compiled touchdown on ground that is a raster: first contact, and the verdict of `touchdown.py`.
+
+Ground is a raster of heights (rows, cols) with its corner and posting, linear between four posts;
+`frame` (3,) is the coordinates of post (0, 0) and the posting, m. Beyond its posts it is unknown.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+# What a verdict says, a bit each, in the order of `judge_touchdown`.
+OFF_MAP, VERTICAL_SPEED, HORIZONTAL_SPEED, TILT, RATE = 1, 2, 4, 8, 16
+SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
+
+
+@kernel()
+def height_at(z, frame, x, y):
+    """Return the height of a raster at a point, m; NaN beyond its posts."""
+    rows, cols = z.shape
+    u = (x - frame[0]) / frame[2]
+    v = (y - frame[1]) / frame[2]
+    if not (0.0 <= u <= cols - 1 and 0.0 <= v <= rows - 1):
+        return np.nan
+    j = min(int(u), cols - 2)
+    i = min(int(v), rows - 2)
+    a, b = u - j, v - i
+    low = (1.0 - a) * z[i, j] + a * z[i, j + 1]
+    high = (1.0 - a) * z[i + 1, j] + a * z[i + 1, j + 1]
+    return (1.0 - b) * low + b * high
+
+
+@kernel()
+def pad_at(y, pad, out):
+    """Write where a point of the body (3,) is, ENU."""
+    qx, qy, qz, qw = y[6], y[7], y[8], y[9]
+    cx = qy * pad[2] - qz * pad[1] + qw * pad[0]
+    cy = qz * pad[0] - qx * pad[2] + qw * pad[1]
+    cz = qx * pad[1] - qy * pad[0] + qw * pad[2]
+    out[0] = y[0] + pad[0] + 2.0 * (qy * cz - qz * cy)
+    out[1] = y[1] + pad[1] + 2.0 * (qz * cx - qx * cz)
+    out[2] = y[2] + pad[2] + 2.0 * (qx * cy - qy * cx)
+
+
+@kernel()
+def highest(z, frame, x, y, disc):
+    """Return the highest ground under a pad that stands at a point, m; NaN where unknown."""
+    best = -np.inf
+    for k in range(len(disc)):
+        here = height_at(z, frame, x + disc[k, 0], y + disc[k, 1])
+        if not here > -np.inf:
+            return np.nan
+        best = max(best, here)
+    return best
+
+
+@kernel()
+def touches(y, pads, disc, z, frame):
+    """Tell whether a pad is at or below the ground under it."""
+    at = np.empty(3)
+    for k in range(len(pads)):
+        pad_at(y, pads[k], at)
+        # Most of the flight is too high for any ground: one look at the middle spares the disc.
+        if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= highest(
+            z, frame, at[0], at[1], disc
+        ):
+            return True
+    return False
+
+
+@kernel()
+def _plane(a, b, c, out):
+    """Write z0 and the slopes east and north of the plane through three points."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    det = ux * vy - uy * vx
+    out[1] = (uz * vy - uy * vz) / det
+    out[2] = (ux * vz - uz * vx) / det
+    out[0] = a[2] - out[1] * a[0] - out[2] * a[1]
+
+
+@kernel()
+def support(legs, planes):
+    """Write the planes that a lander stands on (2, 3), both the same for three legs.
+
+    See `touchdown.support_planes`.
+    """
+    if len(legs) == 3:
+        _plane(legs[0], legs[1], legs[2], planes[0])
+        _plane(legs[0], legs[1], legs[2], planes[1])
+    elif legs[0, 2] + legs[2, 2] >= legs[1, 2] + legs[3, 2]:
+        _plane(legs[0], legs[1], legs[2], planes[0])
+        _plane(legs[0], legs[2], legs[3], planes[1])
+    else:
+        _plane(legs[0], legs[1], legs[3], planes[0])
+        _plane(legs[1], legs[2], legs[3], planes[1])
+
+
+@kernel()
+def _inside(x, y, legs):
+    """Tell whether a point lies in the polygon of the legs, counter-clockwise."""
+    n = len(legs)
+    for k in range(n):
+        a, b = legs[k], legs[(k + 1) % n]
+        if (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) < 0.0:
+            return False
+    return True
+
+
+@kernel()
+def ground_fit(legs, spacing, z, frame, out):
+    """Write slope (rad) and roughness (m) under the legs; see `touchdown.ground_fit`."""
+    planes = np.empty((2, 3))
+    support(legs, planes)
+    n = len(legs)
+    west, east, south, north = legs[0, 0], legs[0, 0], legs[0, 1], legs[0, 1]
+    for k in range(1, n):
+        west, east = min(west, legs[k, 0]), max(east, legs[k, 0])
+        south, north = min(south, legs[k, 1]), max(north, legs[k, 1])
+    slope, rough = 0.0, 0.0
+    stretch = np.empty(2)
+    for p in range(2):
+        stretch[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
+        slope = max(slope, np.arccos(1.0 / stretch[p]))
+    for i in range(int(np.ceil((north + spacing - south) / spacing))):
+        y = south + i * spacing
+        for j in range(int(np.ceil((east + spacing - west) / spacing))):
+            x = west + j * spacing
+            if not _inside(x, y, legs):
+                continue
+            ground = height_at(z, frame, x, y)
+            for p in range(2):
+                above = ground - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
+                if not above / stretch[p] <= rough:  # so that NaN stays
+                    rough = above / stretch[p]
+            if np.isnan(rough):
+                out[0], out[1] = slope, rough
+                return
+    out[0] = slope
+    out[1] = rough
+
+
+@kernel()
+def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
+    """Return the least margin over the edges of the legs; see `touchdown.tip_margin`."""
+    full = (y[13] - dry) / (wet - dry)
+    most = max(
+        inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
+        inertia[0, 1] + full * (inertia[1, 1] - inertia[0, 1]),
+    )
+    n = len(legs)
+    margin = np.inf
+    for i in range(n):
+        j = (i + 1) % n
+        ex, ey = legs[j, 0] - legs[i, 0], legs[j, 1] - legs[i, 1]
+        long = np.hypot(ex, ey)
+        nx, ny = ey / long, -ex / long
+        arm = nx * (legs[i, 0] - y[0]) + ny * (legs[i, 1] - y[1])
+        if arm < 0.0:
+            nx, ny, arm = -nx, -ny, -arm
+        lean = np.arctan2(arm, com_height) - slope
+        if lean <= 0.0:
+            return -np.inf
+        length = np.hypot(arm, com_height)
+        barrier = y[13] * gravity * length * (1.0 - np.cos(lean))
+        about = most + y[13] * length * length
+        momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * com_height
+        margin = min(margin, 1.0 - 0.5 * momentum * momentum / about / barrier)
+    return margin
+
+
+@kernel()
+def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, told):
+    """Return the limits that a touchdown fails, a bit each; 0 is a safe landing.
+
+    Parameters
+    ----------
+    y
+        State at the touchdown (15,).
+    pads, disc, spacing
+        Pads' centres in body axes (n, 3), points of a pad (m, 2), and the distance of points
+        between the legs, m.
+    z, frame
+        The ground.
+    limits
+        Vertical and horizontal speed, tilt, rate, slope, roughness, belly's clearance (7,), SI.
+    com_height, gravity, dry, wet, inertia
+        Of the lander; `inertia` (2, 3) with tanks empty and full.
+    told
+        Takes vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
+    """
+    n = len(pads)
+    legs = np.empty((n, 3))
+    known = True
+    for k in range(n):
+        pad_at(y, pads[k], legs[k])
+        legs[k, 2] = highest(z, frame, legs[k, 0], legs[k, 1], disc)
+        known = known and not np.isnan(legs[k, 2])
+    told[0] = -y[5]
+    told[1] = np.hypot(y[3], y[4])
+    told[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
+    told[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
+    told[4] = told[5] = told[6] = np.nan
+    if known:
+        ground_fit(legs, spacing, z, frame, told[4:6])
+        known = not np.isnan(told[5])
+    if known:
+        told[6] = tip_margin(y, legs, told[4], com_height, gravity, dry, wet, inertia)
+    failed = 0 if known else OFF_MAP
+    for k in range(4):
+        if told[k] > limits[k]:
+            failed |= 2 << k
+    if told[4] >= limits[4]:
+        failed |= SLOPE
+    if told[5] >= limits[5]:
+        failed |= ROUGHNESS
+    if told[5] >= limits[6]:
+        failed |= BELLY
+    if told[6] < 0.0:
+        failed |= TIP_OVER
+    return failed

@@ -1,0 +1,282 @@
+"""The fused map: of one eye its own, of two no safer for worse evidence of either."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map, thinning_of
+from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.safety.ensemble import HOPELESS, SURE
+from tests.map_evidence import LANDER, SIDE, evidence, rocky
+from tests.reference import fusion as plain
+
+GRID = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
+TERMS = FusionTerms(LANDER, RockExpectation())
+DIAMETERS = np.array([0.5, 0.8])
+FOOTPRINT = LANDER.leg_radius + 0.5 * LANDER.pad_diameter
+
+
+def relief(bump=None, **said) -> ReliefEvidence:
+    """Return a calibrated map; `bump` is elevations (rows, cols) to be added to level ground."""
+    judged = evidence(**said)
+    p, known = calibrated_safety(judged)
+    z = np.zeros(GRID.shape, np.float32) if bump is None else bump.astype(np.float32)
+    return ReliefEvidence(HazardMap(GRID, p, judged.observed, z, in_domain=known), judged)
+
+
+def tracks(*rocks) -> RockTracks:
+    """Return rocks, each of (x, y, radius, existence)."""
+    table = np.array(rocks, np.float64).reshape(-1, 4)
+    n = len(table)
+    return RockTracks(table[:, :2], np.full(n, 0.05), table[:, 2], np.full(n, 0.01), table[:, 3])
+
+
+def clear(rocks: RockTracks) -> np.ndarray:
+    """Return the product over rocks whose discs reach into the footprint."""
+    out = np.ones(GRID.shape)
+    xy = GRID.centres()
+    for place, radius, there in zip(rocks.xy, rocks.radius, rocks.existence, strict=True):
+        far = np.hypot(*np.moveaxis(xy - place, -1, 0))
+        out *= 1.0 - there * (far < FOOTPRINT + radius)
+    return out
+
+
+def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID) -> RockEvidence:
+    """Return what an eye for rocks knows: one ratio everywhere, or as the array (rows, cols)."""
+    whole = np.empty((len(DIAMETERS), *of.shape), np.float32)
+    whole[:] = ratio
+    drawn = HazardMap(
+        of,
+        np.full(of.shape, p, np.float32),
+        np.full(of.shape, seen),
+        np.zeros(of.shape, np.float32),
+    )
+    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear)
+
+
+# --- one eye, or one that saw nothing ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("density", [2.0, 30.0])
+def test_a_map_of_elevations_alone_is_its_own_bit_for_bit(density):
+    own = relief(rough=0.2, density=density)
+    assert fused_map(own, None, TERMS) is own.drawn
+    blind = fused_map(own, eyes(seen=False), TERMS)
+    for name in ("p_safe", "observed", "in_domain"):
+        assert np.array_equal(getattr(blind, name), getattr(own.drawn, name)), name
+
+
+def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
+    own = eyes(0.1, tracks((2.0, 2.0, 0.4, 0.9)))
+    alone = fused_map(None, own, TERMS)
+    assert np.array_equal(alone.p_safe, np.float32(0.9) * own.drawn.p_safe)
+    assert alone.observed.all()
+    assert not alone.in_domain.any()
+    with pytest.raises(InputError, match="fused_map"):
+        fused_map(None, None, TERMS)
+    for prior in (1.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="relief_prior"):
+            replace(TERMS, relief_prior=prior)
+
+
+def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
+    seen = np.ones(GRID.shape, bool)
+    seen[:, 5:] = False
+    both = fused_map(relief(seen=seen), eyes(0.1), TERMS)
+    assert both.observed.all()
+    assert both.p_safe[:, 5:] == pytest.approx(0.9 * 0.97)
+    assert not both.in_domain[:, 5:].any()
+    nothing = fused_map(relief(seen=seen), eyes(0.1, seen=False), TERMS)
+    assert np.array_equal(nothing.observed, seen)
+    assert not nothing.p_safe[~seen].any()
+
+
+def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
+    own = replace(relief(), judged=None)
+    both = fused_map(own, eyes(0.1, tracks((2.0, 2.0, 0.4, 0.5))), TERMS)
+    assert both.p_safe == pytest.approx(0.5 * own.drawn.p_safe, rel=1e-6)
+
+
+# --- two eyes ----------------------------------------------------------------------------------
+
+
+def test_lit_ground_makes_sites_safer_and_dark_ground_less_safe():
+    own = relief(rough=0.2, density=3.0, curve=rocky(2.0))
+    p = [fused_map(own, eyes(r), TERMS).p_safe[4, 4] for r in (20.0, 1.0, 0.3, COMMON, 0.0)]
+    assert p[0] < p[1] < p[2] < p[3]
+    # Both eyes miss some rocks for one reason.
+    assert p[4] == p[3]
+
+
+def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
+    own = relief(rough=0.2, density=3.0, curve=rocky(2.0))
+    rng = np.random.default_rng(3)
+    ratio = rng.uniform(0.05, 2.0, GRID.shape)
+    known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
+    both = fused_map(own, eyes(ratio, known), TERMS)
+    thinned = replace(own.judged, thinning=thinning_of(eyes(ratio), GRID, TERMS))
+    p, _ = calibrated_safety(thinned)
+    for row, col in product(range(SIDE), repeat=2):
+        x, y = GRID.centre_of(row, col)
+        expected = p[row, col]
+        for (east, north), r, there in zip(known.xy, known.radius, known.existence, strict=True):
+            if np.hypot(x - east, y - north) < FOOTPRINT + r:
+                expected *= 1.0 - there
+        assert both.p_safe[row, col] == pytest.approx(expected, rel=1e-5)
+
+
+def test_what_is_left_under_a_footprint_is_the_mean_over_it():
+    wide = Grid(0.0, 0.0, 0.5, 41, 41)
+    ratio = np.ones(wide.shape)
+    ratio[20, 20] = 31.0
+    mean = thinning_of(eyes(ratio, of=wide), wide, TERMS).ratio
+    xy = wide.centres()
+    far = np.hypot(*np.moveaxis(xy - xy[20, 20], -1, 0))
+    for n, diameter in enumerate(DIAMETERS):
+        reach = FOOTPRINT + 0.5 * diameter
+        cells = np.pi * reach**2 / 0.25
+        inside, outside = far < reach - 0.5, far > reach + 0.5
+        assert mean[n][inside] == pytest.approx(1.0 + 30.0 / cells, rel=0.02)
+        assert (mean[n][outside] == 1.0).all()
+
+
+def test_a_frequency_is_claimed_only_where_sites_are_surely_safe_or_surely_not():
+    own = relief(slope=0.1, rough=0.1, density=300.0)
+    assert own.drawn.in_domain.all()
+    both = fused_map(own, eyes(0.1, tracks((0.0, 0.0, 0.4, 0.3))), TERMS)
+    near = clear(tracks((0.0, 0.0, 0.4, 0.3))) < 1.0
+    assert near.any()
+    assert not both.in_domain[near & (both.p_safe < SURE)].any()
+    assert both.in_domain[~near].all()
+    bad = relief(slope=2.5, rough=3.0, level=-5.0, planes=-5.0, density=300.0)
+    never = fused_map(bad, eyes(0.1), TERMS)
+    assert (never.p_safe <= HOPELESS).all()
+    assert np.array_equal(never.in_domain, bad.drawn.in_domain)
+
+
+@given(
+    st.floats(0.0, 1.3), st.floats(0.0, 1.3), st.floats(1.0, 100.0), st.floats(0.3, 4.0),
+    st.floats(0.05, 3.0), st.floats(0.0, 0.95), st.floats(0.15, 0.6), st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_worse_evidence_of_either_eye_never_makes_a_site_safer(
+    slope, rough, density, rocks, ratio, there, radius, worse
+):
+    here = {
+        "slope": slope, "rough": rough, "density": density, "rocks": rocks, "ratio": ratio,
+        "there": there, "radius": radius,
+    }  # fmt: skip
+
+    def p(**changes):
+        e = here | changes
+        own = relief(
+            slope=e["slope"], rough=e["rough"], density=e["density"], curve=rocky(e["rocks"])
+        )
+        known = tracks((2.0, 2.0, e["radius"], e["there"]))
+        return fused_map(own, eyes(e["ratio"], known), TERMS).p_safe.astype(np.float64)
+
+    before = p()
+    for change in (
+        {"slope": slope + worse}, {"rough": rough + worse}, {"rocks": rocks * (1.0 + worse)},
+        {"ratio": ratio + worse}, {"there": there + worse * (1.0 - there) * 0.99},
+    ):  # fmt: skip
+        assert (p(**change) <= before + 1e-6).all(), change
+
+
+# --- rocks looked for in the elevations --------------------------------------------------------
+
+ROCK = (2.0, 2.0, 0.4, 0.8)
+
+
+def test_a_rock_that_dense_elevations_do_not_show_is_less_likely_to_be_one():
+    rocks = tracks(ROCK)
+    level, thin = (existence_given_relief(rocks, relief(density=d), LANDER)[0] for d in (100, 1e-6))
+    assert thin == pytest.approx(0.8, abs=1e-5)
+    odds = COMMON * 0.8 / 0.2
+    assert level == pytest.approx(odds / (1.0 + odds), rel=1e-3)
+
+
+def test_a_rock_that_they_show_or_cannot_show_keeps_its_odds():
+    bump = np.zeros(GRID.shape)
+    bump[4, 4] = 0.6 * LANDER.roughness_limit
+    assert existence_given_relief(tracks(ROCK), relief(bump, density=100), LANDER)[0] == 0.8
+    hole = np.zeros(GRID.shape)
+    hole[4, 4] = np.nan
+    assert existence_given_relief(tracks(ROCK), relief(hole, density=100), LANDER)[0] == 0.8
+    edge = tracks((0.0, 2.0, 0.4, 0.8))
+    assert existence_given_relief(edge, relief(density=100), LANDER)[0] == 0.8
+    untold = replace(relief(density=100), judged=None)
+    assert existence_given_relief(tracks(ROCK), untold, LANDER)[0] == 0.8
+
+
+@given(
+    st.integers(0, 10_000), st.floats(1.75, 2.25), st.floats(0.12, 0.4), st.floats(0.0, 0.99),
+    st.floats(0.0, 0.3),
+)  # fmt: skip
+def test_odds_given_the_elevations_equal_a_plain_loop(seed, x, radius, there, rough):
+    rng = np.random.default_rng(seed)
+    z = rng.normal(0.0, rough, GRID.shape).astype(np.float32)
+    density = rng.uniform(1.0, 30.0, GRID.shape)
+    own = relief(z, density=density)
+    found = existence_given_relief(tracks((x, 2.1, radius, there)), own, LANDER)[0]
+    # Seven metres about a cell hold the whole map: all ground is compared with one mean.
+    half = 7
+    rise = [
+        [
+            float(z[r, c]) - z[max(r - half, 0) : r + half + 1, max(c - half, 0) : c + half + 1]
+            .astype(float).mean()
+            for c in range(SIDE)
+        ]
+        for r in range(SIDE)
+    ]  # fmt: skip
+    cells = {(r, c): (0.5 * c, 0.5 * r) for r, c in product(range(SIDE), repeat=2)}
+    told = own.judged.density
+    expected = plain.existence(
+        (x, 2.1), 0.05, radius, 0.01, there, cells, rise, told, LANDER.roughness_limit, 0.5, COMMON
+    )
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+# --- other cells -------------------------------------------------------------------------------
+
+
+def test_on_other_cells_the_worst_nearby_counts_and_nothing_beyond_the_edge():
+    fine = Grid(0.0, 0.0, 0.25, 12, 12)
+    coarse = Grid(0.1, 0.1, 0.6, 8, 8)
+    layer = np.random.default_rng(1).random(fine.shape).astype(np.float32)
+    assert on_grid(layer, fine, fine, 0.0, "least") is layer
+    for of, to, values in ((fine, coarse, layer), (coarse, fine, layer[:8, :8])):
+        low = on_grid(values, of, to, -1.0, "least")
+        high = on_grid(values, of, to, 9.0, "greatest")
+        xy = to.centres()
+        inside = of.contains(xy)
+        assert inside.any()
+        assert not inside.all() or of is coarse
+        assert (low[~inside] == -1.0).all()
+        assert (high[~inside] == 9.0).all()
+        for row, col in np.argwhere(inside):
+            # Every cell that overlaps the other's has at least, or at most, that value.
+            off = np.abs(of.centres() - xy[row, col]).max(axis=-1)
+            over = values[off < 0.5 * (of.posting + to.posting) - 1e-9]
+            assert low[row, col] <= over.min()
+            assert high[row, col] >= over.max()
+
+
+def test_evidence_of_other_cells_than_the_map_is_refused():
+    good = eyes()
+    with pytest.raises(InputError, match=r"evidence\.ratio"):
+        replace(good, ratio=good.ratio[:, :4])
+    with pytest.raises(InputError, match=r"rocks\.sigma"):
+        replace(tracks(ROCK), sigma=np.zeros(2))

@@ -1,0 +1,91 @@
+"""The mapper of other mappers: what it is made of, and when it draws."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.messages.briefing import Briefing
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping, FusionTerms
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.onboard.hazards.shadows.mapper import ShadowMapping
+from lunarsim.rocks.population import RockExpectation
+
+TERMS = FusionTerms(Lander(), RockExpectation())
+GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
+
+
+class Made(HazardMapper):
+    """A mapper whose map is set by hand."""
+
+    def __init__(self):
+        self.p, self.seen, self.asked = np.zeros(GRID.shape, np.float32), False, 0
+
+    def update(self, measurement, estimate):
+        self.p = np.full(GRID.shape, measurement, np.float32)
+        self.seen = True
+
+    def hazard_map(self):
+        level = np.full(GRID.shape, 3.0, np.float32)
+        return HazardMap(GRID, self.p, np.full(GRID.shape, self.seen), level)
+
+    def evidence(self):
+        self.asked += 1
+        return ReliefEvidence(self.hazard_map()) if self.seen else None
+
+    @property
+    def blank(self):
+        return not self.seen
+
+
+def test_it_draws_when_another_has_drawn_and_only_then():
+    own = Made()
+    fused = FusedMapper({"own": own}, TERMS)
+    assert fused.blank
+    assert fused.sources == {"own"}
+    assert not fused.hazard_map().observed.any()
+    assert fused.ground_height(np.zeros(2)) is None
+    own.update(0.7, None)
+    for _ in range(3):
+        assert (fused.hazard_map().p_safe == np.float32(0.7)).all()
+    assert own.asked == 2
+    own.update(0.4, None)
+    assert (fused.hazard_map().p_safe == np.float32(0.4)).all()
+    assert not fused.blank
+    assert fused.ground_height(np.zeros(2)) == 3.0
+    assert fused.grid == GRID
+
+
+def test_it_takes_no_measurement_and_is_made_of_something():
+    with pytest.raises(InputError, match="measurement"):
+        FusedMapper({"own": Made()}, TERMS).update(1.0, None)
+    with pytest.raises(InputError, match="of"):
+        FusedMapper({}, TERMS)
+
+
+def test_left_out_it_is_made_of_all_that_publish():
+    parts = {"dem": GaussianDemMapping(), "eye": ShadowMapping(), "all": FusedMapping()}
+    assert list(parts["all"].chosen(parts)) == ["dem", "eye"]
+    assert list(FusedMapping(("eye",)).chosen(parts)) == ["eye"]
+    parts["mine"] = SimpleNamespace(sensor="flash")
+    with pytest.raises(InputError, match="publishes evidence"):
+        FusedMapping(("mine",)).chosen(parts)
+
+
+def test_it_is_built_of_those_that_were_built_before():
+    parts = {"dem": GaussianDemMapping(), "all": FusedMapping(relief_prior=0.7)}
+    given = {"lander": Lander(), "rocks": RockExpectation()}
+    briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
+    made = parts["all"].build(briefing, None, {"dem": Made(), "other": Made()})
+    assert made.sources == {"dem"}
+    assert made.terms.relief_prior == 0.7
+    with pytest.raises(InputError, match="relief_prior"):
+        FusedMapping(relief_prior=1.0)

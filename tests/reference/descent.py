@@ -1,0 +1,97 @@
+"""A descent flown plainly: draws with Python's integers, motion by SciPy's rotations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tests.reference.attitude import along_thrust, rotation_between
+from tests.reference.dynamics import rate_of_change
+
+_WORD = 2**64
+
+
+def uniform(key, count):
+    """Return draw number `count` of a key by SplitMix64."""
+    x = (int(key) + 0x9E3779B97F4A7C15 * (int(count) + 1)) % _WORD
+    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9 % _WORD
+    x = (x ^ (x >> 27)) * 0x94D049BB133111EB % _WORD
+    x ^= x >> 31
+    return ((x >> 12) + 0.5) / 2**52
+
+
+def normal(key, count):
+    """Return a normal draw by Box and Muller."""
+    first, second = uniform(key, count), uniform(key, count + 1)
+    return math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
+
+
+def begun(key, flight, start, aim, worlds):
+    """Return world, target's east and north, and position and velocity about it, of a flight."""
+    first = 16 * flight
+    world = int(uniform(key, first) * worlds)
+    target = [aim[k] + aim[2 + k] * (2.0 * uniform(key, first + 1 + k) - 1.0) for k in range(2)]
+    off = np.array([normal(key, first + 3 + 2 * k) for k in range(6)])
+    return world, target, start[:3] + start[6] * off[:3], start[3:6] + start[7] * off[3:]
+
+
+class Lander:
+    """One lander under an attitude loop on perfect gyroscopes, or under torques as given.
+
+    Parameters
+    ----------
+    y
+        State (15,).
+    dynamics
+        Gravity and step, the lander's figures.
+    gains, heading, max_tilt
+        Of the attitude loop; azimuth of body x; largest tilt of the thrust.
+    """
+
+    def __init__(self, y, dynamics, gains, heading, max_tilt):
+        self.y, self.d, self.gains = y.copy(), dynamics, gains
+        self.heading, self.max_tilt = heading, max_tilt
+        self.rate = np.zeros(3)
+
+    def guided(self, acceleration, steps):
+        """Fly so many steps under a thrust acceleration; yield the state after each."""
+        v, mass = self.d.lander, self.y[13]
+        most = v.thrust_max / mass
+        up = min(max(acceleration[2], 1e-3), most)
+        side = np.array(acceleration[:2])
+        room = min(math.sqrt(most**2 - up**2), up * math.tan(self.max_tilt))
+        if np.linalg.norm(side) > room:
+            side *= room / np.linalg.norm(side)
+        vector = np.array([*side, up])
+        thrust = min(max(mass * np.linalg.norm(vector), v.thrust_min), v.thrust_max)
+        target = along_thrust(vector, self.heading)
+        inertia = v.inertia(mass)
+        frequency, damping, slew = self.gains
+        for _ in range(steps):
+            error = rotation_between(self.y[6:10], target)
+            wanted = np.clip(frequency / (2.0 * damping) * error, -slew, slew)
+            torque = inertia * 2.0 * damping * frequency * (wanted - self.rate)
+            before = self.y[6:10].copy()
+            yield self._step(thrust, np.clip(torque, -np.array(v.torque_max), v.torque_max))
+            self.rate = rotation_between(before, self.y[6:10]) / self.d.step
+
+    def driven(self, thrust, torque, steps):
+        """Fly so many steps under a thrust and torques; yield the state after each."""
+        for _ in range(steps):
+            yield self._step(thrust, np.asarray(torque))
+
+    def _step(self, thrust, torque):
+        v, dt, y = self.d.lander, self.d.step, self.y
+        args = (
+            thrust, torque, self.d.gravity, v.exhaust_velocity, v.thrust_lag, v.dry_mass,
+            v.wet_mass, np.array(v.inertia_dry), np.array(v.inertia_full),
+        )  # fmt: skip
+        a = rate_of_change(y, *args)
+        b = rate_of_change(y + 0.5 * dt * a, *args)
+        c = rate_of_change(y + 0.5 * dt * b, *args)
+        d = rate_of_change(y + dt * c, *args)
+        y = y + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        y[6:10] /= np.linalg.norm(y[6:10])
+        self.y = y
+        return y

@@ -1,0 +1,99 @@
+"""What another eye leaves of rocks that no sample has met."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.safety.thinning import Thinning
+from tests.map_evidence import SIDE, evidence, rocky
+from tests.reference import fusion as plain
+
+DIAMETERS = np.array([0.5, 0.7, 1.0])
+ratios = st.lists(st.floats(0.05, 6.0), min_size=3, max_size=3)
+
+
+def thinning(ratio=(0.1, 0.1, 0.1), shape=(SIDE, SIDE)) -> Thinning:
+    whole = np.empty((3, *shape), np.float32)
+    whole[:] = np.reshape(np.asarray(ratio, np.float32), (3, 1, 1))
+    return Thinning(DIAMETERS, whole, 0.05, 0.5)
+
+
+@given(ratios, st.floats(0.0, 0.8))
+def test_what_is_left_equals_a_plain_sum_over_sizes(ratio, height):
+    found = thinning(ratio, (1, 1)).at(height)[0, 0]
+    told = [float(np.float32(r)) for r in ratio]
+    assert found == pytest.approx(plain.left(height, list(DIAMETERS), told, 0.05, 0.5), rel=2e-3)
+
+
+@given(ratios, st.floats(0.0, 0.8), st.floats(0.0, 0.5), st.integers(0, 2), st.floats(0.0, 2.0))
+def test_it_never_rises_with_the_height_nor_falls_with_a_ratio(ratio, height, more, which, worse):
+    here = thinning(ratio, (1, 1))
+    assert here.at(height + more)[0, 0] <= here.at(height)[0, 0] + 1e-12
+    bad = list(ratio)
+    bad[which] += worse
+    assert thinning(bad, (1, 1)).at(height)[0, 0] >= here.at(height)[0, 0] - 1e-12
+
+
+def test_where_nothing_was_seen_all_are_left():
+    here = thinning((1.0, 1.0, 1.0))
+    assert not here.touched.any()
+    assert (here.at(0.3) == 1.0).all()
+    assert (here.at(np.full((SIDE, SIDE), 0.1)) == 1.0).all()
+    # Pebbles that no look can tell of are left whole, large rocks as they are missed.
+    seen = thinning()
+    assert seen.at(0.02)[0, 0] > 0.9
+    assert seen.at(0.25)[0, 0] == pytest.approx(0.1)
+
+
+def test_heights_beyond_the_law_have_the_last_ratio():
+    assert thinning((0.4, 0.3, 0.2)).at(1e4)[0, 0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.6])
+def test_fewer_unseen_rocks_make_sites_safer_and_more_less_safe(slope):
+    plainly = evidence(slope=slope, rough=0.2, density=3.0, curve=rocky(2.0))
+    p = [
+        calibrated_safety(replace(plainly, thinning=t))[0].mean()
+        for t in (thinning((4.0, 4.0, 4.0)), None, thinning())
+    ]
+    assert p[0] < p[1] < p[2]
+    for name in ("hazards", "piercing", "tilting"):
+        fewer = getattr(replace(plainly, thinning=thinning()), name)()
+        assert (fewer < getattr(plainly, name)()).all(), name
+    # Holes are no rocks.
+    fewer = replace(plainly, thinning=thinning())
+    assert np.array_equal(fewer.sinking(), plainly.sinking())
+
+
+def test_only_the_sites_asked_for_are_judged():
+    whole = evidence()
+    where = np.zeros((SIDE, SIDE), np.bool_)
+    where[2, 3:5] = True
+    p, known = calibrated_safety(whole, where=where)
+    everywhere = calibrated_safety(whole)
+    assert np.array_equal(p[where], everywhere[0][where])
+    assert np.array_equal(known[where], everywhere[1][where])
+    assert not p[~where].any()
+    assert not known[~where].any()
+
+
+def test_bad_figures_are_refused():
+    good = thinning()
+    for field, changes in {
+        "diameter": {"diameter": DIAMETERS[::-1]},
+        "ratio": {"ratio": -good.ratio},
+        "height_ratio": {"height_ratio": 0.0},
+    }.items():
+        with pytest.raises(InputError, match=rf"thinning\.{field}"):
+            replace(good, **changes)
+    with pytest.raises(InputError, match=r"thinning\.ratio"):
+        replace(good, ratio=good.ratio[:2])
+    with pytest.raises(InputError, match=r"calibration\.thinning"):
+        replace(evidence(), thinning=thinning(shape=(2, 2)))

@@ -1,0 +1,128 @@
+"""Touchdowns on a raster against the simulation's verdict on the same ground."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from lunarsim.models.lander import Lander
+from lunarsim.vehicle import _touchdown_kernels as k
+from lunarsim.vehicle.state import State
+from lunarsim.vehicle.touchdown import (
+    GROUND_SPACING,
+    judge_touchdown,
+    pad_contacts,
+    pad_disc,
+)
+
+NAMES = (
+    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
+    "tip-over",
+)  # fmt: skip
+G = 1.622
+FRAME = np.array([-6.0, -7.0, 0.1])
+
+
+class Raster:
+    """Ground that is linear between four posts."""
+
+    def __init__(self, z):
+        north, east = (FRAME[i] + FRAME[2] * np.arange(z.shape[1 - i]) for i in (1, 0))
+        self._of = RegularGridInterpolator((north, east), z.astype(float), bounds_error=False)
+
+    def elevation(self, xy):
+        return self._of(np.asarray(xy, dtype=float)[..., ::-1])
+
+
+def drawn(seed):
+    rng = np.random.default_rng(seed)
+    lander = Lander(legs=int(rng.choice([3, 4])), leg_radius=float(rng.uniform(1.0, 3.0)))
+    tilt = np.add.outer(*(np.arange(n) * rng.uniform(-0.02, 0.02) for n in (141, 121)))
+    z = (tilt + rng.uniform(0.0, 0.15) * rng.standard_normal((141, 121))).astype(np.float32)
+    if seed % 7 == 0:
+        z[60:64, 58:70] = np.nan
+    q = rng.normal(size=4) * [0.05, 0.05, 1.0, 1.0]
+    state = State(
+        np.array([*rng.uniform(-3.5, 3.5, 2), 1.6 + 0.3 * rng.normal()]),
+        rng.normal(size=3) * 0.6 - [0.0, 0.0, 2.0], q / np.linalg.norm(q),
+        0.04 * rng.normal(size=3), rng.uniform(1100.0, 1500.0), 0.0,
+    )  # fmt: skip
+    return lander, state, z
+
+
+def judged(lander, state, z):
+    told = np.empty(7)
+    limits = [
+        lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
+        lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance,
+    ]  # fmt: skip
+    failed = k.judge(
+        state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter), GROUND_SPACING, z,
+        FRAME, np.array(limits), lander.com_height, G, lander.dry_mass, lander.wet_mass,
+        np.array([lander.inertia_dry, lander.inertia_full]), told,
+    )  # fmt: skip
+    return tuple(name for bit, name in enumerate(NAMES) if failed >> bit & 1), told
+
+
+def test_verdicts_are_those_of_the_simulation():
+    seen = set()
+    for seed in range(150):
+        lander, state, z = drawn(seed)
+        wanted = judge_touchdown(lander, state, Raster(z), G)
+        failed, told = judged(lander, state, z)
+        t = wanted.touchdown
+        own = (t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness,
+               t.tip_margin)  # fmt: skip
+        assert failed == wanted.failed, seed
+        assert told == pytest.approx(own, abs=1e-9, nan_ok=True), seed
+        seen |= set(failed) | ({"safe"} if not failed else set())
+    assert seen >= set(NAMES) - {"tip-over"}
+
+
+def test_a_lander_tips_over_the_edge_that_it_slides_across():
+    lander, state, z = Lander(leg_radius=1.0), drawn(1)[1], np.zeros((141, 121), np.float32)
+    for speed, tips in ((0.5, False), (6.0, True)):
+        moving = State(
+            np.array([0.0, 0.0, 1.6]), np.array([speed, 0.0, -1.0]),
+            np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), state.mass, 0.0,
+        )  # fmt: skip
+        wanted = judge_touchdown(lander, moving, Raster(z), G)
+        failed, told = judged(lander, moving, z)
+        assert ("tip-over" in failed) == tips
+        assert told[6] == pytest.approx(wanted.touchdown.tip_margin, rel=1e-9)
+
+
+def test_the_first_pad_to_touch_is_found():
+    hits = 0
+    for seed in range(150):
+        lander, state, z = drawn(seed)
+        gap = (
+            state.position[2] + (lander.pads @ _axes(state.attitude).T)[:, 2]
+            - pad_contacts(lander, state, Raster(z))[:, 2]
+        )  # fmt: skip
+        touched = bool((gap <= 0.0).any())
+        args = state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter), z, FRAME
+        assert k.touches(*args) == touched, seed
+        hits += touched
+    assert 30 < hits < 120
+
+
+def _axes(q):
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_beyond_its_posts_ground_is_unknown():
+    z = np.arange(12.0, dtype=np.float32).reshape(3, 4)
+    frame = np.array([1.0, 2.0, 0.5])
+    assert k.height_at(z, frame, 1.25, 2.5) == pytest.approx(4.5)
+    assert k.height_at(z, frame, 2.5, 3.0) == 11.0
+    for x, y in ((0.99, 2.5), (2.51, 2.5), (1.25, 1.99), (1.25, 3.01), (np.nan, 2.5)):
+        assert np.isnan(k.height_at(z, frame, x, y))
