@@ -49,7 +49,7 @@ class Frames:
         figure.colorbar(self._image, ax=plan, label="probability of safety", fraction=0.046)
         west, east, south, north = grid.extent
         plan.set(xlim=(west, east), ylim=(south, north), xlabel="east (m)")
-        plan.set_ylabel("north (m)", labelpad=-2.0)
+        plan.set_ylabel("north (m)", labelpad=2.0)
         (self._sites,) = plan.plot([], [], "o", mfc="white", mec="black", ms=4, ls="")
         self._target = Circle((0.0, 0.0), simulation.lander.leg_radius, fill=False, ec=_HERE, lw=2)
         plan.add_patch(self._target)
