@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 
 from lunarsim.models.lander import Lander
 from lunarsim.vehicle import _touchdown_kernels as k
@@ -15,6 +15,7 @@ from lunarsim.vehicle.touchdown import (
     pad_contacts,
     pad_disc,
 )
+from tests.reference.raster import RasterGround
 
 NAMES = (
     "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
@@ -22,17 +23,6 @@ NAMES = (
 )  # fmt: skip
 G = 1.622
 FRAME = np.array([-6.0, -7.0, 0.1])
-
-
-class Raster:
-    """Ground that is linear between four posts."""
-
-    def __init__(self, z):
-        north, east = (FRAME[i] + FRAME[2] * np.arange(z.shape[1 - i]) for i in (1, 0))
-        self._of = RegularGridInterpolator((north, east), z.astype(float), bounds_error=False)
-
-    def elevation(self, xy):
-        return self._of(np.asarray(xy, dtype=float)[..., ::-1])
 
 
 def drawn(seed):
@@ -69,7 +59,7 @@ def test_verdicts_are_those_of_the_simulation():
     seen = set()
     for seed in range(150):
         lander, state, z = drawn(seed)
-        wanted = judge_touchdown(lander, state, Raster(z), G)
+        wanted = judge_touchdown(lander, state, RasterGround(z, FRAME), G)
         failed, told = judged(lander, state, z)
         t = wanted.touchdown
         own = (t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness,
@@ -87,7 +77,7 @@ def test_a_lander_tips_over_the_edge_that_it_slides_across():
             np.array([0.0, 0.0, 1.6]), np.array([speed, 0.0, -1.0]),
             np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), state.mass, 0.0,
         )  # fmt: skip
-        wanted = judge_touchdown(lander, moving, Raster(z), G)
+        wanted = judge_touchdown(lander, moving, RasterGround(z, FRAME), G)
         failed, told = judged(lander, moving, z)
         assert ("tip-over" in failed) == tips
         assert told[6] == pytest.approx(wanted.touchdown.tip_margin, rel=1e-9)
@@ -98,25 +88,14 @@ def test_the_first_pad_to_touch_is_found():
     for seed in range(150):
         lander, state, z = drawn(seed)
         gap = (
-            state.position[2] + (lander.pads @ _axes(state.attitude).T)[:, 2]
-            - pad_contacts(lander, state, Raster(z))[:, 2]
+            state.position[2] + Rotation.from_quat(state.attitude).apply(lander.pads)[:, 2]
+            - pad_contacts(lander, state, RasterGround(z, FRAME))[:, 2]
         )  # fmt: skip
         touched = bool((gap <= 0.0).any())
         args = state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter), z, FRAME
         assert k.touches(*args) == touched, seed
         hits += touched
     assert 30 < hits < 120
-
-
-def _axes(q):
-    x, y, z, w = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def test_beyond_its_posts_ground_is_unknown():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.models.jet_lander import JetLander
@@ -20,6 +21,8 @@ from lunarsim_envs.descent.worlds import Worlds
 Array = NDArray[np.float64]
 
 FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
+# What a lane and step take, microseconds.
+_STEP = 0.3
 # Limits that a verdict names, in the order of its bits; see `judge_touchdown`.
 LIMITS = (
     "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
@@ -122,6 +125,8 @@ class Lanes:
         States (n, 15): position, velocity (ENU), attitude (scalar last), body rate, mass, thrust.
     target
         Where each is to land (n, 3), m.
+    world
+        Index of the world that each flies over (n,).
     time
         Since the start of each flight (n,), s.
     ended
@@ -147,7 +152,7 @@ class Lanes:
         self.starts = np.tile(craft.start, (count, 1))
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
-        self._loop, self._world = np.zeros((count, 10)), np.zeros(count, np.int64)
+        self._loop, self.world = np.zeros((count, 10)), np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
         self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
         self._lander = np.array(
@@ -157,6 +162,7 @@ class Lanes:
             [lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
              lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance]
         )  # fmt: skip
+        self._figures, self._inertia, self._pads = d.figures, d.inertia, lander.pads
         self._disc = pad_disc(0.5 * lander.pad_diameter)
 
     def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
@@ -168,11 +174,12 @@ class Lanes:
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Draw a new flight in every lane of `mask` (n,)."""
         w = self.worlds
-        k.begin(
-            mask, self._keys, self._begun, self.y, self._loop, self.target, self._world, self.time,
-            self.ended, self.starts, self.craft.aim, self._upright, self._weight, w.reliefs,
-            w.relief_frame,
-        )  # fmt: skip
+        with threads_for(_STEP * self.count):
+            k.begin(
+                mask, self._keys, self._begun, self.y, self._loop, self.target, self.world,
+                self.time, self.ended, self.starts, self.craft.aim, self._upright, self._weight,
+                w.reliefs, w.relief_frame,
+            )  # fmt: skip
         self.failed[mask] = 0
         self.told[mask] = np.nan
 
@@ -185,12 +192,14 @@ class Lanes:
             Thrust accelerations (n, 3), ENU, m/s^2, or thrust and torques (n, 4), N and N m.
         """
         c, d, w = self.craft, self.craft.dynamics, self.worlds
-        k.advance(
-            self.ended == FLYING, self.y, self._loop, actions, self.guided, self.steps, d.step,
-            c.limit, d.figures, d.inertia, PLAIN_RIG, self._lander, c.heading, d.lander.pads,
-            self._disc, GROUND_SPACING, self._limits, d.lander.com_height, w.grounds, w.frame,
-            w.levels, self._world, self.time, self.ended, self.failed, self.told,
-        )  # fmt: skip
+        with threads_for(_STEP * self.count * self.steps):
+            k.advance(
+                self.ended == FLYING, self.y, self._loop, actions, self.guided, self.steps, d.step,
+                c.limit, self._figures, self._inertia, PLAIN_RIG, self._lander, c.heading,
+                self._pads, self._disc, GROUND_SPACING, self._limits, d.lander.com_height,
+                w.grounds, w.frame, w.levels, self.world, self.time, self.ended, self.failed,
+                self.told,
+            )  # fmt: skip
 
     @property
     def safe(self) -> NDArray[np.bool_]:

@@ -66,6 +66,22 @@ def register(part: Part) -> None:
     PARTS[part.name] = part
 
 
+def _position(lanes: Lanes) -> Array:
+    return lanes.y[:, :3] - lanes.target
+
+
+def _velocity(lanes: Lanes) -> Array:
+    return lanes.y[:, 3:6]
+
+
+def _attitude(lanes: Lanes) -> Array:
+    return lanes.y[:, 6:10]
+
+
+def _rate(lanes: Lanes) -> Array:
+    return lanes.y[:, 10:13]
+
+
 def _thrust(lanes: Lanes) -> Array:
     return lanes.y[:, 14:15] / lanes.y[:, 13:14]
 
@@ -79,17 +95,14 @@ def _left(lanes: Lanes) -> Array:
 
 
 for _part in (
-    Part("position", 3, "m", -FAR, FAR, "of the centre of mass from the target, ENU",
-         lambda lanes: lanes.y[:, :3] - lanes.target),
-    Part("velocity", 3, "m/s", -FAR, FAR, "ENU", lambda lanes: lanes.y[:, 3:6]),
-    Part("attitude", 4, "", -1.0, 1.0, "quaternion from body axes to ENU, scalar last",
-         lambda lanes: lanes.y[:, 6:10]),
-    Part("rate", 3, "rad/s", -10.0, 10.0, "of the body, body axes",
-         lambda lanes: lanes.y[:, 10:13]),
+    Part("position", 3, "m", -FAR, FAR, "centre of mass from the target, ENU", _position),
+    Part("velocity", 3, "m/s", -FAR, FAR, "ENU", _velocity),
+    Part("attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude),
+    Part("rate", 3, "rad/s", -10.0, 10.0, "of the body, body axes", _rate),
     Part("thrust", 1, "m/s^2", 0.0, 100.0, "of the engine now, over the mass", _thrust),
     Part("propellant", 1, "kg", -1.0, FAR, "left", _propellant),
     Part("time_left", 1, "s", 0.0, 1e5, "until the flight is broken off", _left),
-):  # fmt: skip
+):
     register(_part)
 
 

@@ -1,0 +1,366 @@
+"""`Guidance-v0` and `Control-v0`, one at a time and in batches."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import warnings
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from lunarsim.errors import InputError
+from lunarsim_envs.descent.baseline import PolynomialAgent
+from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
+from lunarsim_envs.descent.observations import DEFAULT, PARTS, Part, register
+from lunarsim_envs.descent.rewards import MOST_MISS, DescentWeights, Rewards
+
+IDS = ("lunarsim/Guidance-v0", "lunarsim/Control-v0")
+LOW = {
+    "start.position_m": [-20.0, 5.0, 25.0], "start.velocity_m_s": [3.0, 0.0, -4.0],
+    "start.position_sigma_m": 2.0, "start.velocity_sigma_m_s": 0.5, "terrain.size_m": 120.0,
+    "simulation.max_time_s": 20.0,
+}  # fmt: skip
+
+
+def batch(name, count, **arguments):
+    return gymnasium.make_vec(
+        f"lunarsim_envs:{name}", num_envs=count, vectorization_mode="vector_entry_point",
+        changes=LOW, **arguments,
+    )  # fmt: skip
+
+
+def descent(observation, actions):
+    """Return actions of a plain law that comes down at 1.8 m/s over the target."""
+    p, v = observation[:, :3].astype(float), observation[:, 3:6].astype(float)
+    high = np.maximum(p[:, 2] - 1.6, 0.0)
+    near = np.clip(1.0 - high / 4.0, 0.0, 0.9)[:, None]
+    side = np.clip((-0.15 * p[:, :2] - 0.8 * v[:, :2]) * (1.0 - near), -0.8, 0.8)
+    up = 1.622 - 1.2 * (v[:, 2] + np.clip(0.25 * high, 1.6, 6.0))
+    return actions.action(np.column_stack((side, up)))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_has_nothing_to_say_of_it(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(f"lunarsim_envs:{name}", changes=LOW)
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_random_episodes_stay_in_their_space_and_end(name):
+    vector = batch(name, 128)
+    vector.action_space.seed(1)
+    observation, _ = vector.reset(seed=5)
+    ended = 0
+    for _ in range(100 if "Guidance" in name else 1100):
+        observation, reward, terminated, truncated, info = vector.step(vector.action_space.sample())
+        assert vector.observation_space.contains(observation)
+        assert np.isfinite(reward).all()
+        assert not (terminated & truncated).any()
+        assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        ended += int((terminated | truncated).sum())
+    assert ended > 100
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_lane_is_one_environment_bit_for_bit(name):
+    vector = batch(name, 4)
+    lanes, _ = vector.reset(seed=30)
+    one = gymnasium.make(f"lunarsim_envs:{name}", changes=LOW)
+    alone, _ = one.reset(seed=32)
+    assert np.array_equal(alone, lanes[2])
+    actions = np.random.default_rng(1).uniform(-0.2, 0.4, (2000, *vector.action_space.shape))
+    flights = 0
+    for action in actions.astype(np.float32):
+        lanes, rewards, terminated, truncated, _ = vector.step(action)
+        alone, reward, over, late, _ = one.step(action[2])
+        assert np.array_equal(alone, lanes[2])
+        assert (reward, over, late) == (rewards[2], terminated[2], truncated[2])
+        if over or late:
+            flights += 1
+            lanes, rewards, terminated, truncated, info = vector.step(action)  # begins anew
+            alone, _ = one.reset()
+            assert np.array_equal(alone, lanes[2])
+            assert rewards[2] == 0.0 and not (terminated | truncated)[2]
+            assert not info["_reward_terms"][2]
+            if flights == 2:
+                return
+    raise AssertionError("no flight ended")
+
+
+def flown(mode, steps=150):
+    vector = batch(IDS[0], 6, autoreset_mode=mode)
+    assert vector.metadata["autoreset_mode"] is AutoresetMode(mode)
+    actions = vector.unwrapped.descents.actions
+    observation, _ = vector.reset(seed=7)
+    ends = [[] for _ in range(6)]
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = vector.step(
+            descent(observation, actions)
+        )
+        over = terminated | truncated
+        for i in np.flatnonzero(over):
+            last = info["final_obs"][i] if mode == "SameStep" else observation[i]
+            ends[i].append((last.copy(), reward[i], bool(info["safe"][i])))
+            assert info["_safe"][i]
+            if mode == "SameStep":
+                assert info["final_info"]["reward_terms"]["touchdown"][i] in (1.0, -1.0)
+                assert observation[i, 2] > 15.0  # the next flight's first
+        if mode == "Disabled" and over.any():
+            with pytest.raises(gymnasium.error.ResetNeeded):
+                vector.step(descent(observation, actions))
+            before = observation.copy()
+            observation, _ = vector.reset(options={"reset_mask": over})
+            assert np.array_equal(observation[~over], before[~over])
+            assert (observation[over, 2] > 15.0).all()
+    return ends
+
+
+def test_all_ways_to_reset_fly_the_same_flights():
+    next_step, same_step, disabled = (flown(m) for m in ("NextStep", "SameStep", "Disabled"))
+    for a, b, c in zip(next_step, same_step, disabled, strict=True):
+        assert len(a) >= 2
+        for (x, p, s), (y, q, t), (z, r, u) in zip(a, b, c, strict=False):
+            assert np.array_equal(x, y) and np.array_equal(x, z)
+            assert p == q == r and s == t == u
+    assert any(safe for end in next_step for _, _, safe in end)
+
+
+def test_a_plain_law_lands_safe_from_the_default_start():
+    vector = gymnasium.make_vec(
+        "lunarsim_envs:lunarsim/Guidance-v0", num_envs=64, vectorization_mode="vector_entry_point"
+    )
+    descents = vector.unwrapped.descents
+    agent = PolynomialAgent(descents)
+    observation, _ = vector.reset(seed=1)
+    safe, miss, waiting = np.zeros(64, bool), np.zeros(64), np.ones(64, bool)
+    while waiting.any():
+        observation, _, terminated, truncated, info = vector.step(agent(observation))
+        over = (terminated | truncated) & waiting
+        if over.any():
+            safe[over] = info["safe"][over]
+            miss[over] = np.hypot(*observation[over, :2].T)
+            waiting &= ~over
+    assert safe.mean() > 0.95
+    assert np.median(miss) < 0.5
+    assert np.array_equal(agent(observation[3]), agent(observation)[3])
+    # What does nothing, or anything, lands nowhere.
+    for law in (lambda shape, rng: np.zeros(shape), lambda shape, rng: rng.uniform(-1, 1, shape)):
+        rng = np.random.default_rng(0)
+        vector.reset(seed=1)
+        landed = 0
+        for _ in range(300):
+            *_, info = vector.step(law((64, 3), rng).astype(np.float32))
+            landed += int(info["safe"].sum()) if "safe" in info else 0
+        assert landed == 0
+
+
+def test_an_agent_for_other_actions_or_observations_is_refused():
+    with pytest.raises(InputError, match="Guidance-v0"):
+        PolynomialAgent(ControlEnv(changes=LOW).descents)
+    with pytest.raises(InputError, match="position and velocity first"):
+        PolynomialAgent(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
+
+
+def test_shaping_tells_the_same_of_every_flight_from_one_start():
+    """Its discounted sum is minus the potential of the start, whatever was done."""
+    weights = DescentWeights(discount=0.97)
+    vector = batch(IDS[0], 8, weights=weights)
+    descents = vector.unwrapped.descents
+    for law in ("down", "random"):
+        rng = np.random.default_rng(2)
+        observation, _ = vector.reset(seed=3)
+        wanted = -descents.rewards.potential()
+        told, scale, waiting = np.zeros(8), np.ones(8), np.ones(8, bool)
+        while waiting.any():
+            action = (
+                descent(observation, descents.actions) if law == "down"
+                else rng.uniform(-0.3, 0.3, (8, 3)).astype(np.float32)
+            )  # fmt: skip
+            observation, _, terminated, truncated, info = vector.step(action)
+            told += np.where(waiting, scale * info["reward_terms"]["shaping"], 0.0)
+            scale *= 0.97
+            late = truncated & waiting
+            # One that is broken off has its last potential to come.
+            told[late] -= scale[late] * descents.rewards.potential()[late]
+            waiting &= ~(terminated | truncated)
+        assert told == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_every_crash_returns_less_than_any_safe_landing(seed):
+    """For all weights that are allowed; those that do not are refused."""
+    rng = np.random.default_rng(seed)
+    weights = DescentWeights(
+        safe=rng.normal(0.0, 2.0), crash=rng.normal(0.0, 2.0),
+        propellant=rng.exponential(0.003), miss=rng.exponential(0.02),
+        shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
+    )  # fmt: skip
+    worst = weights.safe - weights.propellant * 400.0 - weights.miss * MOST_MISS
+    if worst > weights.crash:
+        weights.check(400.0)
+    else:
+        with pytest.raises(InputError, match=r"weights\.safe"):
+            weights.check(400.0)
+
+
+def test_terms_are_what_they_say():
+    env = GuidanceEnv(changes=LOW, weights=DescentWeights(propellant=0.002, miss=0.02))
+    observation, _ = env.reset(seed=4)
+    lanes = env.descents.lanes
+    total = dict.fromkeys(Rewards.names, 0.0)
+    over = False
+    while not over:
+        action = descent(observation[None], env.descents.actions)[0]
+        observation, reward, over, late, info = env.step(action)
+        assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        total = {name: total[name] + term for name, term in info["reward_terms"].items()}
+        assert not late
+    assert info["safe"] and info["failed"] == ()
+    off = float(np.hypot(*(lanes.y[0, :2] - lanes.target[0, :2])))
+    assert total["touchdown"] == 1.0
+    assert total["miss"] == pytest.approx(-0.02 * off)
+    assert total["propellant"] == pytest.approx(-0.002 * (1500.0 - lanes.y[0, 13]))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(action)
+
+
+@pytest.mark.parametrize("weights", [
+    {"propellant": -1.0}, {"miss": np.nan}, {"discount": 0.0}, {"discount": 1.5}, {"shaping": -1.0},
+    {"crash": 1.0},
+])  # fmt: skip
+def test_weights_that_will_not_do_are_refused(weights):
+    with pytest.raises(InputError, match="weights"):
+        GuidanceEnv(changes=LOW, weights=replace(DescentWeights(), **weights))
+
+
+ACTIONS = [
+    (np.full(3, np.nan), "not finite"), (np.array([0.0, 0.0, 1.1]), "1.1 in size"),
+    (np.zeros(4), "shape"), (np.zeros((1, 3)), "shape"), (np.array(["0", "0", "0"]), "type"),
+    (np.array([True, False, True]), "type"), (np.zeros(3, complex), "type"), (0.0, "shape"),
+    (None, "type"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("action", "says"), ACTIONS, ids=str)
+def test_an_action_that_is_none_is_refused_and_changes_nothing(action, says):
+    env = GuidanceEnv(changes=LOW)
+    env.reset(seed=1)
+    before = env.descents.lanes.y.copy()
+    with pytest.raises(ValueError, match=says):
+        env.step(action)
+    assert np.array_equal(env.descents.lanes.y, before)
+
+
+def test_where_flights_start_can_be_told():
+    env = GuidanceEnv(changes=LOW)
+    told = {"position_m": [0.0, 0.0, 40.0], "velocity_m_s": [0.0, 0.0, -1.0],
+            "position_sigma_m": 0.0, "velocity_sigma_m_s": 0.0}  # fmt: skip
+    observation, _ = env.reset(seed=1, options=told)
+    assert observation[:6] == pytest.approx([0.0, 0.0, 40.0, 0.0, 0.0, -1.0])
+    observation, _ = env.reset(seed=1)
+    assert observation[2] == pytest.approx(25.0, abs=10.0)
+    vector = GuidanceVectorEnv(3, changes=LOW)
+    vector.reset(seed=1)
+    some = np.array([False, True, False])
+    observation, _ = vector.reset(options=told | {"reset_mask": some})
+    assert observation[1, 2] == pytest.approx(40.0)
+    assert (observation[[0, 2], 2] < 36.0).all()
+
+
+BAD_OPTIONS = [
+    ({"postion_m": [0, 0, 50]}, "did you mean 'position_m'"), ({"position_m": [0, 0]}, "3 finite"),
+    ({"position_m": [0, 0, np.nan]}, "3 finite"), ({"position_m": "up"}, "3 finite"),
+    ({"position_sigma_m": -1.0}, "0 or more"), ({"position_m": [0, 0, 1.0]}, "in the ground"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("options", "says"), BAD_OPTIONS, ids=str)
+def test_options_that_are_none_are_refused(options, says):
+    with pytest.raises(InputError, match=says):
+        GuidanceEnv(changes=LOW).reset(seed=1, options=options)
+
+
+@pytest.mark.parametrize("mask", [np.ones(3), np.zeros(3, bool), np.ones(2, bool), "all"])
+def test_a_mask_that_is_none_is_refused(mask):
+    vector = GuidanceVectorEnv(3, changes=LOW)
+    vector.reset(seed=1)
+    with pytest.raises(ValueError, match="reset_mask"):
+        vector.reset(options={"reset_mask": mask})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"observation": []}, "at least one part"), ({"observation": "position"}, "a list"),
+        ({"observation": ["postion"]}, "did you mean 'position'"),
+        ({"observation": ["rate", "rate"]}, "each part once"), ({"rate_hz": 3.0}, "whole number"),
+        ({"worlds": 0}, "at least 1"), ({"scenario": "hirisee"}, "did you mean 'hirise'"),
+        ({"changes": {"rocks.covr": 0.1}}, "cover"),
+        ({"changes": {"start.position_m": [0.0, 0.0, 1.0]}}, "in the ground"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_arguments_that_will_not_do_are_refused(arguments, says):
+    with pytest.raises(InputError, match=says):
+        GuidanceEnv(**arguments)
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.0, True, "3"])
+def test_a_number_of_lanes_that_is_none_is_refused(count):
+    with pytest.raises(InputError, match="num_envs"):
+        GuidanceVectorEnv(count, changes=LOW)
+
+
+def test_parts_of_an_observation_are_chosen_and_added():
+    own = Part("height", 1, "m", -100.0, 5000.0, "of the centre of mass over the target",
+               lambda lanes: lanes.y[:, 2:3] - lanes.target[:, 2:3])  # fmt: skip
+    register(own)
+    try:
+        with pytest.raises(InputError, match="there is such a part"):
+            register(own)
+        env = ControlEnv(changes=LOW, observation=["height", "time_left"])
+        observation, _ = env.reset(seed=1)
+        assert observation.shape == (2,) == env.observation_space.shape
+        assert observation[1] == 20.0
+        whole, _ = ControlEnv(changes=LOW).reset(seed=1)
+        assert whole.shape == (sum(PARTS[name].size for name in DEFAULT),)
+        assert whole[2] == observation[0]
+    finally:
+        del PARTS["height"]
+
+
+def test_a_scenario_with_rocks_is_flown_over_its_pool():
+    env = GuidanceEnv(scenario="hirise", worlds=2, changes={"target.scatter_m": [5.0, 5.0]})
+    seen = set()
+    for seed in range(8):
+        env.reset(seed=seed)
+        seen.add(int(env.descents.lanes.world[0]))
+    assert seen == {0, 1}
+
+
+def test_a_copy_and_a_pickle_fly_on_alike():
+    env = GuidanceEnv(changes=LOW)
+    env.reset(seed=1)
+    for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        first = env.descents.lanes.y.copy()
+        told = other.step(np.zeros(3, np.float32))
+        assert np.array_equal(env.descents.lanes.y, first)
+        kept = copy.deepcopy(env)
+        assert np.array_equal(told[0], kept.step(np.zeros(3, np.float32))[0])
+
+
+def test_a_seed_for_each_lane():
+    vector = GuidanceVectorEnv(3, changes=LOW)
+    first, _ = vector.reset(seed=[5, None, 9])
+    again, _ = vector.reset(seed=[5, 4, 9])
+    assert np.array_equal(first[[0, 2]], again[[0, 2]])
+    assert not np.array_equal(first[1], again[1])
+    with pytest.raises(ValueError, match="one for each of 3"):
+        vector.reset(seed=[1, 2])

@@ -1,0 +1,212 @@
+"""Lanes against a descent flown plainly, and against themselves in other company."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.vehicle.state import State
+from lunarsim.vehicle.touchdown import judge_touchdown, pad_contacts
+from lunarsim_envs.descent import _kernels as k
+from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, Craft, Lanes
+from lunarsim_envs.descent.worlds import Worlds
+from tests.reference import descent as plain
+from tests.reference.raster import RasterGround
+
+TABLES = {
+    "terrain": {"kind": "fractal", "rms_slope_deg": 6.0, "size_m": 160.0},
+    "rocks": {"cover": 0.08},
+    "target": {"position_m": [3.0, -2.0], "scatter_m": [6.0, 4.0]},
+    "start": {
+        "position_m": [-18.0, 6.0, 22.0], "velocity_m_s": [4.0, -1.0, -5.0],
+        "position_sigma_m": 2.0, "velocity_sigma_m_s": 1.0,
+    },
+    "simulation": {"max_time_s": 12.0},
+}  # fmt: skip
+ROUGH = Scenario.from_dict(TABLES)
+RATES = {True: 5.0, False: 50.0}
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    return Worlds.of(ROUGH, 2, 5)
+
+
+def lanes_of(worlds, count, guided, first_key=11):
+    lanes = Lanes(count, Craft.of(ROUGH), worlds, guided=guided, rate=RATES[guided])
+    every = np.ones(count, bool)
+    lanes.seed(every, np.arange(first_key, first_key + count, dtype=np.uint64) * np.uint64(977))
+    lanes.begin(every)
+    return lanes
+
+
+def asked(lanes, rng):
+    """Return actions that come down somewhere, more or less upright."""
+    d = lanes.craft.dynamics
+    noise = rng.normal(0.0, 0.2, (10_000, 3))[: lanes.count]  # lane i has the same in any company
+    if not lanes.guided:
+        return np.column_stack((2200.0 + 500.0 * noise[:, 0], 20.0 * noise))
+    p, v = lanes.y[:, :3] - lanes.target, lanes.y[:, 3:6]
+    wanted = -0.1 * p[:, :2] - 0.6 * v[:, :2]
+    up = d.gravity - 0.8 * (v[:, 2:] + np.where(p[:, 2:] > 5.0, 4.0, 1.8))
+    return np.hstack((wanted, up)) + noise
+
+
+def ground_of(lanes, lane):
+    return RasterGround(lanes.worlds.grounds[lanes.world[lane]], lanes.worlds.frame)
+
+
+def end_of(path, lander, ground, gravity):
+    """Return the last state of a path, and the verdict if it touched the ground there."""
+    y = None
+    for y in path:
+        state = State.from_vector(y)
+        pads = state.position + Rotation.from_quat(state.attitude).apply(lander.pads)
+        if pads[:, 2].min() > lander.com_height + 30.0:
+            continue
+        if (pads[:, 2] <= pad_contacts(lander, state, ground)[:, 2]).any():
+            return y, judge_touchdown(lander, state, ground, gravity)
+    return y, None
+
+
+def against_plain(worlds, guided, count):
+    """Fly lanes and each of them plainly, to their ends; return how they ended."""
+    lanes = lanes_of(worlds, count, guided)
+    c, d = lanes.craft, lanes.craft.dynamics
+    ones = [plain.Lander(y, d, c.gains, c.heading, c.max_tilt) for y in lanes.y]
+    rng = np.random.default_rng(3)
+    while (lanes.ended == FLYING).any():
+        flying = np.flatnonzero(lanes.ended == FLYING)
+        actions = asked(lanes, rng)
+        lanes.move(actions)
+        for i in flying:
+            path = (
+                ones[i].guided(actions[i], lanes.steps) if guided
+                else ones[i].driven(actions[i, 0], actions[i, 1:], lanes.steps)
+            )  # fmt: skip
+            y, verdict = end_of(path, d.lander, ground_of(lanes, i), d.gravity)
+            assert lanes.y[i] == pytest.approx(y, rel=1e-9, abs=1e-9)
+            assert (verdict is not None) == (lanes.ended[i] == LANDED)
+            if verdict is not None:
+                assert lanes.words(i) == verdict.failed
+                assert lanes.safe[i] == verdict.safe
+                assert lanes.told[i, 4] == pytest.approx(verdict.touchdown.slope, abs=1e-9)
+    return lanes
+
+
+@pytest.mark.parametrize("guided", [True, False])
+def test_descents_are_those_flown_plainly(worlds, guided):
+    lanes = against_plain(worlds, guided, 3)
+    assert (lanes.ended == LANDED).any()
+
+
+@pytest.mark.slow
+def test_a_hundred_descents_are_those_flown_plainly(worlds):
+    lanes = against_plain(worlds, True, 100)
+    assert 0 < lanes.safe.sum() < 100
+    assert (lanes.ended == LANDED).sum() > 80
+
+
+def test_starts_are_those_drawn_plainly(worlds):
+    lanes = lanes_of(worlds, 40, True)
+    c, key = lanes.craft, (np.arange(11, 51, dtype=np.uint64) * np.uint64(977)).tolist()
+    for flight in range(3):
+        for i in range(40):
+            world, target, off, velocity = plain.begun(key[i], flight, c.start, c.aim, 2)
+            assert lanes.world[i] == world
+            assert lanes.target[i, :2] == pytest.approx(target, abs=1e-12)
+            frame = worlds.relief_frame
+            relief = RasterGround(worlds.reliefs[world], frame).elevation(target)
+            assert lanes.target[i, 2] == pytest.approx(relief[0], abs=1e-9)
+            assert lanes.y[i, :3] - lanes.target[i] == pytest.approx(off, abs=1e-9)
+            assert lanes.y[i, 3:6] == pytest.approx(velocity, abs=1e-12)
+            assert lanes.y[i, 13:] == pytest.approx([1500.0, 1500.0 * 1.622])
+        lanes.begin(np.ones(40, bool))
+
+
+def test_draws_are_even_and_normal():
+    """Against their first moments, and each other: 100,000 of neighbouring keys."""
+    even = np.array([k.uniform(np.uint64(n // 10), n % 10) for n in range(100_000)])
+    assert even.min() > 0.0 and even.max() < 1.0
+    assert even.mean() == pytest.approx(0.5, abs=0.004)
+    assert even.var() == pytest.approx(1.0 / 12.0, abs=0.002)
+    assert abs(np.corrcoef(even[:-1], even[1:])[0, 1]) < 0.01
+    assert abs(np.corrcoef(even[:-10], even[10:])[0, 1]) < 0.01
+    bell = np.array([k.normal(np.uint64(n), 2) for n in range(20_000)])
+    assert (bell.mean(), bell.std()) == pytest.approx((0.0, 1.0), abs=0.03)
+    assert np.mean(np.abs(bell) > 2.0) == pytest.approx(0.0455, abs=0.006)
+
+
+@pytest.mark.parametrize("guided", [True, False])
+def test_a_lane_flies_the_same_bits_in_any_company_and_on_any_threads(worlds, guided):
+    threads = numba.get_num_threads()
+    kept = []
+    try:
+        for count, allowed in ((5, 1), (64, threads)):
+            numba.set_num_threads(allowed)
+            lanes, rng = lanes_of(worlds, count, guided), np.random.default_rng(4)
+            for _ in range(30):
+                lanes.move(asked(lanes, rng))
+            kept.append((lanes.y[:5].copy(), lanes.ended[:5].copy(), lanes.told[:5].copy()))
+    finally:
+        numba.set_num_threads(threads)
+    for first, second in zip(*kept, strict=True):
+        assert np.array_equal(first, second, equal_nan=True)
+
+
+def test_a_flight_ends_at_its_limit_or_off_the_map(worlds):
+    lanes = lanes_of(worlds, 2, True)
+    lanes.y[1, :2] += 500.0  # beyond all ground that is kept
+    for step in range(70):
+        hover = np.tile([0.0, 0.0, 1.622], (2, 1))
+        hover[1, 2] = 0.3
+        lanes.move(hover - [0.0, 0.0, 0.5] * lanes.y[:, 5:6])
+        if step == 58:
+            assert lanes.ended[0] == FLYING
+    assert lanes.ended.tolist() == [LATE, LOST]
+    assert lanes.time[0] == pytest.approx(12.0)
+    assert lanes.words(0) == ("time-limit",) and lanes.words(1) == ("off-map",)
+    before = lanes.y.copy()
+    lanes.move(np.zeros((2, 3)))
+    assert np.array_equal(lanes.y, before)
+
+
+@pytest.mark.parametrize(
+    ("tables", "field"),
+    [
+        ({"legs": {}}, "legs"),
+        ({"control": {"kind": "ideal"}}, "control.kind"),
+        ({"vehicle": {"kind": "jet-lander"}, "control": {"kind": "phase-plane"}}, "vehicle.kind"),
+    ],
+)
+def test_what_only_the_whole_simulation_flies_is_refused(tables, field):
+    with pytest.raises(InputError) as caught:
+        Craft.of(Scenario.from_dict(TABLES | tables))
+    assert caught.value.field == field
+
+
+def test_worlds_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match="worlds"):
+        Worlds.of(ROUGH, 0, 1)
+    with pytest.raises(InputError, match="GiB"):
+        Worlds.of(ROUGH, 10_000, 1)
+    far = Scenario.from_dict(TABLES | {"target": {"position_m": [75.0, 0.0], "scatter_m": [9, 0]}})
+    with pytest.raises(InputError, match=r"target\.scatter_m"):
+        Worlds.of(far, 1, 1)
+
+
+def test_worlds_are_those_of_a_campaign(worlds):
+    """World k is that of flight k."""
+    from lunarsim.rng import Streams, flight_seed
+    from lunarsim.simulation.worlds import build_world
+
+    terrain = build_world(ROUGH, Streams(flight_seed(5, 1))).terrain
+    x, y, p = worlds.frame
+    for row, col in ((10, 20), (300, 400), (500, 77)):
+        height = terrain.elevation([x + p * col, y + p * row])
+        assert worlds.grounds[1][row, col] == pytest.approx(float(height), abs=1e-5)
+    assert not np.array_equal(worlds.grounds[0], worlds.grounds[1])
