@@ -15,7 +15,9 @@ from lunarsim.cli_common import (
     FLIGHT,
     PATH,
     SEED,
+    FloatRange,
     Group,
+    IntRange,
     cache_options,
     kept_if_interrupted,
     load_scenario,
@@ -234,7 +236,7 @@ def compare(
 @scenario_options
 @click.option("--flights", type=int, default=12, show_default=True, help="Descents, at least 2.")
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True,
+    "--seed", type=IntRange(min=0), default=1, show_default=True,
     help="Root seed of these flights; `compare` flies others, whatever its seed.",
 )  # fmt: skip
 @click.option(
@@ -316,7 +318,7 @@ def calibrate(
     help="Azimuth of the top of the picture, deg.",
 )  # fmt: skip
 @click.option(
-    "--exposure", type=click.FloatRange(min=0.0, min_open=True), default=None,
+    "--exposure", type=FloatRange(min=0.0, min_open=True), default=None,
     help="s; left out: so that the brightest ground nearly fills the detector.",
 )  # fmt: skip
 @click.option("--ideal", is_flag=True, help="Without blur, noise and distortion; 16 bits.")

@@ -13,6 +13,8 @@ import click
 
 from lunarsim.cli_common import (
     PATH,
+    FloatRange,
+    IntRange,
     cache_options,
     kept_if_interrupted,
     load_scenario,
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 _FOLDER = click.argument("folder", type=PATH)
 _JOBS = click.option(
-    "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1,
+    "--jobs", type=IntRange(min=1), default=os.cpu_count() or 1,
     show_default="number of cores", help="Processes; the results do not depend on it.",
 )  # fmt: skip
 _OUT = click.option(
@@ -64,13 +66,15 @@ def campaign() -> None:
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
     """Write every flight's inputs of SPEC (a TOML file) without flying."""
-    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.flying import check_files, plan_of
     from lunarsim.campaign.spec import CampaignSpec
 
     if out is not None:
         suffix = out.suffix.lower()
         check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
-    planned = plan_of(CampaignSpec.load(spec))
+    loaded = CampaignSpec.load(spec)
+    check_files(loaded)
+    planned = plan_of(loaded)
     if out is not None:
         from lunarsim.campaign.planned import write_plan
         from lunarsim.whole_files import write_whole
@@ -120,10 +124,10 @@ def run_command(
     help="KEY=A,B,C or KEY=LOW:HIGH:COUNT; may be repeated: every combination is flown.",
 )  # fmt: skip
 @click.option(
-    "--flights", type=click.IntRange(min=1), default=20, show_default=True,
+    "--flights", type=IntRange(min=1), default=20, show_default=True,
     help="Of each combination.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--seed", type=IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @_OUT
 @_JOBS
 @cache_options
@@ -139,14 +143,22 @@ def sweep(
     from lunarsim.campaign.factors import parse_over
     from lunarsim.campaign.spec import CampaignSpec
 
+    levels = parse_over(over)
+    for text in changes:
+        if text.partition("=")[0].strip() in levels:
+            raise InputError("--set", text, "no key that --over sets too")
     data = {
         "name": f"{scenario.stem}-sweep",
         "scenario": load_scenario(scenario, changes).to_dict(),
         "flights": flights,
         "seed": seed,
-        "factors": parse_over(over),
+        "factors": levels,
     }
-    spec = CampaignSpec.from_dict(data)
+    try:
+        spec = CampaignSpec.from_dict(data)
+    except InputError as error:
+        field = error.field.replace("factors.", "--over ", 1)
+        raise InputError(field, error.value, error.expected) from None
     _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 
@@ -247,7 +259,7 @@ def report(folder: Path, out: Path | None) -> None:
     help="A column of numbers, or of true and false.",
 )  # fmt: skip
 @click.option(
-    "--resamples", type=click.IntRange(min=20), default=100, show_default=True,
+    "--resamples", type=IntRange(min=20), default=100, show_default=True,
     help="Of the bootstrap that gives the intervals.",
 )  # fmt: skip
 def sensitivity(folder: Path, metric: str, resamples: int) -> None:
@@ -332,7 +344,7 @@ def _tell_levels(found: Results) -> None:
 @click.argument("first", type=PATH, metavar="A")
 @click.argument("second", type=PATH, metavar="B")
 @click.option(
-    "--margin", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
+    "--margin", type=FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
     help="Differences of the share up to this do not matter.",
 )  # fmt: skip
 @click.option("--metric", default="safe", show_default=True, help="A column of true and false.")

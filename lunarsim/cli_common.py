@@ -25,6 +25,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)
 
 
+class IntRange(click.IntRange):
+    """Whole numbers within bounds, named as what they are where one is none."""
+
+    name = "integer"
+
+
+class FloatRange(click.FloatRange):
+    """Numbers within bounds, named as what they are where one is none."""
+
+    name = "float"
+
+
 class Group(click.Group):
     """Turns a user's mistake into one line and exit code 2."""
 
@@ -68,11 +80,9 @@ _SET = click.option(
     "--set", "changes", multiple=True, metavar="KEY=VALUE",
     help="Another value of a key, such as sun.elevation_deg=5; may be repeated.",
 )  # fmt: skip
-SEED = click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed."
-)
+SEED = click.option("--seed", type=IntRange(min=0), default=1, show_default=True, help="Root seed.")
 FLIGHT = click.option(
-    "--flight", type=click.IntRange(min=0), default=0, show_default=True,
+    "--flight", type=IntRange(min=0), default=0, show_default=True,
     help="Index of the flight: world and noise derive from the seed and this.",
 )  # fmt: skip
 
@@ -87,7 +97,7 @@ _CACHE = click.option(
     help="Folder where the truth about grounds is kept between campaigns.",
 )  # fmt: skip
 _CACHE_SIZE = click.option(
-    "--cache-size", type=click.FloatRange(min=0.0), default=4.0, show_default=True,
+    "--cache-size", type=FloatRange(min=0.0), default=4.0, show_default=True,
     help="Of that folder at most, GiB; 0: nothing is kept. Results do not depend on it.",
 )  # fmt: skip
 

@@ -43,10 +43,9 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     is told on stderr.
     """
     loaded = load_scenario(scenario, changes)
-    # Other parts read their files when they are made.
-    check_files = getattr(loaded.terrain.make(), "check_files", None)
-    if check_files is not None:
-        check_files()
+    loaded.check_files()
+    # As a flight does before it begins.
+    loaded.vehicle.make().check_hover(loaded.gravity_m_s2)
     click.echo(loaded.to_toml(), nl=False)
 
 

@@ -22,8 +22,9 @@ KEPT = Path(__file__).parents[1] / "docs" / "results"
 HEAD = """# Results by seed
 
 Made by `python scripts/results_page.py > docs/results-by-seed.md` from the files in `docs/results`,
-which studies wrote: each figure with its spread over seeds, and the paper's where it has one. These
-are small runs, made to be repeated; the pages of the parts have larger ones.
+which studies wrote: each figure with its spread over seeds, and the paper's, or the optimum's,
+where there is one. These are small runs, made to be repeated; the pages of the parts have larger
+ones. Those of the LiDAR maps are on [a page](lidar-maps.md) of their own, made in the same way.
 """
 
 
@@ -64,12 +65,23 @@ class Figure:
 
 @dataclass(frozen=True)
 class Report:
-    """What is kept of a study."""
+    """What is kept of a study.
+
+    Attributes
+    ----------
+    title, command, page
+        Its name, what wrote it, and the page that tells more.
+    figures
+        Seed by seed.
+    beside
+        What the figures beside them are of, where they have any.
+    """
 
     title: str
     command: str
     page: str
     figures: list[Figure]
+    beside: str = "paper"
 
 
 def _finite(values: Sequence[float | None]) -> list[float]:
@@ -159,18 +171,58 @@ def real_returns(found: dict[str, Any]) -> list[Figure]:
     return out
 
 
-STUDIES: dict[str, tuple[str, str, Callable[[dict[str, Any]], list[Figure]]]] = {
+def guidance(found: list[dict[str, Any]]) -> list[Figure]:
+    """Return what each law spends to the ground over the optimum, and how it ends."""
+    out = []
+    for law in dict.fromkeys(row["law"] for row in found):
+        mine = [row for row in found if row["law"] == law]
+        least = [row["optimum"] + row["descent"] for row in mine]
+        over = [100.0 * (row["whole"] / o - 1.0) for row, o in zip(mine, least, strict=True)]
+        out += [
+            Figure(f"`{law}`: over the optimum, to the ground", "%", over, 0.0, "lower"),
+            Figure(f"`{law}`: the approach ends off by", "m/s", [row["speed"] for row in mine]),
+            Figure(f"`{law}`: landed safe", "", [float(row["safe"]) for row in mine]),
+        ]
+    return out
+
+
+def navigation(found: dict[str, list[dict[str, Any]]]) -> list[Figure]:
+    """Return errors over what the filter says of them, and how far off flights ended."""
+    (flights,) = found.values()
+    out = [
+        Figure(f"NEES over degrees of freedom, {part} (1)", "",
+               _finite([f["nees"][part] for f in flights]))
+        for part in flights[0]["nees"]
+    ]  # fmt: skip
+    for kind in sorted({kind for f in flights for kind in f["nis"]}):
+        values = [f["nis"][kind] for f in flights if kind in f["nis"]]
+        out.append(Figure(f"NIS over degrees of freedom, {kind} (1)", "", values))
+    for key, label, unit in (
+        ("start_error", "error of position at the start", "m"),
+        ("map_error", "at touchdown", "m"),
+        ("lost", "lost at the end", ""),
+        ("safe", "landed safe", ""),
+    ):
+        out.append(Figure(label, unit, [float(f[key]) for f in flights]))
+    return out
+
+
+STUDIES: dict[str, tuple[str, str, Callable[[Any], list[Figure]]]] = {
     "gaussian_dem": ("Gaussian DEM", "gaussian-dem", gaussian_dem),
     "quadtree": ("Quadtree on the hazard field", "quadtree", quadtree),
     "shadows": ("Rocks by their shadows, two descents", "shadow-filter", shadows),
     "real_returns": ("Real returns", "real-returns", real_returns),
+    "guidance": ("Laws of guidance against the optimum", "guidance", guidance),
+    "navigation": ("Navigation by the lander's own instruments", "navigation", navigation),
 }
+# What their figures stand beside, where that is no paper.
+_BESIDE = {"guidance": "optimum"}
 
 
-def take(name: str, found: dict[str, Any], command: str) -> Report:
+def take(name: str, found: Any, command: str) -> Report:
     """Return what is kept of what a study wrote."""
     title, page, figures = STUDIES[name]
-    return Report(title, command, page, figures(found))
+    return Report(title, command, page, figures(found), _BESIDE.get(name, "paper"))
 
 
 def load(path: Path) -> Report:
@@ -183,7 +235,7 @@ def section(report: Report) -> str:
     """Return a report as Markdown."""
     out = [f"## {report.title}\n", f"`{report.command}`; [more]({report.page}.md).\n"]
     out += [
-        "| figure | mean | least to greatest | seeds | paper |",
+        f"| figure | mean | least to greatest | seeds | {report.beside} |",
         "| --- | --- | --- | --- | --- |",
     ]
     for f in report.figures:
@@ -196,7 +248,7 @@ def section(report: Report) -> str:
     short = [f"{f.label} ({f.mean:.4g} for {f.paper:.4g})" for f in report.figures if f.falls_short]
     told = any(f.paper is not None for f in report.figures)
     said = "; ".join(short) if short else "nothing here" if told else "no paper has these figures"
-    return "\n".join([*out, f"\nShort of the paper: {said}.\n"])
+    return "\n".join([*out, f"\nShort of the {report.beside}: {said}.\n"])
 
 
 def page() -> str:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ from click.testing import CliRunner
 from lunarsim.cli import main
 from lunarsim.parts import CONTRACTS, resolve, settings_of
 from lunarsim.scenario import Scenario
+from lunarsim.simulation import Flight
 from tests.worlds import SCENARIOS
 
 
@@ -47,8 +49,27 @@ def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
     out = tmp_path / "flight"
     result = run("fly", str(small), "--seed", "3", "--out", str(out))
     assert result.exit_code == 0, result.output
-    assert "vertical speed" in result.output
+    told = dict(re.findall(r"^ (\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
+    assert told.pop("map 'dem'") == "is outside of what it was calibrated for"
+    flight = Flight.load(out)
+    touchdown, degrees = flight.verdict.touchdown, np.rad2deg
+    assert told == {
+        "time of flight": f"{flight.trajectory['time'][-1]:.1f} s",
+        "propellant": f"{flight.trajectory['mass'][0] - flight.trajectory['mass'][-1]:.1f} kg",
+        "divert": f"{flight.divert_distance:.1f} m",
+        "touchdown": "({:.1f}, {:.1f}) m east and north, true frame".format(
+            *flight.positions[-1, :2]
+        ),
+        "vertical speed": f"{touchdown.vertical_speed:.2f} m/s",
+        "horizontal speed": f"{touchdown.horizontal_speed:.2f} m/s",
+        "tilt at contact": f"{degrees(touchdown.tilt):.1f} deg",
+        "slope under the legs": f"{degrees(touchdown.slope):.1f} deg",
+        "roughness under the belly": f"{touchdown.roughness:.2f} m",
+        "margin against tipping over": f"{touchdown.tip_margin:.2f}",
+    }
     assert {p.name for p in out.iterdir()} >= {"flight.json", "descent.png", "maps.png"}
+    again = Scenario.load(out / "scenario.toml")
+    assert again == Scenario.load(small)
 
 
 def test_compare_prints_a_row_a_policy(small, tmp_path):

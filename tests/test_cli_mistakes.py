@@ -27,8 +27,14 @@ OF_A_SCENARIO = [
     (["empty.toml"], ["scenario", "empty.toml", "at least one key"]),
     (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
     (["folder"], ["scenario", "folder", "an existing TOML file"]),
+    (["x" * 300 + ".toml"], ["x.toml: File name too long"]),
     (["wrong.toml"], ["sun.elevation_deg = 95.0", "less than or equal to 90"]),
+    (["short.toml"], ["start.position_m = [-900, 0]", "a list of 3 values in m"]),
+    (["chosen.toml"], ["policy = 'safest'", 'a table [policy] with kind = "safest"']),
+    (["wide.toml"], ["scenario", "wide.toml", "a TOML file, which is text in UTF-8"]),
     (["words.toml"], ["vehicle.dry_mass_kg = '1100'", "a plain number in kg"]),
+    ([GOOD, "--set", "start.position_m=5"], ["--set start.position_m = 5", "a list of 3 values"]),
+    ([GOOD, "--set", "rocks=0.08"], ["--set rocks = 0.08", "a table [rocks] with keys"]),
     ([GOOD, "--set", "rocks.cover"], ["--set", "KEY=VALUE"]),
     ([GOOD, "--set", "rocks.covr=0.1"], ["--set rocks.covr", "did you mean 'cover'"]),
     ([GOOD, "--set", "terrain.size_m=1e9"], ["1000000000.0", "55.5 EiB", "at most 20000 posts"]),
@@ -40,8 +46,10 @@ OWN = {
         ([GOOD, "--policy", "safset"], ["--policy = 'safset'", "did you mean 'safest'"]),
         ([GOOD, "--guidance", "apolo"], ["--guidance = 'apolo'", "did you mean 'apollo'"]),
         ([GOOD, "--seed", "-1"], ["--seed", "-1", "x>=0"]),
+        ([GOOD, "--seed", "1.5"], ["--seed", "'1.5' is not a valid integer."]),
         ([GOOD, "--flight", "many"], ["--flight", "many", "integer"]),
         ([GOOD, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
+        ([GOOD, "--out", "hides"], ["--out = 'hides'", "an empty or new folder"]),
         ([GOOD, "--out", "wrong.toml"], ["--out = 'wrong.toml'", "a folder, not a file"]),
         ([GOOD, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
         (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
@@ -80,7 +88,10 @@ OWN = {
     ],
     "sweep": [
         ([GOOD, "--out", "new", "--over", "rocks.cover"], ["--over", "KEY=A,B,C"]),
-        ([GOOD, "--out", "new", "--over", "rocks.cover=0.1,0.9"], ["rocks.cover = 0.9", "0.2"]),
+        ([GOOD, "--out", "new", "--over", "rocks.cover=0.1,0.9"], ["--over rocks.cover = 0.9"]),
+        ([GOOD, "--out", "new", "--over", "sun.elevation=5"], ["--over sun.elevation", "_deg"]),
+        ([GOOD, "--out", "new", "--set", "policy=safest", "--over", "policy=safest,no-divert"],
+         ["--set = 'policy=safest'", "no key that --over sets too"]),
         ([GOOD, "--out", "full", "--over", "rocks.cover=0.1", "--flights", "1"], ["--out", "full"]),
         ([GOOD, "--out", "/proc/none", "--over", "rocks.cover=0.1"], ["--out", "/proc/none"]),
     ],
@@ -94,8 +105,11 @@ OWN = {
         (["empty.toml"], ["empty.toml", "at least one key"]),
         ([SPEC, "--out", "x.txt"], ["--out = 'x.txt'", ".csv"]),
         (["wrong.toml"], ["sun", "unknown key"]),
+        (["gone_spec.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
+        (["drawn_spec.toml", "--out", "x.csv"], ["terrain.path", "cut.tif", "whole raster"]),
     ],
     "campaign run": [
+        (["drawn_spec.toml", "--out", "new"], ["terrain.path", "cut.tif", "whole raster"]),
         (["gone.toml", "--out", "new"], ["gone.toml", "an existing TOML file"]),
         ([SPEC, "--out", "full"], ["--out = 'full'", "an empty or new folder"]),
         ([SPEC, "--out", "/proc/none"], ["--out = '/proc/none'", "cannot be written to"]),
@@ -122,6 +136,8 @@ OWN = {
         (["gone_dtm.toml"], ["terrain.path", "gone_dtm.tif", "an existing GeoTIFF"]),
         (["cut.toml"], ["terrain.path", "cut.tif", "whole raster"]),
         (["high.toml"], ["terrain.path", "high.tif", "elevations in metres"]),
+        ([GOOD, "--set", "vehicle.thrust_max_n=2000"], ["vehicle.thrust_max_n", "cannot hover"]),
+        ([GOOD, "--set", "gravity_m_s2=0.4"], ["vehicle.thrust_min_n", "cannot descend"]),
         (["loop.toml"], ["scenario = 'loop.toml'", "an existing TOML file"]),
         ([GOOD, "--set", "policy=safset"], ["did you mean 'safest'? Or \"module:Class\""]),
         ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),
@@ -155,6 +171,15 @@ OWN = {
         ([GOOD, "--out", "t.nc", "--size", "1e9"], ["--size = 1000000000.0", "EiB"]),
     ],
 }  # fmt: skip
+# The second choice, which the first flight does not draw, is no whole raster.
+DRAWN = """
+flights = 1
+[scenario.terrain]
+kind = "dtm"
+path = "whole.tif"
+[dispersions]
+"terrain.path" = { kind = "choice", values = ["whole.tif", "cut.tif"], weights = [1.0, 0.0] }
+"""
 CASES = [(name, *case) for name, cases in OWN.items() for case in cases] + [
     (name, [*arguments, *more], words) for name, more in TAKE_A_SCENARIO.items()
     for arguments, words in OF_A_SCENARIO
@@ -185,14 +210,22 @@ def mistakes(tmp_path_factory):
     (here / "folder").mkdir()
     (here / "full").mkdir()
     (here / "full" / "notes.txt").write_text("mine")
+    (here / "hides").mkdir()
+    (here / "hides" / ".notes").write_text("mine")
     (here / "empty.toml").write_text("# nothing\n")
     (here / "broken.toml").write_text("name = [")
+    (here / "gone_spec.toml").write_text('scenario = "gone_dtm.toml"\nflights = 2\n')
+    (here / "drawn_spec.toml").write_text(DRAWN)
     (here / "wrong.toml").write_text("[sun]\nelevation_deg = 95.0\n")
     (here / "words.toml").write_text('[vehicle]\ndry_mass_kg = "1100"\n')
+    (here / "short.toml").write_text("[start]\nposition_m = [-900, 0]\n")
+    (here / "chosen.toml").write_text('policy = "safest"\n')
+    (here / "wide.toml").write_text('name = "mare"\n', encoding="utf-16")
     (here / "loop.toml").symlink_to("loop.toml")
     (here / "there.json").write_text(json.dumps({}))
     _raster(here / "bands.tif", 3)
     _raster(here / "high.tif", 1, 1e30)
+    _raster(here / "whole.tif", 1)
     _raster(here / "cut.tif", 1)
     whole = (here / "cut.tif").read_bytes()
     (here / "cut.tif").write_bytes(whole[: len(whole) // 2])

@@ -49,7 +49,7 @@ class Frames:
         figure.colorbar(self._image, ax=plan, label="probability of safety", fraction=0.046)
         west, east, south, north = grid.extent
         plan.set(xlim=(west, east), ylim=(south, north), xlabel="east (m)")
-        plan.set_ylabel("north (m)", labelpad=-2.0)
+        plan.set_ylabel("north (m)", labelpad=2.0)
         (self._sites,) = plan.plot([], [], "o", mfc="white", mec="black", ms=4, ls="")
         self._target = Circle((0.0, 0.0), simulation.lander.leg_radius, fill=False, ec=_HERE, lw=2)
         plan.add_patch(self._target)
@@ -84,6 +84,18 @@ class Frames:
     def title(self) -> str:
         """What the last frame said of action, reward and end."""
         return str(self._title.get_text())
+
+    @property
+    def target(self) -> tuple[float, float]:
+        """Where the last frame has the site, east and north, m."""
+        east, north = self._target.center
+        return float(east), float(north)
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Where the last frame has the lander: distance over the ground and height, m."""
+        away, up = self._heres[0].get_data()
+        return float(np.asarray(away)[-1]), float(np.asarray(up)[-1])
 
     def draw(
         self, observation: Observation, action: int | None, reward: float | None

@@ -118,9 +118,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Draw a new flight and run it to the first decision."""
         super().reset(seed=seed)
+        self.frames, self._last, self._film = None, (None, None), []
         self.simulation = Simulation(self.scenario, int(self.np_random.integers(2**62)))
         self._to_next_decision(self.simulation)
-        self.frames, self._last, self._film = None, (None, None), []
+        if self.render_mode is not None:
+            # Axes take longer than a frame may: they are made with the flight.
+            assert self._observation is not None
+            self.frames = Frames(self.simulation, self._observation)
         self._take_frame()
         return self._encode(self.simulation), self._info(self.simulation)
 
@@ -177,10 +181,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
 
     def _frame(self) -> NDArray[np.uint8]:
         """Return an image of the flight as it stands."""
-        assert self.simulation is not None
+        assert self.frames is not None
         assert self._observation is not None
-        if self.frames is None:
-            self.frames = Frames(self.simulation, self._observation)
         return self.frames.draw(self._observation, *self._last)
 
     def _take_frame(self) -> None:

@@ -123,8 +123,9 @@ def check_flyable(spec: CampaignSpec) -> None:
     Raises
     ------
     InputError
-        If one cannot be flown.
+        If one cannot be flown, or a file of another flight cannot be read.
     """
+    check_files(spec)
     seed = flight_seed(spec.head.seed, 0)
     grounds: dict[str, Terrain] = {}
     for i, arm in enumerate(spec.arms):
@@ -133,6 +134,30 @@ def check_flyable(spec: CampaignSpec) -> None:
         world = build_world(scenario, Streams(seed), grounds.get(key))
         grounds = {key: world.terrain}
         Simulation(scenario, seed, arm.policy or scenario.policy.kind, world=world)
+
+
+def check_files(spec: CampaignSpec) -> None:
+    """Read the files that the grounds of all arms, and of all choices that are drawn, are made of.
+
+    Raises
+    ------
+    InputError
+        If one cannot be read, or does not fit what it is used for.
+    """
+    choices = {
+        key: law.values
+        for key, law in spec.dispersions.distributions.items()
+        if isinstance(law, Choice) and key.partition(".")[0] == "terrain"
+    }
+    read: set[str] = set()
+    for arm in spec.arms:
+        others = [{key: value} for key, values in choices.items() for value in values]
+        for values in others or [{}]:
+            scenario = with_values(arm.scenario, values, "dispersions")
+            key = tables_of(scenario, ("terrain",))
+            if key not in read:
+                scenario.check_files()
+                read.add(key)
 
 
 def _named(values: Any, before: str = "") -> dict[str, Any]:

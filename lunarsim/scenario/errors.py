@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args, get_origin
 
 from pydantic import ValidationError
 
@@ -19,6 +19,11 @@ def input_error(
     first = error.errors(include_url=False)[0]
     location = [str(step) for step in first["loc"]]
     field = ".".join([path, *location])
+    count = len(_elements(model, location[0])) if location else 0
+    if count and first["type"] in ("tuple_type", "too_long", "missing"):
+        unit = unit_of(model, location[0])
+        wanted = f"a list of {count} values" + (f" in {unit}" if unit else "")
+        return InputError(f"{path}.{location[0]}", first["input"], wanted)
     if first["type"] == "extra_forbidden":
         key = location[-1]
         keys = sorted(_table_at(model, first["loc"][:-1]).model_fields)
@@ -36,6 +41,15 @@ def input_error(
     if unit and first["type"].endswith(("_type", "_parsing")):
         expected += f", a plain number in {unit}"
     return InputError(field, first["input"], expected)
+
+
+def _elements(model: type[PartSettings], key: str) -> tuple[Any, ...]:
+    """Return the types of the elements of a list whose length is fixed; of others nothing."""
+    found = model.model_fields.get(key)
+    for kind in () if found is None else (found.annotation, *get_args(found.annotation)):
+        if get_origin(kind) is tuple and Ellipsis not in get_args(kind):
+            return get_args(kind)
+    return ()
 
 
 def _table_at(model: type[PartSettings], location: tuple[Any, ...]) -> type[PartSettings]:

@@ -28,7 +28,11 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
         raise InputError(name, str(path), "an existing TOML file")
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(
+            name, str(path), f"a TOML file, which is text in UTF-8 ({error})"
+        ) from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(name, str(path), f"a TOML file ({error})") from None
     if not tables:
         raise InputError(name, str(path), "a file with at least one key: this one holds none")

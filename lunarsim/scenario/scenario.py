@@ -213,6 +213,18 @@ class Scenario:
         """Return the scenario as TOML, defaults included."""
         return tomli_w.dumps(self.to_dict())
 
+    def check_files(self) -> None:
+        """Read the files that the ground is made of; other parts read theirs when they are made.
+
+        Raises
+        ------
+        InputError
+            If one cannot be read, or does not fit what it is used for.
+        """
+        check = getattr(self.terrain.make(), "check_files", None)
+        if check is not None:
+            check()
+
     def save(self, path: str | Path) -> None:
         """Write the scenario as TOML, defaults included."""
         write_text_whole(Path(path), self.to_toml())
@@ -256,13 +268,15 @@ def _number(data: Mapping[str, Any], key: str, default: float) -> float:
 
 def _mapping(path: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(path, value, "a table")
+        raise InputError(path, value, f"a table [{path}] with keys of its own")
     return value
 
 
 def _chosen(
     path: str, contract: str, value: Any, default: str | None, folder: Path | None
 ) -> ChosenPart:
+    if isinstance(value, str):
+        raise InputError(path, value, f'a table [{path}] with kind = "{value}"')
     data = dict(_mapping(path, value))
     kind = data.pop("kind", default)
     if not isinstance(kind, str):

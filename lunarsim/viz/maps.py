@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ _CANDIDATE: dict[str, Any] = {
     "mew": 0.8,
 }
 _DIVERT = COLOURS[3]
+# Letters of a line that fit a panel of ground that is tall, and of other ground.
+_LETTERS = {True: 34, False: 60}
 
 
 def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
@@ -80,7 +83,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     for panel in panels:
         show(panel, shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     _draw_truth(figure, panels[0], panels[1], truth)
-    _draw_map(figure, panels[2], flight)
+    _draw_map(figure, panels[2], flight, _LETTERS[tall])
     _draw_measured(figure, panels[3], flight)
     if flight.hazard_map is not None:
         x0, x1, y0, y1 = flight.hazard_map.grid.moved(-flight.map_error).extent
@@ -92,6 +95,9 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
         _path_and_sites(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)
         panel.set_ylim(south, north)
+        # Panels without a bar have more room than others: they stay beside them.
+        panel.set_anchor("N")
+        panel.set_title(fill(panel.get_title(), _LETTERS[tall]))
     if tall:
         for panel in panels[1:]:
             panel.set_ylabel("")
@@ -113,7 +119,7 @@ def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
     map_axes(right, "exact safety (truth)")
 
 
-def _draw_map(figure: Any, panel: Any, flight: Flight) -> None:
+def _draw_map(figure: Any, panel: Any, flight: Flight, letters: int) -> None:
     """Draw the map that decided, and the sites that were chosen from."""
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
@@ -126,10 +132,11 @@ def _draw_map(figure: Any, panel: Any, flight: Flight) -> None:
     map_axes(panel, "hazard map and candidate sites")
     words = words_on_maps(flight).get(flight.decided_on)
     if words is not None:
-        panel.text(
-            0.5, 0.97, f"this map {words}", transform=panel.transAxes, ha="center", va="top",
-            wrap=True, fontsize=8, bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2}, zorder=9,
+        said = panel.text(
+            0.5, 0.97, fill(f"this map {words}", letters), transform=panel.transAxes, ha="center",
+            va="top", fontsize=8, bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2}, zorder=9,
         )  # fmt: skip
+        said.set_in_layout(False)
 
 
 def _bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:

@@ -14,9 +14,11 @@ python scenarios/navigation/consistency.py --flights 20 --without stars --speed 
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -202,6 +204,22 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     return table
 
 
+def plain(flight: Flown) -> dict[str, Any]:
+    """Return a flight as JSON has it: NEES and NIS over their degrees of freedom."""
+    nees = {}
+    for part, keep in PARTS.items():
+        squares = [
+            normalised_square(error[keep], covariance[np.ix_(keep, keep)])
+            for error, covariance in zip(flight.error, flight.covariance, strict=True)
+        ]
+        nees[part] = sum(squares) / (len(keep) * len(squares)) if squares else None
+    nis = {kind: c.ratio for kind, c in flight.innovations.items() if c.degrees}
+    return {
+        "nees": nees, "nis": nis, "start_error": flight.start_error,
+        "map_error": flight.map_error, "lost": flight.lost[0], "safe": bool(flight.safe),
+    }  # fmt: skip
+
+
 @click.command()
 @click.option(
     "--scenario",
@@ -245,10 +263,12 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     "--without", multiple=True, help="Sensor that the lander does not carry; may be given again."
 )
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
+@click.option("--json", "out", type=click.Path(path_type=Path), help="Every flight, by its start.")
 @seed_and_jobs
 def main(
     scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...],
-    speeds: tuple[float, ...], without: tuple[str, ...], policy: str, seed: int, jobs: int,
+    speeds: tuple[float, ...], without: tuple[str, ...], policy: str, out: Path | None, seed: int,
+    jobs: int,
 ) -> None:  # fmt: skip
     """Fly, and compare what navigation says of its errors with the errors."""
     console = Console(width=120)
@@ -266,6 +286,9 @@ def main(
         console.print(nees_table(flown))
         console.print(nis_table(flown))
     console.print(safe_table(by_start))
+    if out is not None:
+        written = {name: [plain(f) for f in flown] for name, flown in by_start.items()}
+        out.write_text(json.dumps(written, indent=1))
 
 
 if __name__ == "__main__":

@@ -116,6 +116,44 @@ def test_frames_keep_their_axes_and_show_action_reward_and_the_last_metres(env):
     assert min(seconds) < 0.05
 
 
+def test_frames_have_lander_and_site_where_they_are_believed_to_be(env):
+    _, info = env.reset(seed=1)
+    env.render()
+    first, moved, ended = env.unwrapped.frames.target, 0.0, False
+    while not ended:
+        action = int(np.flatnonzero(info["action_mask"])[-1])
+        _, _, ended, _, info = env.step(action)
+        env.render()
+        simulation, frames = env.unwrapped.simulation, env.unwrapped.frames
+        rows, site = simulation.recorder.trajectory(), simulation.site
+        east, north, up = (rows[f"estimated_{a}"][-1] - site[k] for k, a in enumerate("xyz"))
+        assert frames.target == pytest.approx(site[:2])
+        assert frames.place == pytest.approx((np.hypot(east, north), up))
+        moved = max(moved, np.hypot(*np.subtract(first, site[:2])))
+    assert moved > 3.0
+
+
+def test_the_first_frame_of_a_flight_takes_no_longer_than_others(env):
+    seconds = []
+    for seed in (1, 2, 3):
+        env.reset(seed=seed)
+        begun = time.process_time()
+        env.render()
+        seconds.append(time.process_time() - begun)
+    assert min(seconds) < 0.05
+
+
+def test_a_film_holds_nothing_of_the_flight_before(small_scenario, monkeypatch):
+    env = gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array_list")
+    drawn, draw = [], Frames.draw
+    monkeypatch.setattr(Frames, "draw", lambda *a: drawn.append(a[0].simulation) or draw(*a))
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        assert len(env.render()) == 1
+    assert len(drawn) == 2
+    assert drawn[1] is env.unwrapped.simulation
+
+
 def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
     env.reset(seed=1)
     observation = env.unwrapped.simulation.observe()
@@ -203,6 +241,11 @@ def test_a_film_goes_down_to_the_ground(small_scenario, tmp_path):
         for mine, theirs in ((frames[0], shown[0]), (frames[-1], shown[-1])):
             assert np.abs(mine.astype(int) - theirs).mean() < 8.0
     assert {path.name for path in tmp_path.iterdir()} == {"film.gif", "film.mp4"}
+    pace = env.metadata["render_fps"]
+    with Image.open(tmp_path / "film.gif") as gif:
+        assert gif.info["duration"] == 1000 / pace
+    film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == pace
 
 
 def _played(path):

@@ -55,6 +55,7 @@ def test_a_path_is_relative_to_the_working_directory(tmp_path, monkeypatch):
         ("roks.cover=0.1", "--set roks", "did you mean 'rocks'?"),
         ("rocks..cover=0.1", "--set rocks..cover", "a key of the scenario such as"),
         ("start.position_m.7=1", "--set start.position_m.7", "an element from 0 to 2"),
+        ("start.position_m.3=1", "--set start.position_m.3", "an element from 0 to 2"),
         ("rocks.cover.0=1", "--set rocks.cover.0", "an element of a list"),
         ("self=1", "--set self", "unknown key"),
         ("sun=1", "--set sun", "a table"),

@@ -131,6 +131,37 @@ def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
     assert {name for name, f in by.items() if f.falls_short} == {"landing zones with a true hazard"}
 
 
+def test_what_is_taken_of_the_laws_is_over_the_optimum_of_each_start(results):
+    row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "whole": 50.0, "speed": 0.2}
+    flown = [{**row, "safe": True}, {**row, "whole": 44.0, "safe": False},
+             {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
+    report = results.take("guidance", flown, "python g.py")
+    by = {f.label: f for f in report.figures}
+    assert by["`apollo`: over the optimum, to the ground"].values == pytest.approx([25.0, 10.0])
+    assert by["`optimal`: over the optimum, to the ground"].values == pytest.approx([-5.0])
+    assert by["`apollo`: landed safe"].values == [1.0, 0.0]
+    text = results.section(report)
+    assert "| figure | mean | least to greatest | seeds | optimum |" in text
+    assert "Short of the optimum: `apollo`: over the optimum, to the ground (17.5 for 0)." in text
+
+
+def test_what_is_taken_of_navigation_is_by_flight(results):
+    flight = {"nees": {"all nine": 0.8, "position": None}, "nis": {"stars": 1.1},
+              "start_error": 40.0, "map_error": 3.0, "lost": False, "safe": True}  # fmt: skip
+    other = {**flight, "nees": {"all nine": 1.4, "position": 2.0}, "nis": {}, "safe": False}
+    report = results.take("navigation", {"the scenario's": [flight, other]}, "python n.py")
+    assert {f.label: f.values for f in report.figures} == {
+        "NEES over degrees of freedom, all nine (1)": [0.8, 1.4],
+        "NEES over degrees of freedom, position (1)": [2.0],
+        "NIS over degrees of freedom, stars (1)": [1.1],
+        "error of position at the start": [40.0, 40.0],
+        "at touchdown": [3.0, 3.0],
+        "lost at the end": [0.0, 0.0],
+        "landed safe": [1.0, 0.0],
+    }
+    assert "Short of the paper: no paper has these figures." in results.section(report)
+
+
 def test_what_is_taken_of_real_returns_is_by_split(results):
     heights = {
         name: {"by split": [{"rmse": k + 0.1, "nees": k + 0.2, "beyond2": k + 0.3},

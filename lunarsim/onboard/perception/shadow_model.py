@@ -147,7 +147,8 @@ class ShadowModel:
         pixel
             Size of a pixel across the line of sight at the rock (...), m.
         """
-        area = self.patch(azimuth, depression).area * np.sin(depression)
+        # Of ground above the camera nothing is seen.
+        area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
 
 

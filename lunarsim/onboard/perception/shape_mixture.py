@@ -165,7 +165,8 @@ class ShapeMixture:
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q (...), see `ShadowModel.visible_pixels`."""
-        area = self.patch(azimuth, depression).area * np.sin(depression)
+        # Of ground above the camera nothing is seen.
+        area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
 
     def read(

@@ -39,6 +39,14 @@ def taught(model, rng, told=None, slope=0.0):
     return mixture
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("model", [HALF_SPHERES, ShapeMixture(SUN)], ids=["one", "mixture"])
+def test_of_ground_above_the_camera_no_pixel_is_seen(model):
+    q = model.visible_pixels(np.ones(3), 0.3, np.array([-0.04, 0.0, 0.5]), 0.05)
+    assert q[0] == q[1] == 0.0
+    assert q[2] > 1.0
+
+
 def test_one_known_shape_is_the_mean_by_inverse_variances():
     """Against a loop over patches."""
     rng = np.random.default_rng(1)

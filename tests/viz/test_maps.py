@@ -1,0 +1,145 @@
+"""The picture of the maps: what stands where, and how panels and words lie beside each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.text import Annotation
+
+from lunarsim.evaluation.outcome import first_aim
+from lunarsim.grid import Grid
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.viz import maps
+from lunarsim.world import World
+from lunarsim.world.terrain import Heightfield, Terrain
+from lunarsim.world.truth import Truth
+from tests.worlds import TINY_FLIGHT
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Return a flight that diverts, its world and its truth."""
+    scenario = Scenario.from_dict(TINY_FLIGHT).changed(rocks={"cover": 0.1})
+    for seed in range(1, 9):
+        simulation = Simulation(scenario, flight_seed(seed, 0), "safest")
+        record = simulation.run()
+        if record.decisions:
+            break
+    return record, simulation.world, simulation.truth
+
+
+@pytest.fixture
+def drawn(monkeypatch, tmp_path):
+    """Return a function that draws and returns the figure."""
+    kept = []
+    monkeypatch.setattr(maps, "save", lambda figure, path: kept.append(figure))
+
+    def draw(*what):
+        maps.draw_maps(*what, tmp_path / "maps.png")
+        kept[-1].canvas.draw()
+        return kept[-1]
+
+    return draw
+
+
+def _panels(figure):
+    return [axes for axes in figure.axes if axes.get_xlabel() == "east (m)"]
+
+
+def _points(panel, marker):
+    return [line for line in panel.lines if line.get_marker() == marker]
+
+
+def test_sites_aim_and_diverts_stand_where_they_were_in_the_true_frame(flown, drawn):
+    record = flown[0]
+    panels = _panels(drawn(*flown))
+    (sites,) = _points(panels[2], "o")
+    east, north = record.map_error[:2]
+    assert np.column_stack(sites.get_data()) == pytest.approx(
+        record.candidates[:, :2] - [east, north]
+    )
+    t = record.trajectory
+    for panel in panels:
+        for cross in _points(panel, "x"):
+            assert np.ravel(cross.get_data()) == pytest.approx(first_aim(record))
+        arrows = [text for text in panel.texts if isinstance(text, Annotation)]
+        assert len(arrows) == len(record.decisions) > 0
+        for arrow, decision in zip(arrows, record.decisions, strict=True):
+            row = int(np.argmin(np.abs(t["time"] - decision["time"])))
+            error = [t[f"estimated_{a}"][row] - t[f"position_{a}"][row] for a in "xy"]
+            assert arrow.xyann == pytest.approx(np.asarray(decision["from"])[:2] - error)
+            assert arrow.xy == pytest.approx(np.asarray(decision["to"])[:2] - error)
+
+
+def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
+    figure = drawn(*flown)
+    (legend,) = figure.legends
+    handles = {
+        text.get_text(): handle
+        for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)
+    }
+    panels = _panels(figure)
+    (sites,) = _points(panels[2], "o")
+    shown = handles["candidate site"]
+    for get in ("get_marker", "get_markerfacecolor", "get_markeredgecolor", "get_markersize"):
+        assert getattr(shown, get)() == getattr(sites, get)()
+    arrow = next(text for text in panels[0].texts if isinstance(text, Annotation))
+    assert to_rgba(handles["divert"].get_color()) == arrow.arrow_patch.get_edgecolor()
+    path = panels[0].lines[0]
+    assert handles["path over the ground"].get_color() == path.get_color()
+
+
+def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
+    _, _, truth = flown
+    figure = drawn(*flown)
+    handles = {handle.get_label(): handle for handle in figure.legends[0].legend_handles}
+    image = _panels(figure)[1].images[1]
+    shown = image.to_rgba(image.get_array(), alpha=1.0)
+    safe, seen = truth.safety.safe, truth.safety.observed
+    for name, where in (
+        ("truly safe at every heading", seen & safe),
+        ("true hazard", seen & ~safe),
+        ("edge of the terrain", ~seen),
+    ):
+        assert where.any()
+        wanted = to_rgba(handles[name].get_facecolor())
+        assert np.abs(shown[where] - wanted).max() < 0.01, name
+
+
+def test_bars_lie_below_their_own_panels(flown, drawn):
+    figure = drawn(*flown)
+    panels = _panels(figure)
+    bars = [axes for axes in figure.axes if axes not in panels]
+    assert len(bars) == len(panels) == 4
+    for bar, panel in zip(bars, panels, strict=True):
+        inner, outer = bar.get_window_extent(), panel.get_window_extent()
+        assert inner.y1 < outer.y0
+        assert outer.x0 - 10.0 < inner.x0 and inner.x1 < outer.x1 + 10.0
+
+
+def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
+    record, world, _ = flown
+    grid = Grid(x0=-16.0, y0=-30.0, posting=0.5, rows=121, cols=65)
+    tall = World(Terrain(Heightfield(grid, np.zeros(grid.shape, np.float32))), 1.622, world.light)
+    (name, known), *_ = record.maps.items()
+    m = known.hazard_map
+    flat = replace(m, p_safe=np.full(m.grid.shape, np.float32(0.9)))
+    said = replace(known, hazard_map=replace(flat, in_domain=np.zeros(m.grid.shape, bool)))
+    told = replace(record, maps={name: said}, scans=record.scans[:0])
+    lander = Scenario.from_toml(record.scenario).vehicle.make()
+    figure = drawn(told, tall, Truth.of(tall, lander))
+    panels = _panels(figure)
+    boxes = [panel.get_window_extent() for panel in panels]
+    assert np.ptp([box.height for box in boxes]) < 1.0
+    assert np.ptp([box.y1 for box in boxes]) < 1.0
+    (words,) = [text for text in panels[2].texts if "this map" in text.get_text()]
+    assert "calls everything that it saw safe" in words.get_text().replace("\n", " ")
+    inner = words.get_bbox_patch().get_window_extent()
+    assert boxes[2].x0 < inner.x0 and inner.x1 < boxes[2].x1
+    room = figure.bbox.width / len(panels)
+    assert all(panel.title.get_window_extent().width < room for panel in panels)
