@@ -7,6 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,7 @@ def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, A
             raise InputError(f"factors.{key}", levels, "a list of at least one value")
         for level in levels:
             check_plain(f"factors.{key}", level)
-        words = [word(level) for level in levels]
+        words = [json.dumps(level) for level in levels]
         if len(set(words)) < len(words):
             raise InputError(f"factors.{key}", list(levels), "each value once")
     count = int(np.prod([float(len(levels)) for levels in factors.values()])) if factors else 1
@@ -137,6 +138,8 @@ def _name(values: Mapping[str, Any]) -> str:
 def word(value: Any) -> str:
     """Return a value in short."""
     if isinstance(value, str):
+        if Path(value).is_absolute():
+            return Path(value).name
         return value.rpartition(":")[2] if ":" in value else value
     if isinstance(value, bool):
         return str(value).lower()

@@ -178,6 +178,9 @@ class CampaignSpec:
         """
         rest = dict(data)
         tables = {name: rest.pop(name, None) for name in _TABLES}
+        if folder is not None:
+            paths = {name: _from_folder(tables[name], folder) for name in _WITH_PATHS}
+            tables |= paths
         head = _made("", Head, rest)
         scenario = _scenario(tables["scenario"], folder)
         factors, arms = _arms(scenario, tables["factors"], tables["arms"])
@@ -302,6 +305,8 @@ class CampaignSpec:
 _TABLES = (
     "scenario", "factors", "arms", "dispersions", "correlations", "importance", "subset", "stop",
 )  # fmt: skip
+# Those of them whose values may name files.
+_WITH_PATHS = ("factors", "arms", "dispersions")
 
 
 def dispersions_of(tables: Mapping[str, Any], method: str, seed: int, flights: int) -> Dispersions:
@@ -378,6 +383,35 @@ def _arms(
         return {}, arms_of(scenario, listed(arms), "arms")
     levels = flattened(factors or {}, "factors", list)
     return levels, arms_of(scenario, product(levels), "factors")
+
+
+def _from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
+    """Return tables whose relative paths start from a folder.
+
+    Parameters
+    ----------
+    given
+        A table, a list, or a value.
+    folder
+        Of the spec.
+    named
+        Whether it stands under a key that names a file.
+    """
+    if isinstance(given, Mapping):
+        return {
+            key: _from_folder(
+                value, folder, named=(named and key == "values") or _names_file(str(key))
+            )
+            for key, value in given.items()
+        }
+    if isinstance(given, list):
+        return [_from_folder(value, folder, named=named) for value in given]
+    return str((folder / given).resolve()) if named and isinstance(given, str) else given
+
+
+def _names_file(key: str) -> bool:
+    last = key.rpartition(".")[2]
+    return last == "path" or last.endswith("_path")
 
 
 def _scenario(given: Any, folder: Path | None) -> Scenario:

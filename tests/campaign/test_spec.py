@@ -276,3 +276,30 @@ def test_bad_requests_end_with_code_2_and_write_nothing(tmp_path):
         assert done.exit_code == 2, (words, done.output)
         assert "rror" in done.output and "Traceback" not in done.output
     assert [p.name for p in Path(tmp_path).iterdir()] == ["s.toml"]
+
+
+def test_files_that_a_spec_names_are_found_from_its_folder(tmp_path, monkeypatch):
+    """Wherever it is read from, and as it is kept with its results."""
+    (tmp_path / "specs").mkdir()
+    for name in ("a", "b"):
+        made = (SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif").read_bytes()
+        (tmp_path / "specs" / f"{name}.tif").write_bytes(made)
+    tables = {
+        "factors": 'factors."terrain.path" = ["a.tif", "b.tif"]\n',
+        "arms": '[[arms]]\nname = "a"\nset = { terrain = { path = "a.tif" } }\n'
+                '[[arms]]\nname = "b"\nset = { "terrain.path" = "b.tif" }\n',
+        "dispersions": 'dispersions."terrain.path" = { kind = "choice", values = ["a.tif"] }\n',
+    }  # fmt: skip
+    monkeypatch.chdir("/")
+    for kind, text in tables.items():
+        (tmp_path / "specs" / "s.toml").write_text(f'scenario = "hirise"\nflights = 2\n{text}')
+        study = CampaignSpec.load(tmp_path / "specs" / "s.toml")
+        names = [arm.name for arm in study.arms]
+        assert names == {"factors": ["a.tif", "b.tif"], "arms": ["a", "b"]}.get(kind, ["all"])
+        for i in range(len(study.arms)):
+            path = study.scenario_of(1, i).to_dict()["terrain"]["path"]
+            assert path == str(tmp_path / "specs" / f"{'ab'[i]}.tif")
+        (tmp_path / "kept.toml").write_text(study.to_toml())
+        kept = CampaignSpec.load(tmp_path / "kept.toml")
+        assert kept.to_dict() == study.to_dict()
+        assert [arm.name for arm in kept.arms] == names
