@@ -26,7 +26,7 @@ def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
     return top
 
 
-@kernel(parallel=True)
+@kernel(parallel=True, inner=False)
 def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness):
     inverse, place, reach = cells.inverse, cells.place, cells.reach
     rows, cols = shape
