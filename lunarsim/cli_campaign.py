@@ -74,6 +74,7 @@ def plan(spec: Path, out: Path | None) -> None:
         check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
     loaded = CampaignSpec.load(spec)
     check_files(loaded)
+    _tell_notes(loaded)
     planned = plan_of(loaded)
     if out is not None:
         from lunarsim.campaign.planned import write_plan
@@ -149,7 +150,7 @@ def sweep(
             raise InputError("--set", text, "no key that --over sets too")
     data = {
         "name": f"{scenario.stem}-sweep",
-        "scenario": load_scenario(scenario, changes).to_dict(),
+        "scenario": load_scenario(scenario, changes, flown=False).to_dict(),
         "flights": flights,
         "seed": seed,
         "factors": levels,
@@ -162,6 +163,20 @@ def sweep(
     _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 
+def _tell_notes(spec: CampaignSpec) -> None:
+    """Print what is odd about the scenarios of the arms, as their first flights have them."""
+    from lunarsim.scenario.notes import notes_on
+
+    found: dict[str, list[str]] = {}
+    for number, arm in enumerate(spec.arms):
+        for note in notes_on(spec.scenario_of(0, number)):
+            found.setdefault(note, []).append(arm.name)
+    for note, arms in found.items():
+        whose = "" if len(arms) == len(spec.arms) else f"arm {arms[0]!r}: "
+        more = f" ({len(arms)} arms)" if whose and len(arms) > 1 else ""
+        click.echo(f"warning: {whose}{note}{more}", err=True)
+
+
 def _flown(
     spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool,
     cache: tuple[Path | None, float],
@@ -171,6 +186,7 @@ def _flown(
     from lunarsim.campaign.engines.local import WorkersDieError
     from lunarsim.campaign.fly_spec import fly_spec
 
+    _tell_notes(spec)
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
     kept = opened_cache(*cache)
     total = spec.most_flights * len(spec.arms)

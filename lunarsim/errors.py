@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -30,10 +31,18 @@ class InputError(ValueError):
         self.field = field
         self.value = value
         self.expected = expected
-        super().__init__(f"{field} = {value!r}: {expected}")
+        super().__init__(f"{field} = {_shown(value)}: {expected}")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
         return InputError, (self.field, self.value, self.expected)
+
+
+def _shown(value: object) -> str:
+    """Return a value as it is written; in short where it is nested too deep for that."""
+    try:
+        return repr(value)
+    except RecursionError:
+        return reprlib.repr(value)
 
 
 class RenderingError(RuntimeError):

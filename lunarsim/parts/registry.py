@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import importlib.util
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from lunarsim.errors import InputError, suggestion
@@ -210,6 +214,18 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     return _resolve(contract, kind, field or f"{contract}.kind")
 
 
+def _imported(module: str) -> ModuleType:
+    """Return a module; one that is found nowhere is looked for in the working directory too.
+
+    A command that is installed, other than ``python -m``, does not look there.
+    """
+    here, first = Path.cwd(), module.partition(".")[0]
+    beside = (here / f"{first}.py").is_file() or (here / first / "__init__.py").is_file()
+    if beside and str(here) not in sys.path and importlib.util.find_spec(first) is None:
+        sys.path.append(str(here))
+    return importlib.import_module(module)
+
+
 @cache
 def _resolve(contract: str, kind: str, field: str) -> type:
     known = kinds(contract)
@@ -220,14 +236,16 @@ def _resolve(contract: str, kind: str, field: str) -> type:
         raise InputError(field, kind, near + more)
     module, _, name = where.partition(":")
     try:
-        found = getattr(importlib.import_module(module), name)
+        found = getattr(_imported(module), name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever somebody else's module raises, an exit included
         said = str(error).split("\n")[0]
         raise InputError(
-            field, kind, f"a class that can be imported ({type(error).__name__}: {said})"
-        ) from error
+            field, kind,
+            "a class that can be imported, from the working directory or an installed package "
+            f"({type(error).__name__}: {said})",
+        ) from error  # fmt: skip
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
         raise InputError(field, kind, f"a dataclass; {where} is none")
     if not found.__dataclass_params__.frozen:  # type: ignore[attr-defined]

@@ -103,7 +103,7 @@ def _parsed(text: str, value: str) -> Any:
     """Return a value as TOML has it; what is none is a word."""
     try:
         found = tomllib.loads(f"value = {value}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         if value[0] in "[{\"'":
             raise InputError(_OPTION, text, "a value as TOML has it, or a word") from None
         return value

@@ -8,6 +8,8 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 
 _MOST_CYCLES = 1_000_000
+# No approach starts farther away, m, or faster, m/s: it could not be flown over level ground.
+_FARTHEST, _FASTEST = 1e6, 1e4
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,12 @@ class Start:
         By which the true start differs from the plan, an axis, m and m/s.
     """
 
-    position: tuple[float, float, float] = quantity((-600.0, 0.0, 500.0), "m", help="planned")
-    velocity: tuple[float, float, float] = quantity((28.0, 0.0, -18.0), "m/s", help="planned")
+    position: tuple[float, float, float] = quantity(
+        (-600.0, 0.0, 500.0), "m", ge=-_FARTHEST, le=_FARTHEST, help="planned"
+    )
+    velocity: tuple[float, float, float] = quantity(
+        (28.0, 0.0, -18.0), "m/s", ge=-_FASTEST, le=_FASTEST, help="planned"
+    )
     heading: float = quantity(90.0, "deg", help="azimuth of body x, held through the flight")
     position_sigma: float = quantity(10.0, "m", ge=0, help="of the true start, an axis")
     velocity_sigma: float = quantity(0.5, "m/s", ge=0, help="of the true start, an axis")

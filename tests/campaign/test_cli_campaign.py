@@ -134,6 +134,18 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
     assert run("campaign", "report", swept, "--out", tmp_path / "r.txt").exit_code == 2
 
 
+def test_keys_without_effect_are_told_before_anything_is_flown(tmp_path):
+    spec = tmp_path / "s.toml"
+    spec.write_text(
+        'scenario = "golombek"\nflights = 1\n[factors]\n"sun.elevation_deg" = [20.0, 60.0]\n'
+    )
+    done = run("campaign", "plan", spec)
+    assert done.exit_code == 0
+    told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    assert len(told) == 1
+    assert "arm '60'" in told[0] and "sun.elevation_deg = 60: without effect" in told[0]
+
+
 def test_tables_of_the_report_in_markdown(swept, tmp_path):
     """Those of the page: a row an arm, a row a pair, as many cells as its head has."""
     out, page = tmp_path / "r.md", tmp_path / "r.html"

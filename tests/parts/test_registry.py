@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 
@@ -42,11 +43,11 @@ def test_names_and_paths_give_classes():
     [
         ("safset", "did you mean 'safest'? Or \"module:Class\""),
         ("x", "known: fuel-aware, nearest-safe"),
-        ("no.such.module:Thing", "a class that can be imported (ModuleNotFoundError: No module"),
-        (f"{__name__}:Missing", "a class that can be imported (AttributeError"),
+        ("no.such.module:Thing", "a class that can be imported, from the working directory"),
+        (f"{__name__}:Missing", "installed package (AttributeError"),
         (f"{__name__}:NoDataclass", "a dataclass; "),
         (f"{__name__}:pytest", "a dataclass; "),
-        (":", "a class that can be imported (ValueError"),
+        (":", "installed package (ValueError"),
     ],
 )
 def test_what_is_no_part_is_explained(kind, says):
@@ -132,3 +133,17 @@ def test_a_module_that_exits_is_an_error_not_an_exit(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(InputError, match="SystemExit"):
         resolve("policy", "quitter:Policy")
+
+
+def test_a_part_of_ones_own_is_found_in_the_working_directory(tmp_path, monkeypatch):
+    """By an installed command too, whose path does not begin there."""
+    text = (
+        "from dataclasses import dataclass\n"
+        "from lunarsim.onboard.policies.library import NoDivert\n"
+        "@dataclass(frozen=True)\nclass Mine(NoDivert):\n    pass\n"
+    )
+    (tmp_path / "a_part_of_ones_own.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    assert resolve("policy", "a_part_of_ones_own:Mine").__name__ == "Mine"
+    assert sys.path[-1] == str(tmp_path)

@@ -225,3 +225,14 @@ def test_a_change_is_checked(change, field):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({}).changed(**change)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize(
+    "text", ["[rocks]\ncover = " + "9" * 5000, "[" + ".".join(["a"] * 2000) + "]\nb = 1"],
+    ids=["digits", "depth"],
+)  # fmt: skip
+def test_a_file_that_python_cannot_hold_is_refused(tmp_path, text):
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        Scenario.load(path)
