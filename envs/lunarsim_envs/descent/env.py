@@ -221,7 +221,8 @@ class GuidanceEnv(DescentEnv):
     ## Episode End
 
     Terminated at the touchdown, whose verdict is the simulation's (``info["safe"]``,
-    ``info["failed"]``), or below the map. Truncated by the scenario's time limit (120 s).
+    ``info["failed"]``), or below the map. Truncated by the scenario's time limit (120 s). In a
+    batch ``info["failed"]`` has a bit for each of `lunarsim_envs.descent.lanes.LIMITS`.
 
     ## Arguments
 
