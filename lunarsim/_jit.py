@@ -42,6 +42,7 @@ def kernel(
     fast: bool = False,
     finite: bool = False,
     inline: bool = False,
+    exact: bool = False,
     inner: bool | None = None,
 ) -> Callable[[F], F]: ...
 
@@ -53,6 +54,7 @@ def kernel(
     fast: bool = False,
     finite: bool = False,
     inline: bool = False,
+    exact: bool = False,
     inner: bool | None = None,
     allocates: bool = True,
 ) -> Callable[[Any], Any]:
@@ -75,12 +77,14 @@ def kernel(
     inline
         For scalar helpers in the innermost loops, which allocate nothing: compile them into
         their callers, fuse multiply-adds.
+    exact
+        As `inline`, without fusing: the bits are those of the caller with the helper written out.
     inner
         For kernels that only kernels call: without the wrapper that takes arguments from Python,
         they are sooner compiled. Left out, those are it whose names begin with an underscore.
     allocates
         Without it references to arrays are not counted: each view of a row counts by an atomic
-        operation, for which threads wait on each other. `inline` implies it.
+        operation, for which threads wait on each other. `inline` and `exact` imply it.
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
@@ -94,8 +98,8 @@ def kernel(
             no_cpython_wrapper=closed,
             parallel=parallel,
             fastmath=flags,
-            **({"forceinline": True} if inline else {}),
-            **({} if allocates and not inline else {"_nrt": False}),
+            **({"forceinline": True} if inline or exact else {}),
+            **({} if allocates and not (inline or exact) else {"_nrt": False}),
         )(function)
         if closed:
             compiled.__class__ = _Inner

@@ -11,48 +11,51 @@ from lunarsim._frame_kernels import rotation_between
 from lunarsim._jit import kernel
 
 
-@kernel()
-def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
-    """Write dy/dt; see `Dynamics` for the equations, and `rig_of` for `rig` (17,).
+@kernel(exact=True)
+def rates(y, out, n, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
+    """Write dy/dt of body n, of states (15, N); see `Dynamics` for the equations and `rig_of`.
 
-    Torques are about the origin of the body axes.
+    Torques are about the origin of the body axes. Bodies lie side by side, so that the compiler
+    takes some of them at a time.
     """
-    qx = y[6]
-    qy = y[7]
-    qz = y[8]
-    qw = y[9]
-    wx = y[10]
-    wy = y[11]
-    wz = y[12]
-    ex = y[14] * rig[4]
-    ey = y[14] * rig[5]
-    ez = y[14] * rig[6]
+    qx = y[6, n]
+    qy = y[7, n]
+    qz = y[8, n]
+    qw = y[9, n]
+    wx = y[10, n]
+    wy = y[11, n]
+    wz = y[12, n]
+    thrust = y[14, n]
+    mass = y[13, n]
+    ex = thrust * rig[4]
+    ey = thrust * rig[5]
+    ez = thrust * rig[6]
     fx = ex + rig[0]
     fy = ey + rig[1]
     fz = ez + rig[2]
-    ax = fx / y[13]
-    ay = fy / y[13]
-    az = fz / y[13]
-    out[0] = y[3]
-    out[1] = y[4]
-    out[2] = y[5]
+    ax = fx / mass
+    ay = fy / mass
+    az = fz / mass
+    out[0, n] = y[3, n]
+    out[1, n] = y[4, n]
+    out[2, n] = y[5, n]
     # The engine alone pushes along body z, the third column of the direction cosine matrix.
-    out[3] = az * 2.0 * (qx * qz + qw * qy) + (
+    out[3, n] = az * 2.0 * (qx * qz + qw * qy) + (
         ax * (1.0 - 2.0 * (qy * qy + qz * qz)) + ay * 2.0 * (qx * qy - qw * qz)
     )
-    out[4] = az * 2.0 * (qy * qz - qw * qx) + (
+    out[4, n] = az * 2.0 * (qy * qz - qw * qx) + (
         ax * 2.0 * (qx * qy + qw * qz) + ay * (1.0 - 2.0 * (qx * qx + qz * qz))
     )
-    out[5] = (
+    out[5, n] = (
         az * (1.0 - 2.0 * (qx * qx + qy * qy))
         - gravity
         + (ax * 2.0 * (qx * qz - qw * qy) + ay * 2.0 * (qy * qz + qw * qx))
     )
-    out[6] = 0.5 * (qw * wx + qy * wz - qz * wy)
-    out[7] = 0.5 * (qw * wy + qz * wx - qx * wz)
-    out[8] = 0.5 * (qw * wz + qx * wy - qy * wx)
-    out[9] = -0.5 * (qx * wx + qy * wy + qz * wz)
-    full = (y[13] - dry) / (wet - dry)
+    out[6, n] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    out[7, n] = 0.5 * (qw * wy + qz * wx - qx * wz)
+    out[8, n] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    out[9, n] = -0.5 * (qx * wx + qy * wy + qz * wz)
+    full = (mass - dry) / (wet - dry)
     ix = i_dry[0] + full * (i_wet[0] - i_dry[0])
     iy = i_dry[1] + full * (i_wet[1] - i_dry[1])
     iz = i_dry[2] + full * (i_wet[2] - i_dry[2])
@@ -60,58 +63,95 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
     cy = rig[11] + full * (rig[14] - rig[11])
     cz = rig[12] + full * (rig[15] - rig[12])
     # The engine pushes at its pivot; all forces turn the body about its centre of mass.
-    tx = rig[8] * ez - rig[9] * ey - (cy * fz - cz * fy)
-    ty = rig[9] * ex - rig[7] * ez - (cz * fx - cx * fz)
-    tz = rig[7] * ey - rig[8] * ex - (cx * fy - cy * fx)
-    out[10] = (torque[0] + tx - (iz - iy) * wy * wz) / ix
-    out[11] = (torque[1] + ty - (ix - iz) * wz * wx) / iy
-    out[12] = (torque[2] + tz - (iy - ix) * wx * wy) / iz
-    out[13] = -y[14] / exhaust - rig[3]
-    out[14] = (thrust_command - y[14]) / lag if lag > 0.0 else 0.0
+    mx = rig[8] * ez - rig[9] * ey - (cy * fz - cz * fy)
+    my = rig[9] * ex - rig[7] * ez - (cz * fx - cx * fz)
+    mz = rig[7] * ey - rig[8] * ex - (cx * fy - cy * fx)
+    out[10, n] = (tx + mx - (iz - iy) * wy * wz) / ix
+    out[11, n] = (ty + my - (ix - iz) * wz * wx) / iy
+    out[12, n] = (tz + mz - (iy - ix) * wx * wy) / iz
+    out[13, n] = -thrust / exhaust - rig[3]
+    out[14, n] = (asked - thrust) / lag if lag > 0.0 else 0.0
+
+
+@kernel()
+def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
+    """Write dy/dt (15,) of one body; see `rates`."""
+    rates(
+        y.reshape(15, 1), out.reshape(15, 1), 0, thrust_command, torque[0], torque[1], torque[2],
+        gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig,
+    )  # fmt: skip
 
 
 @kernel(inner=True)
-def rk4_step(
-    y, dt, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig, work
-):
-    """Advance y by one classical Runge-Kutta step in place; `work` is scratch (5, 15)."""
-    args = (thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig)
+def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
+    """Advance bodies (15, N) by one classical Runge-Kutta step in place.
+
+    `asked` (N,) and `torque` (3, N) are what each is commanded; `work` is scratch (5, 15, N); for
+    the others see `advance_body`.
+    """
+    gravity, exhaust, lag, dry, wet = figures[0], figures[1], figures[2], figures[3], figures[4]
+    i_dry, i_wet = inertia[0], inertia[1]
+    bodies = y.shape[1]
     if lag == 0.0:
-        y[14] = thrust_command
-    derivative(y, work[0], *args)
+        for n in range(bodies):
+            y[14, n] = asked[n]
+    for stage in range(4):
+        at = y if stage == 0 else work[4]
+        for n in range(bodies):
+            rates(
+                at, work[stage], n, asked[n], torque[0, n], torque[1, n], torque[2, n], gravity,
+                exhaust, lag, dry, wet, i_dry, i_wet, rig,
+            )  # fmt: skip
+        if stage < 3:
+            part = dt if stage == 2 else 0.5 * dt
+            for s in range(15):
+                for n in range(bodies):
+                    work[4, s, n] = y[s, n] + part * work[stage, s, n]
     for s in range(15):
-        work[4, s] = y[s] + 0.5 * dt * work[0, s]
-    derivative(work[4], work[1], *args)
-    for s in range(15):
-        work[4, s] = y[s] + 0.5 * dt * work[1, s]
-    derivative(work[4], work[2], *args)
-    for s in range(15):
-        work[4, s] = y[s] + dt * work[2, s]
-    derivative(work[4], work[3], *args)
-    for s in range(15):
-        y[s] += dt / 6.0 * (work[0, s] + 2.0 * (work[1, s] + work[2, s]) + work[3, s])
-    norm = np.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
-    for s in range(6, 10):
-        y[s] /= norm
+        for n in range(bodies):
+            y[s, n] += (
+                dt / 6.0 * (work[0, s, n] + 2.0 * (work[1, s, n] + work[2, s, n]) + work[3, s, n])
+            )
+    for n in range(bodies):
+        norm = np.sqrt(
+            y[6, n] * y[6, n] + y[7, n] * y[7, n] + y[8, n] * y[8, n] + y[9, n] * y[9, n]
+        )
+        for s in range(6, 10):
+            y[s, n] /= norm
+
+
+@kernel()
+def advance_bodies(y, dt, asked, torque, figures, inertia, rig, work):
+    """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N) in place.
+
+    What is asked of an engine without propellant becomes 0. For the others see `advance_body`;
+    `work` is scratch (5, 15, N).
+    """
+    dry = figures[3]
+    # What thrusters have spent is summed up elsewhere: leave room for its rounding.
+    empty = dry - (1.0 - 1e-6) * rig[16]
+    for n in range(y.shape[1]):
+        if y[13, n] <= empty:
+            asked[n] = 0.0
+            y[14, n] = 0.0
+    rk4_step(y, dt, asked, torque, figures, inertia, rig, work)
+    for n in range(y.shape[1]):
+        y[13, n] = max(y[13, n], dry - rig[16] - dt * rig[3])
 
 
 @kernel()
 def advance_body(y, dt, thrust, torque, figures, inertia, rig, work):
-    """Advance y by one step under a thrust and torques in place.
+    """Advance y (15,) by one step under a thrust and torques (3,) in place.
 
     `figures` is gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3) the
-    principal moments with tanks empty and full; `rig` (17,) see `rig_of`.
+    principal moments with tanks empty and full; `rig` (17,) see `rig_of`; `work` scratch (5, 15).
     """
-    dry = figures[3]
-    # What thrusters have spent is summed up elsewhere: leave room for its rounding.
-    if y[13] <= dry - (1.0 - 1e-6) * rig[16]:  # tanks empty
-        thrust = 0.0
-        y[14] = 0.0
-    rk4_step(
-        y, dt, thrust, torque, figures[0], figures[1], figures[2], dry, figures[4], inertia[0],
-        inertia[1], rig, work,
-    )  # fmt: skip
-    y[13] = max(y[13], dry - rig[16] - dt * rig[3])
+    asked = np.empty(1)
+    asked[0] = thrust
+    turn = np.empty((3, 1))
+    for k in range(3):
+        turn[k, 0] = torque[k]
+    advance_bodies(y.reshape(15, 1), dt, asked, turn, figures, inertia, rig, work.reshape(5, 15, 1))
 
 
 @kernel()

@@ -13,7 +13,7 @@ import numpy as np
 from lunarsim._frame_kernels import rotation_between
 from lunarsim._jit import kernel
 from lunarsim.onboard.control._kernels import demand, follow, steer
-from lunarsim.vehicle._kernels import advance_body
+from lunarsim.vehicle._kernels import advance_bodies
 from lunarsim.vehicle._touchdown_kernels import OFF_MAP, height_at, judge, touches
 
 # How a flight stands.
@@ -96,7 +96,7 @@ def begin(
 
 
 class Vehicle(NamedTuple):
-    """A lander and how it is flown, SI; see `advance_body` and `judge` for what is not told here.
+    """A lander and how it is flown, SI; see `advance_bodies` and `judge` for the rest.
 
     `control` (9,): least and greatest thrust, tilt, gains of the attitude loop, greatest torques.
     """
@@ -146,7 +146,7 @@ def _ask(y, loop, action, guided, vehicle, attitude):
 
 @kernel()
 def _end(i, y, vehicle, grounds, flights):
-    """Tell whether a flight has ended, on the ground or under the map, and note how."""
+    """Return 1 if a flight has ended, on the ground or under the map, and note how; else 0."""
     w = flights.world[i]
     z, frame = grounds.z[w], grounds.frame
     if touches(y, vehicle.pads, vehicle.disc, z, frame):
@@ -157,16 +157,55 @@ def _end(i, y, vehicle, grounds, flights):
             vehicle.com_height, figures[0], figures[3], figures[4], vehicle.inertia,
             flights.told[i],
         )  # fmt: skip
-        return True
+        return 1
     if y[2] < grounds.levels[w, 0] - 1.0:
         flights.ended[i] = LOST
         flights.failed[i] = OFF_MAP
-        return True
-    return False
+        return 1
+    return 0
+
+
+@kernel()
+def _loaded(first, beyond, ended, y, lanes, block):
+    """Take the lanes that are in flight into a block (15, width), and return how many there are.
+
+    What room is left is filled with the first of them, which comes to no harm.
+    """
+    count = 0
+    for i in range(first, beyond):
+        if ended[i] == FLYING:
+            lanes[count] = i
+            count += 1
+    for n in range(block.shape[1] if count > 0 else 0):
+        i = lanes[n] if n < count else lanes[0]
+        for s in range(15):
+            block[s, n] = y[i, s]
+    return count
+
+
+@kernel()
+def _moments(mass, vehicle, out):
+    """Write the principal moments at a mass (3,), as the attitude loop knows them."""
+    dry, wet, inertia = vehicle.figures[3], vehicle.figures[4], vehicle.inertia
+    full = (mass - dry) / (wet - dry)
+    for k in range(3):
+        out[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
+
+
+@kernel()
+def _quaternion(block, n, out):
+    for k in range(4):
+        out[k] = block[6 + k, n]
+
+
+@kernel()
+def _stored(block, n, y):
+    for s in range(15):
+        y[s] = block[s, n]
 
 
 @kernel(shared=True)
-def advance(share, y, loop, actions, guided, steps, dt, limit, vehicle, grounds, flights):
+def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, grounds, flights):
     """Fly every lane that is in flight for `steps` steps under its action, or to its end.
 
     Parameters
@@ -174,42 +213,55 @@ def advance(share, y, loop, actions, guided, steps, dt, limit, vehicle, grounds,
     y, loop
         State (n, 15) and attitude loop (n, 10).
     actions, guided
-        With `guided` thrust accelerations (n, 3), ENU, m/s^2, that the attitude loop follows on
-        perfect gyroscopes; else thrust and torques (n, 4), N and N m.
-    steps, dt, limit
-        Steps of the integration, their length, and when a flight is over, s.
+        Thrust accelerations (n, 3), m/s^2, for the attitude loop; or thrust and torques (n, 4), N.
+    steps, dt, limit, width
+        Steps of the integration, their length, when a flight is over, s; lanes that are integrated
+        side by side, on which nothing depends.
     vehicle, grounds, flights
         See there.
     """
-    work = np.empty((5, 15))
-    attitude = np.empty(4)
-    known = np.empty(3)
-    before = np.empty(4)
-    turn = np.empty(3)
     v = vehicle
     figures, inertia, rig, gains, most = v.figures, v.inertia, v.rig, v.control[3:6], v.control[6:]
-    dry, wet, time, ended = figures[3], figures[4], flights.time, flights.ended
+    time, ended = flights.time, flights.ended
     reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1
-    for i in range(share[0], len(y), share[1]):
-        if ended[i] != FLYING:
-            continue
-        here, own, torque = y[i], loop[i], loop[i, 7:]
-        thrust = _ask(here, own, actions[i], guided, v, attitude)
-        full = (here[13] - dry) / (wet - dry)
-        for k in range(3):
-            known[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
+    lanes = np.empty(width, np.int64)
+    block, work = np.empty((15, width)), np.empty((5, 15, width))
+    asked, torque = np.zeros(width), np.zeros((3, width))
+    attitude, before, known = np.empty((width, 4)), np.empty((width, 4)), np.empty((width, 3))
+    after, turn = np.empty(4), np.empty(3)
+    for b in range(share[0], (len(y) + width - 1) // width, share[1]):
+        count = _loaded(b * width, min((b + 1) * width, len(y)), ended, y, lanes, block)
+        for n in range(count):
+            i = lanes[n]
+            asked[n] = _ask(y[i], loop[i], actions[i], guided, v, attitude[n])
+            _moments(y[i, 13], v, known[n])
+        left = count
         for _ in range(steps):
-            if guided:
-                demand(own, attitude, gains, known, most)
-            for k in range(4):
-                before[k] = here[6 + k]
-            advance_body(here, dt, thrust, torque, figures, inertia, rig, work)
-            time[i] += dt
-            if guided:
-                rotation_between(before, here[6:10], turn)
-                follow(own, turn, dt)
-            low = here[2] - reach <= grounds.levels[flights.world[i], 1]
-            if low and _end(i, here, vehicle, grounds, flights):
+            if left == 0:
                 break
-        if ended[i] == FLYING and time[i] >= limit - 0.5 * dt:
-            ended[i] = LATE
+            for n in range(count):
+                own = loop[lanes[n]]
+                if guided:
+                    demand(own, attitude[n], gains, known[n], most)
+                    _quaternion(block, n, before[n])
+                for k in range(3):
+                    torque[k, n] = own[7 + k]
+            advance_bodies(block, dt, asked, torque, figures, inertia, rig, work)
+            for n in range(count):
+                i = lanes[n]
+                if ended[i] != FLYING:
+                    continue
+                time[i] += dt
+                if guided:
+                    _quaternion(block, n, after)
+                    rotation_between(before[n], after, turn)
+                    follow(loop[i], turn, dt)
+                if block[2, n] - reach <= grounds.levels[flights.world[i], 1]:
+                    _stored(block, n, y[i])
+                    left -= _end(i, y[i], v, grounds, flights)
+        for n in range(count):
+            i = lanes[n]
+            if ended[i] == FLYING:
+                _stored(block, n, y[i])
+                if time[i] >= limit - 0.5 * dt:
+                    ended[i] = LATE

@@ -21,8 +21,8 @@ from lunarsim_envs.descent.worlds import Worlds
 Array = NDArray[np.float64]
 
 FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
-# What a lane and step take, microseconds.
-_STEP = 0.3
+# What a lane and step take, microseconds; lanes that are integrated side by side.
+_STEP, _WIDTH = 0.2, 32
 # Limits that a verdict names, in the order of its bits; see `judge_touchdown`.
 LIMITS = (
     "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
@@ -201,7 +201,7 @@ class Lanes:
         with threads_for(_STEP * self.count * self.steps):
             k.advance(
                 self.y, self._loop, actions, self.guided, self.steps, step, self.craft.limit,
-                self._vehicle, self._grounds, self._flights,
+                min(_WIDTH, self.count), self._vehicle, self._grounds, self._flights,
             )  # fmt: skip
 
     @property
