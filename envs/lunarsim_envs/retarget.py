@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies import Decision, Observation
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.shipped import found
 from lunarsim.simulation import Simulation
 from lunarsim_envs.observations import FloatArray, encode, observation_space, shrink
 from lunarsim_envs.rendering import Frames
@@ -69,7 +70,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
 
     ## Arguments
 
-    - ``scenario``: a `lunarsim.scenario.Scenario` or the path of a TOML file.
+    - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a shipped
+      one.
     - ``weights``: `RewardWeights`.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
       every half second of the flight since the last call, down to the ground; or None.
@@ -99,7 +101,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         elif isinstance(scenario, Scenario):
             self.scenario = scenario
         else:
-            self.scenario = Scenario.load(scenario)
+            self.scenario = Scenario.load(found(Path(scenario)))
         if not self.scenario.mappers:
             raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
         self.weights = weights or RewardWeights()

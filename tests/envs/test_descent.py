@@ -258,6 +258,13 @@ def test_an_action_that_is_none_is_refused_and_changes_nothing(action, says):
     assert np.array_equal(env.descents.lanes.y, before)
 
 
+def test_a_batch_of_one_says_which_shape_it_wants():
+    vector = GuidanceVectorEnv(1, changes=LOW)
+    vector.reset(seed=1)
+    with pytest.raises(ValueError, match=r"must be numbers of shape \(1, 3\)"):
+        vector.step(np.zeros(3, np.float32))
+
+
 def test_where_flights_start_can_be_told():
     env = GuidanceEnv(changes=LOW)
     told = {"position_m": [0.0, 0.0, 40.0], "velocity_m_s": [0.0, 0.0, -1.0],
@@ -301,7 +308,10 @@ def test_a_mask_that_is_none_is_refused(mask):
         ({"observation": []}, "at least one part"), ({"observation": "position"}, "a list"),
         ({"observation": ["postion"]}, "did you mean 'position'"),
         ({"observation": ["rate", "rate"]}, "each part once"), ({"rate_hz": 3.0}, "whole number"),
-        ({"worlds": 0}, "at least 1"), ({"scenario": "hirisee"}, "did you mean 'hirise'"),
+        ({"worlds": 0}, "at least 1"), ({"worlds": 2.0}, "worlds"),
+        ({"world_seed": -1}, "at least 0"),
+        ({"rate_hz": 0}, "above 0"), ({"rate_hz": "5"}, "above 0"), ({"weights": {}}, "DescentWeights"),
+        ({"scenario": "hirisee"}, "did you mean 'hirise'"),
         ({"changes": {"rocks.covr": 0.1}}, "cover"),
         ({"changes": {"start.position_m": [0.0, 0.0, 1.0]}}, "in the ground"),
     ],
@@ -362,5 +372,7 @@ def test_a_seed_for_each_lane():
     again, _ = vector.reset(seed=[5, 4, 9])
     assert np.array_equal(first[[0, 2]], again[[0, 2]])
     assert not np.array_equal(first[1], again[1])
+    arrayed, _ = vector.reset(seed=np.array([5, 4, 9]))
+    assert np.array_equal(arrayed, again)
     with pytest.raises(ValueError, match="one for each of 3"):
         vector.reset(seed=[1, 2])

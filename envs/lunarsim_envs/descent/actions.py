@@ -41,29 +41,30 @@ class Actions:
         """Of one lane."""
         return spaces.Box(-1.0, 1.0, self.scale.shape, np.float32)
 
-    def physical(self, action: ArrayLike, count: int) -> Array:
+    def physical(self, action: ArrayLike, count: int | None = None) -> Array:
         """Return actions in physical units (n, size).
 
         Parameters
         ----------
         action
-            From -1 to 1 (n, size).
+            From -1 to 1 (n, size), or (size,) of one environment.
         count
-            Of lanes n.
+            Of lanes n; None: one environment.
 
         Raises
         ------
         ValueError
             If it is of another shape or type, not finite, or out of bounds.
         """
-        shape = (count, len(self.scale))
+        size = len(self.scale)
+        shape = (size,) if count is None else (count, size)
         given = np.asarray(action)
         if given.shape != shape or given.dtype.kind not in "fiu":
             raise ValueError(
                 f"action of shape {given.shape} and type {given.dtype}: must be numbers of shape "
-                f"{shape if count > 1 else shape[1:]} from -1 to 1"
+                f"{shape} from -1 to 1"
             )
-        wide = given.astype(np.float64)
+        wide = given.astype(np.float64).reshape(-1, size)
         most = np.abs(wide).max(initial=0.0)
         if not most <= 1.0 + _ROUNDING:
             told = "a number that is not finite" if not np.isfinite(most) else f"{most:g} in size"

@@ -47,13 +47,20 @@ def scenario_of(given: Scenario | str | Path | None, changes: Mapping[str, Any] 
     return with_values(scenario, changes or {}, "changes")
 
 
+def _whole(field: str, value: Any, least: int) -> int:
+    """Return a whole number, at least so much."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InputError(field, value, f"a whole number, at least {least}")
+    return int(value)
+
+
 class Descents:
     """Lanes with their spaces and rewards; the environments are made of it.
 
     Parameters
     ----------
     count
-        Of lanes.
+        Of lanes; None: of one environment, whose actions are (size,).
     guided
         Whether actions are thrust accelerations.
     scenario, changes, rate_hz, observation, weights, worlds, world_seed
@@ -62,7 +69,7 @@ class Descents:
 
     def __init__(
         self,
-        count: int,
+        count: int | None,
         *,
         guided: bool,
         scenario: Scenario | str | Path | None,
@@ -73,14 +80,19 @@ class Descents:
         worlds: int,
         world_seed: int,
     ) -> None:
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-            raise InputError("num_envs", count, "a whole number, at least 1")
+        self.many = count is not None
+        count = _whole("num_envs", 1 if count is None else count, 1)
+        worlds, world_seed = _whole("worlds", worlds, 1), _whole("world_seed", world_seed, 0)
+        if not isinstance(rate_hz, (int, float)) or isinstance(rate_hz, bool) or not rate_hz > 0:
+            raise InputError("rate_hz", rate_hz, "a number above 0")
+        if not isinstance(weights, DescentWeights | None):
+            raise InputError("weights", weights, "DescentWeights, of lunarsim_envs.descent.rewards")
         self.scenario = scenario_of(scenario, changes)
         craft = Craft.of(self.scenario)
         self.shown = Shown(DEFAULT if observation is None else observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
         ground = Worlds.of(self.scenario, worlds, world_seed)
-        self.lanes = Lanes(int(count), craft, ground, guided=guided, rate=rate_hz)
+        self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights(), self.lanes)
 
@@ -115,8 +127,9 @@ class Descents:
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
         """Move all lanes in flight; return terms of the reward, moved, terminated, truncated."""
+        physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING
-        self.lanes.move(self.actions.physical(action, self.lanes.count))
+        self.lanes.move(physical)
         over = moved & (self.lanes.ended != FLYING)
         late = over & (self.lanes.ended == LATE)
         return self.rewards.terms(moved), moved, over & ~late, late

@@ -40,7 +40,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
             raise ValueError(f"render_mode = {render_mode!r}: must be None")
         self.render_mode = None
         self.descents = Descents(
-            1, guided=self.guided, scenario=scenario, changes=changes,
+            None, guided=self.guided, scenario=scenario, changes=changes,
             rate_hz=self.rate if rate_hz is None else rate_hz, observation=observation,
             weights=weights, worlds=worlds, world_seed=world_seed,
         )  # fmt: skip
@@ -63,7 +63,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         d = self.descents
         if d.lanes.ended[0] != FLYING:
             raise gymnasium.error.ResetNeeded("no flight is in the air: call reset()")
-        terms, _, terminated, truncated = d.step(np.asarray(action)[None])
+        terms, _, terminated, truncated = d.step(action)
         named = {name: float(term[0]) for name, term in terms.items()}
         info: dict[str, Any] = {"reward_terms": named}
         if terminated[0] or truncated[0]:
@@ -146,7 +146,8 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             return [int(seed) + int(lane) for lane in lanes]
         if len(seed) != self.num_envs:
             raise ValueError(f"seed of length {len(seed)}: must be one for each of {self.num_envs}")
-        return [seed[int(lane)] for lane in lanes]
+        each = [seed[int(lane)] for lane in lanes]
+        return [None if one is None else int(one) for one in each]
 
     def step(
         self, actions: ArrayLike
