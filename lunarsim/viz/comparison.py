@@ -182,9 +182,11 @@ def _draw_maps(ax: Any, rows: Rows, names: list[str]) -> None:
     for place, name in enumerate(names):
         figures = summary[name]["precision"], summary[name]["recall"]
         ax.plot(figures[0], place - 0.12, "o", color=COLOURS[0], mec="black", mew=0.6,
-                label="precision" if not place else None)  # fmt: skip
+                label="precision" if not place else None, clip_on=False)  # fmt: skip
         ax.plot(figures[1], place + 0.12, "D", color=COLOURS[4], mec="black", mew=0.6,
-                label="recall" if not place else None)  # fmt: skip
+                label="recall" if not place else None, clip_on=False)  # fmt: skip
+        if np.isnan(figures[0]):
+            ax.text(0.02, place - 0.12, "nothing called safe: no precision", va="center", size=7)
     ax.set_xlim(0.0, 1.03)
     ax.set_xlabel("of the map, cells with p > 0.5")
     ax.legend(loc="best")

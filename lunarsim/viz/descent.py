@@ -22,6 +22,7 @@ _MARKED = {
     "picture": ("first picture", "o", COLOURS[3]),
     "lock": ("lock onto the map", "^", COLOURS[4]),
 }
+_LOST = ("navigation lost", "X", "black")
 _DIVERT = ("divert", "D", COLOURS[1])
 # Names of the phases of the trajectory.
 _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
@@ -59,6 +60,10 @@ def _marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
             found.append((f"first of {len(times)}: {label}", marker, colour, times[:1]))
         elif times:
             found.append((label, marker, colour, times))
+    lost = np.asarray(flight.trajectory["lost"], dtype=bool)
+    begins = np.flatnonzero(lost & ~np.concatenate(([False], lost[:-1])))
+    if len(begins):
+        found.append((*_LOST, flight.trajectory["time"][begins].tolist()))
     diverts = [float(d["time"]) for d in flight.decisions]
     if diverts:
         found.append((*_DIVERT, diverts))

@@ -171,7 +171,8 @@ def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
         rocks = record.tables.get("rocks")
         if rocks is None:
             continue
-        titles.append("rocks tracked by their shadows")
+        number = "rocks" if len(rocks["x"]) else "no rock"
+        titles.append(f"{number} tracked by their shadows")
         east, north, _ = record.error
         circles = [
             Circle((x - east, y - north), r)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,22 @@ def test_the_profile_ends_at_the_touchdown(flown, axes):
     assert altitude[0] == flown.positions[0, 2] - flown.positions[-1, 2]
     named = {text.get_text() for text in profile.get_legend().get_texts()}
     assert {"path", "LiDAR scan", "divert", "touchdown"} == named
+
+
+def test_a_lost_navigation_is_marked_where_it_begins(flown, monkeypatch, tmp_path):
+    lost = np.zeros(len(flown.trajectory["time"]), int)
+    lost[20:25] = lost[40:] = 1
+    kept = []
+    monkeypatch.setattr(descent, "save", lambda figure, path: kept.append(figure))
+    descent.draw_descent(
+        replace(flown, trajectory=flown.trajectory | {"lost": lost}), tmp_path / "d.png"
+    )
+    (events,) = [a for a in kept[0].axes if "navigation lost" in
+                 [label.get_text() for label in a.get_yticklabels()]]  # fmt: skip
+    row = [label.get_text() for label in events.get_yticklabels()].index("navigation lost")
+    (marks,) = [line for line in events.lines if len(line.get_ydata())
+                and line.get_marker() == "X" and line.get_ydata()[0] == row]  # fmt: skip
+    assert marks.get_xdata().tolist() == flown.trajectory["time"][[20, 40]].tolist()
 
 
 def test_all_share_the_time_with_diverts_and_phases_marked(flown, axes):
