@@ -28,6 +28,7 @@ from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.factors import Arm
 from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import Ran
 from lunarsim.campaign.spec import CampaignSpec, Head
 from lunarsim.errors import InputError, check_folder
@@ -193,9 +194,9 @@ def _check_travel(policies: Sequence[str | RetargetingPolicy]) -> None:
 
 
 def _result(folder: Path, complete: bool) -> CompareResult:
-    rows = pq.read_table(folder / "results").sort_by([("flight", "ascending")]).to_pylist()
-    timing = pq.read_table(folder / "timing").to_pylist()
-    seconds = {time["id"]: time["seconds"] for time in timing}
+    found = load_results(folder)  # of no flight at all too, after an early interrupt
+    rows = found.table.to_pylist()
+    seconds = {time["id"]: time["seconds"] for time in found.timing.to_pylist()}
     flown = [row for row in rows if row["outcome"] == FLOWN]
     names = dict.fromkeys(row["policy"] for row in flown)
     shares = {row["flight"]: row for row in flown}.values()

@@ -171,8 +171,8 @@ def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
         rocks = record.tables.get("rocks")
         if rocks is None:
             continue
-        number = "rocks" if len(rocks["x"]) else "no rock"
-        titles.append(f"{number} tracked by their shadows")
+        some = "rocks tracked by their shadows", "no rock tracked by its shadow"
+        titles.append(some[0] if len(rocks["x"]) else some[1])
         east, north, _ = record.error
         circles = [
             Circle((x - east, y - north), r)

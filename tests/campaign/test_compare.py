@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from lunarsim.campaign import compare
+from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from tests.worlds import TINY_FLIGHT
@@ -66,6 +67,21 @@ def test_interrupt_keeps_what_is_finished(scenario, tmp_path):
     assert not result.complete
     assert len(pd.read_parquet(out / "results.parquet")) == 1
     assert not json.loads((out / "summary.json").read_text())["complete"]
+
+
+def test_an_interrupt_before_the_first_flight_has_ended_is_no_error(
+    scenario, tmp_path, monkeypatch
+):
+    def fly(*_):
+        raise KeyboardInterrupt
+        yield
+
+    with monkeypatch.context() as patched:
+        patched.setattr(InlineEngine, "fly", fly)
+        begun = compare(scenario, ["no-divert"], flights=1, seed=1, out=tmp_path / "out")
+    assert not begun.complete and begun.rows == [] and begun.failed == []
+    gone_on = compare(scenario, ["no-divert"], flights=1, seed=1, out=tmp_path / "out")
+    assert gone_on.complete and len(gone_on.rows) == 1
 
 
 @pytest.mark.parametrize(
