@@ -24,6 +24,28 @@ env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0")
 observation, info = env.reset(seed=1)
 observation, reward, terminated, truncated, info = env.step(0)
 ```
+
+Thousands of descents fly in one kernel:
+
+```python
+vector = gymnasium.make_vec(
+    "lunarsim_envs:lunarsim/Guidance-v0", num_envs=64, vectorization_mode="vector_entry_point"
+)
+observations, info = vector.reset(seed=1)
+observations, rewards, terminated, truncated, info = vector.step(vector.action_space.sample())
+```
+
+`python scripts/bench.py envs`, two cores with other work beside it, random actions, new flights included, physics
+at 100 Hz; Gymnasium's LunarLander-v3 33,500 steps a second, PyFlyt's Rocket-Landing-v4 1,010:
+
+| | steps a second | simulated seconds a second |
+| --- | --- | --- |
+| `Guidance-v0`, one | 12,900, 12.7 of Rocket-Landing | 2,600 |
+| `Guidance-v0`, 4096 lanes | 336,000, 10 of LunarLander | 67,000 |
+| `Control-v0`, one | 14,400, 14.2 of Rocket-Landing | 290 |
+| `Control-v0`, 4096 lanes | 2,710,000, 81 of LunarLander | 54,000 |
+
+A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it.
 """
 
 
