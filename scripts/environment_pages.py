@@ -28,6 +28,8 @@ observation, reward, terminated, truncated, info = env.step(0)
 Thousands of descents fly in one kernel:
 
 ```python
+import gymnasium
+
 vector = gymnasium.make_vec(
     "lunarsim_envs:lunarsim/Guidance-v0", num_envs=64, vectorization_mode="vector_entry_point"
 )
@@ -35,8 +37,8 @@ observations, info = vector.reset(seed=1)
 observations, rewards, terminated, truncated, info = vector.step(vector.action_space.sample())
 ```
 
-`python scripts/bench.py envs`, two cores with other work beside it, random actions, new flights included, physics
-at 100 Hz; Gymnasium's LunarLander-v3 33,500 steps a second, PyFlyt's Rocket-Landing-v4 1,010:
+`python scripts/bench.py envs`, two cores with other work beside it, random actions, new flights
+included, physics at 100 Hz; Gymnasium's LunarLander-v3 33,500 steps a second, PyFlyt's Rocket-Landing-v4 1,010:
 
 | | steps a second | simulated seconds a second |
 | --- | --- | --- |
