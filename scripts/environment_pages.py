@@ -38,7 +38,8 @@ observations, rewards, terminated, truncated, info = vector.step(vector.action_s
 ```
 
 `python scripts/bench.py envs`, two cores with other work beside it, random actions, new flights
-included, physics at 100 Hz; Gymnasium's LunarLander-v3 33,500 steps a second, PyFlyt's Rocket-Landing-v4 1,010:
+included, physics at 100 Hz; Gymnasium's LunarLander-v3 33,500 steps a second, PyFlyt's
+Rocket-Landing-v4 1,010:
 
 | | steps a second | simulated seconds a second |
 | --- | --- | --- |
