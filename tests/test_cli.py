@@ -8,6 +8,7 @@ import sys
 
 import cv2
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
@@ -82,8 +83,16 @@ def test_compare_prints_a_row_a_policy(small, tmp_path):
     # As of `campaign run`: its engine, its cache, kernels first.
     assert json.loads((out / "manifest.json").read_text())["engine"] == "local"
     assert list((tmp_path / "cache").rglob("*.npz")) and "kernels are ready" in result.output
-    assert "no-divert" in result.output
     assert "exactly safe share" in result.output
+    rows = {row["policy"]: row for row in pq.read_table(out / "results.parquet").to_pylist()}
+    for policy in ("no-divert", "safest"):
+        (told,) = [line for line in result.output.splitlines() if line.startswith(f"│ {policy}")]
+        cells, row = [cell.strip() for cell in told.strip("│").split("│")], rows[policy]
+        burnt = f"{row['propellant_kg']:.1f}"
+        assert cells[4] == f"{burnt} / {burnt}"
+        named = row["map_hits"] + row["map_false_safe"]
+        true = row["map_hits"] + row["map_missed"]
+        assert cells[8:10] == [f"{row['map_hits'] / named:.4f}", f"{row['map_hits'] / true:.3f}"]
 
 
 @pytest.mark.parametrize(

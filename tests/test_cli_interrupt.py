@@ -274,6 +274,11 @@ def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
             (folder / "two.txt").write_bytes(b"2")
             raise OSError("full")
     assert set(state(tmp_path)) == {kept}
+    (kept / "mine.txt").write_bytes(b"mine")
+    with pytest.raises(OSError, match="full"), filled_whole(kept):
+        (kept / "two.txt").write_bytes(b"2")
+        raise OSError("full")
+    assert [path.name for path in kept.iterdir()] == ["mine.txt"]
     with filled_whole(tmp_path / "c"):
         (tmp_path / "c").mkdir()
     assert (tmp_path / "c").is_dir()

@@ -1,13 +1,13 @@
 """The spec of a campaign: one TOML file that says all that is flown.
 
-name = "sun-and-policies"
+name = "rocks-and-policies"
 scenario = "golombek.toml"          # relative to this file; or a name, or a table
 flights = 200
 seed = 1
 
 [factors]                           # every combination; or [[arms]] with name and set
 policy = ["no-divert", "safest"]
-"sun.elevation_deg" = [5.0, 20.0]
+"expected_rocks.cover" = [0.02, 0.1]
 
 [dispersions]
 "start.position_m.0" = { kind = "normal", mean = -600.0, sigma = 30.0 }

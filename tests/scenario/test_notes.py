@@ -37,6 +37,10 @@ def test_the_default_study_has_nothing_odd():
             "vehicle.inertia_full_kg_m2", "less than inertia_dry_kg_m2",
         ),
         ({"vehicle": {"torque_max_n_m": [1.0, 600.0, 300.0]}}, "vehicle.torque_max_n_m", "rad/s^2"),
+        (
+            {"vehicle": {"torque_max_n_m": [40_000.0, 600.0, 300.0]}}, "vehicle.torque_max_n_m",
+            "rad/s^2",
+        ),
         ({"vehicle": {"com_height_m": 20.0}}, "vehicle.slope_limit_deg = 10", "from 4.75 deg on"),
         ({"vehicle": {"roughness_limit_m": 0.4}}, "vehicle.roughness_limit_m", "belly touches"),
         ({"sun": {"elevation_deg": 5.0}}, "sun.elevation_deg = 5", "no sensor of kind 'camera'"),

@@ -76,6 +76,22 @@ def test_sites_aim_and_diverts_stand_where_they_were_in_the_true_frame(flown, dr
             assert arrow.xy == pytest.approx(np.asarray(decision["to"])[:2] - error)
 
 
+def test_returns_and_tracked_rocks_stand_in_the_true_frame(flown, drawn):
+    """Also where the map is off: all of it is, together."""
+    record = flown[0]
+    (name, own), *_ = record.maps.items()
+    rocks = {"x": np.array([3.0]), "y": np.array([-4.0]), "radius": np.array([0.5])}
+    off = replace(own, tables=own.tables | {"rocks": rocks}, error=np.array([5.0, -7.0, 0.5]))
+    moved = replace(record, maps={name: off})
+    panel = _panels(drawn(moved, *flown[1:]))[3]
+    scans, circles = panel.collections[:2]
+    east, north, _ = moved.map_error
+    assert (east, north) == (5.0, -7.0)
+    assert np.asarray(scans.get_offsets()) == pytest.approx(record.scans[:, :2] - [east, north])
+    extent = circles.get_paths()[0].get_extents()
+    assert extent.get_points().mean(axis=0) == pytest.approx([-2.0, 3.0])
+
+
 def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
     figure = drawn(*flown)
     (legend,) = figure.legends

@@ -335,6 +335,17 @@ def test_a_site_just_under_the_limit_of_the_slope_is_not_surely_safe(name):
         assert known[0] == sure
 
 
+@pytest.mark.parametrize(("slope", "matters"), [(0.4, False), (0.85, True)])
+def test_gravel_matters_to_a_site_where_it_tilts_the_lander_too_far(slope, matters):
+    height = Lander().roughness_limit * np.geomspace(0.08, 8.0, 40)
+    on = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope}
+    for gravel in (1e-9, 0.1):
+        low = np.where(height < 0.09, gravel, 1e-9)
+        curve = HeightCurve(height, np.full(40, 1e-9), 0.1, low, 0.05)
+        p, known = site_safety(site_among(curve, curve_of(0.01), 0.02, **on), fits_of(6.0))
+        assert known[0] == (p[0] > 0.95) == (gravel < 0.01 or not matters)
+
+
 def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
     assert site(0.02).in_domain.all()
     limit = Lander().roughness_limit
