@@ -247,7 +247,7 @@ def test_plan_writes_inputs_and_flies_nothing(tmp_path):
     (tmp_path / "s.toml").write_text(TEXT)
     printed = run("campaign", "plan", tmp_path / "s.toml")
     assert printed.exit_code == 0, printed.output
-    lines = printed.output.splitlines()
+    lines = printed.stdout.splitlines()
     assert len(lines) == 33 and lines[0].startswith("id,flight,arm,seed,policy.kind")
     for name, read in (("p.csv", pd.read_csv), ("p.parquet", pd.read_parquet)):
         assert run("campaign", "plan", tmp_path / "s.toml", "--out", tmp_path / name).exit_code == 0
