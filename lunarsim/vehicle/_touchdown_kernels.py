@@ -120,7 +120,7 @@ def ground_fit(legs, spacing, z, frame, out):
         south, north = min(south, legs[k, 1]), max(north, legs[k, 1])
     slope, rough = 0.0, 0.0
     stretch = np.empty(2)
-    for p in range(2):
+    for p in range(len(planes)):
         stretch[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
         slope = max(slope, np.arccos(1.0 / stretch[p]))
     for i in range(int(np.ceil((north + spacing - south) / spacing))):

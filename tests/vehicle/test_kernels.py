@@ -95,3 +95,26 @@ def test_ideal_attitude_goes_along_the_shortest_arc(seed):
         expected[6:10] = q
     assert abs(history[-1, 6:10] @ target) == pytest.approx(1.0, abs=1e-9)
     assert np.array_equal(history[-1], y)
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_bodies_side_by_side_move_as_each_alone(count):
+    """To the bits; one has empty tanks, and one an attitude whose norm has drifted."""
+    rng = np.random.default_rng(count)
+    each = [state(rng) for _ in range(count)]
+    each[0][13], each[-1][6:10] = DRY if count > 1 else 1200.0, 1.001 * each[-1][6:10]
+    bodies = np.ascontiguousarray(np.array(each).T)
+    asked, torque = rng.uniform(1000.0, 5000.0, count), rng.normal(0.0, 50.0, (3, count))
+    figures, inertia = np.array([1.6, 3000.0, 0.3, DRY, WET]), np.array([I_DRY, I_WET])
+    wanted = asked.copy()
+    for _ in range(5):
+        kernels.advance_bodies(
+            bodies, 0.01, asked, torque, figures, inertia, PLAIN_RIG, np.empty((5, 15, count))
+        )
+        for n, y in enumerate(each):
+            kernels.advance_body(
+                y, 0.01, wanted[n], torque[:, n], figures, inertia, PLAIN_RIG, np.empty((5, 15))
+            )
+    assert np.array_equal(bodies.T, np.array(each))
+    assert np.linalg.norm(bodies[6:10], axis=0) == pytest.approx(np.ones(count), abs=1e-15)
+    assert (asked == 0.0).tolist() == [n == 0 and count > 1 for n in range(count)]
