@@ -99,9 +99,10 @@ def test_the_first_pad_to_touch_is_found():
 
 
 def test_beyond_its_posts_ground_is_unknown():
-    z = np.arange(12.0, dtype=np.float32).reshape(3, 4)
+    z = np.arange(12.0, dtype=np.float32).reshape(3, 4) ** 2
     frame = np.array([1.0, 2.0, 0.5])
-    assert k.height_at(z, frame, 1.25, 2.5) == pytest.approx(4.5)
-    assert k.height_at(z, frame, 2.5, 3.0) == 11.0
+    assert k.height_at(z, frame, 1.25, 2.5) == pytest.approx(20.5)
+    assert k.height_at(z, frame, 2.5, 3.0) == 121.0
+    assert k.height_at(z, frame, 2.375, 2.875) == pytest.approx(98.25)
     for x, y in ((0.99, 2.5), (2.51, 2.5), (1.25, 1.99), (1.25, 3.01), (np.nan, 2.5)):
         assert np.isnan(k.height_at(z, frame, x, y))
