@@ -89,6 +89,7 @@ def test_noise_of_many_samples_is_that_of_a_random_walk():
     assert noise[6, 6] == pytest.approx(1e-6 * seconds)
     assert noise[14, 14] == pytest.approx(1e-6 * seconds)
     assert np.linalg.eigvalsh(noise).min() > -1e-12
+    assert noise == pytest.approx(noise.T, rel=1e-12, abs=1e-18)
 
 
 def test_a_correction_keeps_the_quaternion_a_rotation():

@@ -16,7 +16,7 @@ _BAND = 64
 
 
 @kernel()
-def _i0e(x):
+def i0e(x):
     """Return exp(-x) I0(x) for x >= 0 (Abramowitz and Stegun 9.8.1 and 9.8.2)."""
     if x < 3.75:
         y = (x / 3.75) ** 2
@@ -60,7 +60,7 @@ def _rice(d, sigma, mean, spread, node, weight):
             for k in range(node.size):
                 rho = left + half * (1.0 + node[k])
                 z = rho * d / (sigma * sigma)
-                density = rho / (sigma * sigma) * _i0e(z)
+                density = rho / (sigma * sigma) * i0e(z)
                 density *= math.exp(-0.5 * ((rho - d) / sigma) ** 2)
                 total += half * weight[k] * density * _normal((mean - rho) / spread)
         left = right

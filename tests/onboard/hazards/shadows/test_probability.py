@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import i0e
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows import (
     cover_probability,
 )
@@ -17,6 +19,11 @@ def test_rice_form_equals_the_reference():
         spread, d = rng.uniform(0.02, 0.4) * mean, rng.uniform(0.0, 3.0)
         found = cover_probability([[d]], [sigma], [mean], [spread])[0, 0]
         assert found == pytest.approx(rice(d, sigma, mean, spread), abs=2e-3)
+
+
+def test_the_scaled_bessel_function_is_that_of_scipy():
+    x = np.concatenate(([0.0, 3.75], np.geomspace(1e-3, 700.0, 200)))
+    assert [kernels.i0e(v) for v in x] == pytest.approx(i0e(x).tolist(), rel=6e-7)
 
 
 def test_rice_form_equals_monte_carlo():
