@@ -34,6 +34,7 @@ from lunarsim.rng import Streams, flight_seed
 from lunarsim.safety import exact_safety
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation, build_world
+from lunarsim.whole_files import write_text_whole
 from lunarsim.world import World
 
 HERE = Path(__file__).parent
@@ -399,7 +400,7 @@ def main(
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         settings = {"seed": seed, "altitudes": levels}
-        json_file.write_text(json.dumps({"settings": settings, "flights": flights}))
+        write_text_whole(json_file, json.dumps({"settings": settings, "flights": flights}))
     show(flights, console)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

@@ -25,6 +25,7 @@ from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
+from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
 from lunarsim.onboard.named_errors import named_in
@@ -75,7 +76,7 @@ class OnboardComputer:
         self.decisions = software.decisions
         with named_in("navigation"):
             self.navigation = software.navigation.build(briefing)
-        self.mappers = self._built_mappers()
+        self.mappers = built_mappers(briefing, self.navigation)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
@@ -113,17 +114,6 @@ class OnboardComputer:
         self._arrivals = Arrivals(briefing.step, self._note)
         self._barred, self._mapped_lost = False, False
         self._levelled = np.eye(3)
-
-    def _built_mappers(self) -> dict[str, HazardMapper]:
-        """Return the mappers in their order; those made of others are built after these."""
-        parts, built = self.briefing.software.mappers, dict[str, HazardMapper]()
-        for name, part in sorted(parts.items(), key=lambda item: hasattr(item[1], "of")):
-            given = (self.briefing, self.navigation)
-            with named_in(f"mappers.{name}"):
-                built[name] = (
-                    part.build(*given, built) if hasattr(part, "of") else part.build(*given)
-                )
-        return {name: built[name] for name in parts}
 
     # --- what is known --------------------------------------------------------------------
 

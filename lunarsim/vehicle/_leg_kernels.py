@@ -10,23 +10,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim.vehicle._kernels import derivative
-
-
-@kernel(inner=True)
-def height(ground, frame, x, y):
-    """Return the ground's height by bilinear interpolation; NaN off the raster.
-
-    `frame` is x and y of the first post and the posting.
-    """
-    u = (x - frame[0]) / frame[2]
-    v = (y - frame[1]) / frame[2]
-    i, j = int(np.floor(v)), int(np.floor(u))
-    if i < 0 or j < 0 or i + 1 >= ground.shape[0] or j + 1 >= ground.shape[1]:
-        return np.nan
-    a, b = u - j, v - i
-    low = (1.0 - a) * ground[i, j] + a * ground[i, j + 1]
-    high = (1.0 - a) * ground[i + 1, j] + a * ground[i + 1, j + 1]
-    return (1.0 - b) * low + b * high
+from lunarsim.vehicle._touchdown_kernels import height_at
 
 
 @kernel(inner=True)
@@ -64,9 +48,9 @@ def touch(y, pad, leg, law, ground, frame, out):
             out[8] = y[5] + v[2] + 2.0 * (qx * cy - qy * cx)
     out[0] = out[1] = out[2] = out[9] = out[10] = out[11] = 0.0
     px, py, r = out[3], out[4], law[4]
-    top = height(ground, frame, px, py)
-    gx = (height(ground, frame, px + r, py) - height(ground, frame, px - r, py)) / (2.0 * r)
-    gy = (height(ground, frame, px, py + r) - height(ground, frame, px, py - r)) / (2.0 * r)
+    top = height_at(ground, frame, px, py)
+    gx = (height_at(ground, frame, px + r, py) - height_at(ground, frame, px - r, py)) / (2.0 * r)
+    gy = (height_at(ground, frame, px, py + r) - height_at(ground, frame, px, py - r)) / (2.0 * r)
     if not (np.isfinite(top) and np.isfinite(gx) and np.isfinite(gy)):
         return False
     nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -54,6 +54,18 @@ def _whole(field: str, value: Any, least: int) -> int:
     return int(value)
 
 
+class Settings(TypedDict, total=False):
+    """What environments are told, for one descent and for many: see `env.GuidanceEnv`."""
+
+    scenario: Scenario | str | Path | None
+    changes: Mapping[str, Any] | None
+    rate_hz: float
+    observation: Sequence[str]
+    weights: DescentWeights | None
+    worlds: int
+    world_seed: int
+
+
 class Descents:
     """Lanes with their spaces and rewards; the environments are made of it.
 
@@ -64,7 +76,7 @@ class Descents:
     guided
         Whether actions are thrust accelerations.
     scenario, changes, rate_hz, observation, weights, worlds, world_seed
-        See `env.GuidanceEnv`.
+        `Settings`.
     """
 
     def __init__(
@@ -72,13 +84,13 @@ class Descents:
         count: int | None,
         *,
         guided: bool,
-        scenario: Scenario | str | Path | None,
-        changes: Mapping[str, Any] | None,
+        scenario: Scenario | str | Path | None = None,
+        changes: Mapping[str, Any] | None = None,
         rate_hz: float,
-        observation: Sequence[str] | None,
-        weights: DescentWeights | None,
-        worlds: int,
-        world_seed: int,
+        observation: Sequence[str] = DEFAULT,
+        weights: DescentWeights | None = None,
+        worlds: int = 1,
+        world_seed: int = 0,
     ) -> None:
         self.many = count is not None
         count = _whole("num_envs", 1 if count is None else count, 1)
@@ -89,7 +101,7 @@ class Descents:
             raise InputError("weights", weights, "DescentWeights, of lunarsim_envs.descent.rewards")
         self.scenario = scenario_of(scenario, changes)
         craft = Craft.of(self.scenario)
-        self.shown = Shown(DEFAULT if observation is None else observation)
+        self.shown = Shown(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
         ground = Worlds.of(self.scenario, worlds, world_seed)
         self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)

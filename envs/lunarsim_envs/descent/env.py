@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar, Unpack
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.scenario import Scenario
-from lunarsim_envs.descent.core import Descents
+from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.rewards import DescentWeights
 
 Shown = NDArray[np.float32]
 
@@ -25,25 +22,12 @@ class DescentEnv(gymnasium.Env[Any, Any]):
     guided: ClassVar[bool]
     rate: ClassVar[float]
 
-    def __init__(
-        self,
-        scenario: Scenario | str | Path | None = None,
-        changes: Mapping[str, Any] | None = None,
-        rate_hz: float | None = None,
-        observation: Sequence[str] | None = None,
-        weights: DescentWeights | None = None,
-        worlds: int = 1,
-        world_seed: int = 0,
-        render_mode: str | None = None,
-    ) -> None:
+    def __init__(self, render_mode: str | None = None, **settings: Unpack[Settings]) -> None:
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: must be None")
         self.render_mode = None
-        self.descents = Descents(
-            None, guided=self.guided, scenario=scenario, changes=changes,
-            rate_hz=self.rate if rate_hz is None else rate_hz, observation=observation,
-            weights=weights, worlds=worlds, world_seed=world_seed,
-        )  # fmt: skip
+        settings.setdefault("rate_hz", self.rate)
+        self.descents = Descents(None, guided=self.guided, **settings)
         self.action_space = self.descents.actions.space
         self.observation_space = self.descents.shown.space
         self._one = np.ones(1, np.bool_)
@@ -85,20 +69,12 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: Scenario | str | Path | None = None,
-        changes: Mapping[str, Any] | None = None,
-        rate_hz: float | None = None,
-        observation: Sequence[str] | None = None,
-        weights: DescentWeights | None = None,
-        worlds: int = 1,
-        world_seed: int = 0,
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
+        **settings: Unpack[Settings],
     ) -> None:
         self.descents = Descents(
-            num_envs, guided=self.guided, scenario=scenario, changes=changes,
-            rate_hz=self.rate if rate_hz is None else rate_hz, observation=observation,
-            weights=weights, worlds=worlds, world_seed=world_seed,
-        )  # fmt: skip
+            num_envs, guided=self.guided, **({"rate_hz": self.rate} | settings)
+        )
         self.num_envs = num_envs
         self.autoreset_mode = gymnasium.vector.AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
