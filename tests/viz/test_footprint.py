@@ -79,6 +79,18 @@ def test_no_pad_stands_below_the_ground(flown, drawn, raised):
     assert above[~stands] < -0.1
 
 
+def test_a_rock_beside_a_pad_lifts_no_pad(flown, drawn):
+    record, world, lander = flown
+    level = flat_terrain(size=160.0)
+    middle, pads = record.verdict.touchdown.position[:2], _pads(record, lander)
+    aside = pads[0] + 0.4 * (middle - pads[0]) / np.linalg.norm(middle - pads[0])
+    one = [np.array([v]) for v in (*aside, 0.0, 0.15, 0.15, 0.2, 0.0)]
+    rocky = Terrain(level.relief, RockField(*one, np.array([0])))
+    left, _ = drawn(record, World(rocky, 1.622, world.light))
+    assert _ground_above(left, left.patches[0].get_xy()[:-1]) == pytest.approx(0.0, abs=0.01)
+    assert _ground_above(left, aside[None]) == pytest.approx(0.2, abs=0.05)
+
+
 def test_bars_are_the_figures_over_their_limits(flown, drawn):
     record, world, lander = flown
     _, right = drawn(record, world)
