@@ -1,22 +1,25 @@
 """Whether navigation errs by what it says, in flights, and what an error at the start does.
 
 Flies a scenario whose navigation has an error state. At five fixed shares of the planned descent
-the errors of position, velocity and attitude are set against their covariance (NEES), and over the
-whole flight the innovations of every kind of measurement against theirs (NIS). With `--start` given
-twice or more each flight is flown from each error of position at the start, over the same ground.
+the errors of position, velocity and attitude are set against their covariance (NEES), and the
+innovations of every kind of measurement against theirs (NIS), between one of these epochs and the
+next. With `--start` given twice or more each flight is flown from each error of position at the
+start, over the same ground.
 
 python scenarios/navigation/consistency.py --flights 50 --jobs 2
 python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
 python scenarios/navigation/consistency.py --flights 50 --kind inertial --kind ukf
 python scenarios/navigation/consistency.py --flights 50 --scenario scenarios/shadow_nominal.toml
 python scenarios/navigation/consistency.py --flights 20 --without stars --speed 1 --speed 10
+python scenarios/navigation/consistency.py --scenario scenarios/morpheus.toml \
+    --set sensors.flash.range_sigma_m=0.1
 """
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +38,7 @@ from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import with_changes
 from lunarsim.simulation import Simulation
 
 SCENARIOS = Path(__file__).resolve().parents[1]
@@ -56,6 +60,7 @@ class Task:
     kind: str | None
     speed: float | None = None
     without: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,10 @@ class Flown:
     error, covariance
         At the epochs (e, 9), (e, 9, 9).
     innovations
-        By kind of measurement: normalised squares added up.
+        Before each epoch, from the one before on, and by kind of measurement: normalised squares
+        added up.
+    whole
+        The same of the whole flight.
     refused, doubted
         Measurements that were, by kind; how often a kind was doubted.
     lost
@@ -80,7 +88,8 @@ class Flown:
 
     error: np.ndarray
     covariance: np.ndarray
-    innovations: dict[str, Consistency]
+    innovations: list[dict[str, Consistency]]
+    whole: dict[str, Consistency]
     refused: dict[str, int]
     doubted: int
     lost: tuple[bool, bool]
@@ -91,7 +100,7 @@ class Flown:
 
 def fly(task: Task) -> Flown:
     """Fly once, and compare what navigation says with the truth."""
-    scenario = Scenario.load(Path(task.scenario))
+    scenario = with_changes(Scenario.load(Path(task.scenario)), task.changes)
     if task.start is not None:
         scenario = scenario.changed(start_knowledge={"position_m": task.start})
     if task.speed is not None:
@@ -106,7 +115,7 @@ def fly(task: Task) -> Flown:
         raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]
-    errors, covariances = [], []
+    errors, covariances, before = [], [], []
     start = float(np.linalg.norm(error_of(simulation)[:3]))
     while not simulation.done:
         simulation.step()
@@ -114,11 +123,13 @@ def fly(task: Task) -> Flown:
             due.pop(0)
             errors.append(error_of(simulation))
             covariances.append(simulation.estimate.covariance)
+            before.append(totals(navigation))
     names = [name for _, name, _ in simulation.computer.telemetry]
     return Flown(
         np.array(errors).reshape(-1, 9),
         np.array(covariances).reshape(-1, 9, 9),
-        {k: Consistency(w.total, w.degrees) for k, w in navigation.watches.items()},
+        [since(a, b) for a, b in pairwise(({}, *before))],
+        totals(navigation),
         {k: w.refused for k, w in navigation.watches.items()},
         names.count("doubted"),
         (simulation.computer.estimate.lost, "lost" in names),
@@ -126,6 +137,22 @@ def fly(task: Task) -> Flown:
         float(np.linalg.norm(simulation.navigation_error)),
         simulation.verdict.safe,
     )
+
+
+def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
+    """Return the normalised squares of all innovations so far, by kind of measurement."""
+    return {kind: Consistency(w.total, w.degrees) for kind, w in navigation.watches.items()}
+
+
+def since(before: dict[str, Consistency], now: dict[str, Consistency]) -> dict[str, Consistency]:
+    """Return what has been added to the totals."""
+    none = Consistency()
+    return {
+        kind: Consistency(
+            c.total - before.get(kind, none).total, c.degrees - before.get(kind, none).degrees
+        )
+        for kind, c in now.items()
+    }
 
 
 def error_of(simulation: Simulation) -> np.ndarray:
@@ -166,15 +193,26 @@ def nees_table(flights: list[Flown]) -> Table:
 
 
 def nis_table(flights: list[Flown]) -> Table:
-    """Return NIS over its degrees of freedom, by kind of measurement."""
-    table = Table(title="NIS over degrees of freedom, of what was taken in")
-    for heading in ("measurement", "NIS", "degrees of freedom", "refused"):
+    """Return NIS over its degrees of freedom, by kind of measurement and epoch."""
+    table = Table(title=f"NIS over degrees of freedom, of what was taken in before each epoch; "
+                        f"!: not within {100 * LEVEL:g} % bounds")  # fmt: skip
+    for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at the last",
+                    "refused"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "measurement" else "right")
-    for kind in sorted({kind for f in flights for kind in f.innovations}):
-        found = [f.innovations[kind] for f in flights if kind in f.innovations]
-        total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
+    for kind in sorted({kind for f in flights for at in f.innovations for kind in at}):
+        cells, bounds = [], ""
+        for k in range(len(EPOCHS)):
+            found = [f.innovations[k][kind] for f in flights
+                     if len(f.innovations) > k and kind in f.innovations[k]]  # fmt: skip
+            total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
+            if total.degrees == 0:
+                cells.append("")
+                continue
+            low, high = total.bounds(LEVEL)
+            cells.append(f"{total.ratio:.2f}{'' if total.holds(LEVEL) else ' !'}")
+            bounds = f"[{low:.2f}, {high:.2f}]"
         refused = sum(f.refused.get(kind, 0) for f in flights)
-        table.add_row(kind, f"{total.ratio:.3f}", f"{total.degrees}", f"{refused}")
+        table.add_row(kind, *cells, bounds, f"{refused}")
     return table
 
 
@@ -205,7 +243,7 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
 
 
 def plain(flight: Flown) -> dict[str, Any]:
-    """Return a flight as JSON has it: NEES and NIS over their degrees of freedom."""
+    """Return a flight as JSON has it: NEES, and NIS of all of it, over degrees of freedom."""
     nees = {}
     for part, keep in PARTS.items():
         squares = [
@@ -213,10 +251,16 @@ def plain(flight: Flown) -> dict[str, Any]:
             for error, covariance in zip(flight.error, flight.covariance, strict=True)
         ]
         nees[part] = sum(squares) / (len(keep) * len(squares)) if squares else None
-    nis = {kind: c.ratio for kind, c in flight.innovations.items() if c.degrees}
+    nis = [
+        {kind: [c.total, c.degrees] for kind, c in at.items() if c.degrees}
+        for at in flight.innovations
+    ]
+    whole = {kind: c.ratio for kind, c in flight.whole.items() if c.degrees}
     return {
-        "nees": nees, "nis": nis, "start_error": flight.start_error,
-        "map_error": flight.map_error, "lost": flight.lost[0], "safe": bool(flight.safe),
+        "nees": nees, "nis": whole, "nis_at": nis, "error": flight.error.tolist(),
+        "sigma": [np.sqrt(np.diag(c)).tolist() for c in flight.covariance],
+        "start_error": flight.start_error, "map_error": flight.map_error,
+        "lost": flight.lost[0], "safe": bool(flight.safe),
     }  # fmt: skip
 
 
@@ -262,20 +306,28 @@ def plain(flight: Flown) -> dict[str, Any]:
 @click.option(
     "--without", multiple=True, help="Sensor that the lander does not carry; may be given again."
 )
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Another value of a key of the scenario; may be repeated.",
+)
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @click.option("--json", "out", type=click.Path(path_type=Path), help="Every flight, by its start.")
 @seed_and_jobs
 def main(
     scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...],
-    speeds: tuple[float, ...], without: tuple[str, ...], policy: str, out: Path | None, seed: int,
-    jobs: int,
+    speeds: tuple[float, ...], without: tuple[str, ...], changes: tuple[str, ...], policy: str,
+    out: Path | None, seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Fly, and compare what navigation says of its errors with the errors."""
     console = Console(width=120)
     by_start: dict[str, list[Flown]] = {}
     for kind, start, speed in product(kinds or (None,), starts or (None,), speeds or (None,)):
         tasks = [
-            Task(scenario, start, n, seed, policy, kind, speed, without) for n in range(flights)
+            Task(scenario, start, n, seed, policy, kind, speed, without, changes)
+            for n in range(flights)
         ]
         name = "the scenario's" if start is None else f"{start:g}"
         name += "" if speed is None else f", {speed:g} m/s"
