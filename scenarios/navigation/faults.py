@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 from consistency import SCENARIOS, error_of
 from rich.console import Console
-from study import declared_table, seed_and_jobs
+from study import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
@@ -228,8 +229,9 @@ def fly(task: Task) -> Flown:
     multiple=True,
     help="Fault; may be given again. Left out: every one.",
 )
+@json_option
 @seed_and_jobs
-def main(flights: int, only: tuple[str, ...], seed: int, jobs: int) -> None:
+def main(flights: int, only: tuple[str, ...], out: Path | None, seed: int, jobs: int) -> None:
     """Let instruments fail, and see whether navigation says so."""
     console = Console(width=120)
     faults = list(only or FAULTS)
@@ -241,6 +243,7 @@ def main(flights: int, only: tuple[str, ...], seed: int, jobs: int) -> None:
     rows = [(fault, [f for f in flown if f.fault == fault]) for fault in faults]
     title = "Flights with a failing instrument; relief of 0.1, 4 and 8 deg together"
     console.print(declared_table(title, "fault", rows))
+    write_flights(out, rows)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -21,7 +22,7 @@ import numpy as np
 from consistency import SCENARIOS, error_of
 from rich.console import Console
 from scipy.spatial import cKDTree
-from study import declared_table, seed_and_jobs
+from study import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.frames import turned_about_up
@@ -204,6 +205,11 @@ def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
     return [row for row in (*rows, ("all", flown)) if row[1]]
 
 
+def name_of(task: Task) -> str:
+    """Return the row of a flight: what is wrong in it."""
+    return task.fault or (f"Sun {task.sun:g} deg off" if task.sun else "none")
+
+
 @click.command()
 @click.option(
     "--flights",
@@ -230,11 +236,12 @@ def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
     show_default=True,
     help="Share of the ground under rocks; may be given again.",
 )
+@json_option
 @seed_and_jobs
 @click.option("--cells", is_flag=True, help="Print every flight as well.")
 def main(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
-    cells: bool,
+    out: Path | None, cells: bool,
 ) -> None:  # fmt: skip
     """Fly by rocks where it is hard, and see whether navigation says so when it is wrong."""
     console = Console(width=120)
@@ -249,6 +256,7 @@ def main(
             )
     title = "Flights by rocks; rows of relief and cover with the Sun right, no fault"
     console.print(declared_table(title, "flights with", rows_of(flown)))
+    write_flights(out, [(name_of(f.task), [f]) for f in flown])
 
 
 if __name__ == "__main__":

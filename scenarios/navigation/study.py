@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import click
@@ -42,6 +44,24 @@ def seed_and_jobs(function: F) -> F:
     seed = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
                         help="Root seed.")  # fmt: skip
     return seed(jobs(function))
+
+
+def json_option(function: F) -> F:
+    """Add the option `--json`."""
+    return click.option("--json", "out", type=click.Path(path_type=Path, dir_okay=False),
+                        help="Every flight: its row and what came of it.")(function)  # fmt: skip
+
+
+def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[Declared]]]) -> None:
+    """Write the flights of a study, each with its row, for `undeclared.py`."""
+    if out is None:
+        return
+    keys = ("far", "lost", "doubted", "safe")
+    flights = [
+        {"row": name, **{key: int(getattr(f, key)) for key in keys}}
+        for name, mine in rows for f in mine
+    ]  # fmt: skip
+    out.write_text(json.dumps(flights, indent=1) + "\n")
 
 
 def declared_table(title: str, first: str, rows: Iterable[tuple[str, Sequence[Declared]]]) -> Table:
