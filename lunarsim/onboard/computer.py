@@ -24,6 +24,7 @@ from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
+from lunarsim.onboard.guidance.steady import SteadyPlace
 from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import FloatMap
@@ -99,6 +100,7 @@ class OnboardComputer:
         self.time = 0.0
         self.mass = self.lander.wet_mass
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
+        self._place = SteadyPlace()
         self.telemetry: list[tuple[float, str, dict[str, Any]]] = []
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
@@ -438,18 +440,19 @@ class OnboardComputer:
             self.phase = VERTICAL
             self._note(self.time, "vertical-descent", {"altitude": self.altitude})
         end: PhaseEnd
+        here = self._steadied()
         if self.phase == BRAKING:
             end = self.braking.end(self.site)
             wanted = self._brake.command(self.estimate, end, self.time, self.time_to_go)
             tilt = self.braking.max_tilt
         elif self.phase == APPROACH:
             end = self.approach.end(self.site, self.lander)
-            wanted = self.guidance.command(self.estimate, end, self.time, self.time_to_go)
+            wanted = self.guidance.command(here, end, self.time, self.time_to_go)
             tilt = self.approach.max_tilt
             self._follow_guidance()
         elif self.phase == VERTICAL:
             end = self.approach.ground(self.site, self.lander)
-            wanted = self.vertical.command(self.estimate, end, self.time)
+            wanted = self.vertical.command(here, end, self.time)
             tilt = self.vertical.lean
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
@@ -461,6 +464,13 @@ class OnboardComputer:
         self._thrust = command.thrust
         self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
         return command
+
+    def _steadied(self) -> Estimate:
+        """Return where guidance takes the lander to be on the last part of the way."""
+        if not self.navigation.steps or self.phase not in {APPROACH, VERTICAL}:
+            return self.estimate
+        left = self.time_to_go if self.phase == APPROACH else 0.0
+        return self._place.of(self.estimate, left)
 
     def _follow_guidance(self) -> None:
         """Take over when a law means to arrive, if it says so, and what it reports."""

@@ -32,6 +32,9 @@ class DescentLaw(Protocol):
 class VerticalDescent:
     """Hold the descent speed and stay above the target (section IV.B of the shadow EKF paper).
 
+    A lander that drifts sideways faster than it can stop before the ground comes down more slowly
+    until it can.
+
     Attributes
     ----------
     gravity
@@ -45,6 +48,10 @@ class VerticalDescent:
         more, and at the ground, rad: the lander must arrive upright.
     lean_height
         m.
+    slip
+        Sideways speed that need not be taken out, m/s.
+    slowest
+        Least descent speed over that of the whole descent.
     """
 
     gravity: float
@@ -54,6 +61,8 @@ class VerticalDescent:
     lean: float = np.deg2rad(12.0)
     lean_low: float = np.deg2rad(2.0)
     lean_height: float = 8.0
+    slip: float = 0.3
+    slowest: float = 0.25
 
     @classmethod
     def behind(cls, lag: float, gravity: float) -> VerticalDescent:
@@ -75,12 +84,25 @@ class VerticalDescent:
             -(self.frequency**2) * offset
             - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
         )
-        up = self.gravity + self.speed_gain * (float(end.velocity[2]) - float(estimate.velocity[2]))
-        up = max(up, 0.3 * self.gravity)
         height = float(estimate.position[2] - end.position[2])
         share = min(max(height / self.lean_height, 0.0), 1.0)
-        limit = up * np.tan(self.lean_low + share * (self.lean - self.lean_low))
+        leaning = float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
+        wanted = self._speed(estimate.velocity, height, float(end.velocity[2]), leaning)
+        up = self.gravity + self.speed_gain * (wanted - float(estimate.velocity[2]))
+        up = max(up, 0.3 * self.gravity)
+        limit = up * leaning
         size = float(np.hypot(*sideways))
         if size > limit:
             sideways *= limit / size
         return np.array([sideways[0], sideways[1], up])
+
+    def _speed(
+        self, velocity: NDArray[np.float64], height: float, planned: float, leaning: float
+    ) -> float:
+        """Return the vertical speed, m/s: slower than planned while it slips too fast to stop."""
+        excess = max(float(np.hypot(velocity[0], velocity[1])) - self.slip, 0.0)
+        # The lean allowed shrinks on the way down: half of what it can do here is to be had.
+        stopping = excess / (0.5 * self.gravity * leaning)
+        if excess == 0.0 or -planned * stopping <= height:
+            return planned
+        return min(-height / stopping, self.slowest * planned)

@@ -105,10 +105,13 @@ class Navigation(ABC):
     own_azimuth
         Whether the local frame points where the lander says that it began to, not as the site
         frame does.
+    steps
+        Whether measurements move its position in steps.
     """
 
     events: list[NavigationEvent]
     own_azimuth: ClassVar[bool] = False
+    steps: ClassVar[bool] = True
 
     @property
     @abstractmethod

@@ -47,6 +47,8 @@ class FixNavigation(Navigation):
         Between samples of gyroscopes, if there are any, s.
     """
 
+    steps: ClassVar[bool] = False
+
     def __init__(self, start: StartEstimate, step: float) -> None:
         self._step = step
         self._arrivals = Arrivals(step, self._note)

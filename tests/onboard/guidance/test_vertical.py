@@ -35,3 +35,38 @@ def test_vertical_descent_stays_upright_near_the_ground():
     command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), GROUND, 0.0)
     lean = np.arctan2(np.hypot(command[0], command[1]), command[2])
     assert lean <= law.lean_low + 0.2 * (law.lean - law.lean_low)
+
+
+def descend(law: VerticalDescent, sideways: float, height: float) -> tuple[float, float]:
+    """Return the sideways and the downward speed at the ground, m/s."""
+    r, v = np.array([0.0, 0.0, height]), np.array([sideways, 0.0, -2.0])
+    for n in range(6000):
+        if r[2] <= 0.0:
+            break
+        v = v + 0.01 * (law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([0.0, 0.0, G]))
+        r = r + 0.01 * v
+    assert r[2] <= 0.0
+    return abs(float(v[0])), -float(v[2])
+
+
+@pytest.mark.parametrize("sideways", [0.2, 1.0, 2.0, 3.0])
+def test_a_lander_that_slips_comes_down_more_slowly_until_it_can_stop(sideways):
+    slip, down = descend(VerticalDescent(G), sideways, 10.0)
+    assert slip < 0.5
+    assert 0.4 < down < 2.1
+
+
+def test_one_that_can_stop_comes_down_as_planned():
+    law = VerticalDescent(G)
+    fast = law.command(estimate([0.0, 0.0, 10.0], [2.0, 0.0, -2.0]), GROUND, 0.0)
+    high = law.command(estimate([0.0, 0.0, 40.0], [1.0, 0.0, -2.0]), GROUND, 0.0)
+    still = law.command(estimate([0.0, 0.0, 10.0], [0.2, 0.0, -2.0]), GROUND, 0.0)
+    assert high[2] == pytest.approx(G)
+    assert still[2] == pytest.approx(G)
+    assert fast[2] > G + 0.1
+
+
+def test_a_lander_below_where_the_ground_should_be_still_goes_down():
+    law = VerticalDescent(G)
+    command = law.command(estimate([0.0, 0.0, -1.0], [2.0, 0.0, 0.0]), GROUND, 0.0)
+    assert command[2] < G

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.onboard.guidance.steady import SteadyPlace
+from lunarsim.onboard.navigation.estimate import Estimate
+
+SPEED = np.array([3.0, -1.0, -2.0])
+
+
+def estimate(time: float, step: float = 0.0) -> Estimate:
+    """A straight flight whose place moves by `step` m to the east after 1 s."""
+    moved = np.array([step if time > 1.0 else 0.0, 0.0, 0.0])
+    return Estimate(
+        time, time * SPEED + moved, SPEED, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1500.0,
+        np.eye(9),
+    )  # fmt: skip
+
+
+def flown(left: float, step: float, until: float = 4.0) -> np.ndarray:
+    steady = SteadyPlace()
+    times = np.arange(0.0, until, 0.1)
+    return np.array([steady.of(estimate(t, step), left).position - t * SPEED for t in times])
+
+
+def test_a_step_of_the_place_is_taken_up_slowly_near_the_end():
+    off = flown(5.0, 1.0)
+    np.testing.assert_allclose(off[:10], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.diff(off[11:, 0]), 0.015, atol=1e-12)
+    np.testing.assert_allclose(off[:, 1:], 0.0, atol=1e-12)
+
+
+def test_a_step_is_taken_up_whole_in_the_end():
+    assert flown(5.0, 0.2)[-1, 0] == pytest.approx(0.2, abs=1e-12)
+
+
+def test_far_from_the_end_the_place_is_taken_as_it_is():
+    off = flown(20.0, 1.0)
+    np.testing.assert_allclose(off[11:, 0], 1.0, atol=1e-12)
+
+
+def test_height_and_velocity_are_taken_as_they_are():
+    steady = SteadyPlace()
+    steady.of(estimate(0.0), 1.0)
+    later = Estimate(
+        0.1, np.array([9.0, 9.0, 7.0]), np.array([1.0, 2.0, 3.0]),
+        np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3), 1400.0, np.eye(9),
+    )  # fmt: skip
+    found = steady.of(later, 1.0)
+    assert found.position[2] == 7.0
+    np.testing.assert_array_equal(found.velocity, later.velocity)
+    np.testing.assert_array_equal(found.rate, later.rate)
+    assert found.mass == later.mass
+
+
+def test_small_corrections_pass_unchanged():
+    steady = SteadyPlace()
+    for n in range(20):
+        given = estimate(0.1 * n)
+        given.position[0] += 0.001 * (-1) ** n
+        np.testing.assert_array_equal(steady.of(given, 2.0).position, given.position)
