@@ -5,6 +5,7 @@ Nothing of a table is written here but its name: keys, bounds and defaults stand
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from lunarsim.onboard.guidance.approach import Approach
@@ -42,7 +43,7 @@ OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}
 CHOSEN: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),
     "vehicle": ("vehicle", "lander"),
-    "navigation": ("navigation", "fixes"),
+    "navigation": ("navigation", "inertial"),
     "policy": ("policy", "safest"),
     "guidance": ("guidance", "apollo"),
     "control": ("control", "pd"),
@@ -53,7 +54,9 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
         "sensor",
         {
             "imu": {"kind": "imu"},
-            "fix": {"kind": "navigation-fix"},
+            "altimeter": {"kind": "radar-altimeter"},
+            "velocimeter": {"kind": "velocimeter"},
+            "stars": {"kind": "star-tracker"},
             "flash": {"kind": "flash-lidar"},
         },
     ),
@@ -76,3 +79,25 @@ MOVED_KEYS: dict[str, str] = {
     "navigation": "error budgets are in [sensors.NAME] with kind = 'navigation-fix', and in "
     "[start_knowledge]",
 }
+
+
+def kind_left_out(table: str, data: Mapping[str, Any]) -> str:
+    """Return the kind of a part of `CHOSEN` that a scenario does not name.
+
+    Navigation goes by what else is given: a lander with fixes of another system takes those, a map
+    of shadows maps with the filter that tracks rocks.
+    """
+    if table == "navigation":
+        if "navigation-fix" in _kinds(data, "sensors"):
+            return "fixes"
+        if "shadow" in _kinds(data, "mappers"):
+            return "rocks"
+    return CHOSEN[table][1]
+
+
+def _kinds(data: Mapping[str, Any], table: str) -> set[Any]:
+    """Return the kinds of named parts that are given; what is no table is told of elsewhere."""
+    parts = data.get(table, {})
+    named = parts.values() if isinstance(parts, Mapping) else ()
+    kinds = [part.get("kind") for part in named if isinstance(part, Mapping)]
+    return {kind for kind in kinds if isinstance(kind, str)}

@@ -121,7 +121,8 @@ class Scenario:
         for key, contract in layout.OPTIONAL_CHOSEN.items():
             given = key in data
             values[key] = _chosen(key, contract, data[key], None, folder) if given else None
-        for key, (contract, kind) in layout.CHOSEN.items():
+        for key, (contract, _) in layout.CHOSEN.items():
+            kind = layout.kind_left_out(key, data)
             values[key] = _chosen(key, contract, data.get(key, {}), kind, folder)
         for key, (contract, default) in layout.NAMED.items():
             tables = _mapping(key, data.get(key, default))

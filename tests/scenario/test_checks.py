@@ -13,6 +13,7 @@ from tests.worlds import SCENARIOS
 IMU = {"kind": "imu"}
 FIX = {"kind": "navigation-fix"}
 FLASH = {"kind": "flash-lidar"}
+FIXED = {"imu": IMU, "fix": FIX, "flash": FLASH}
 DEM = {"kind": "gaussian-dem"}
 CAMERA = {"kind": "camera"}
 SHADOW = {"kind": "shadow", "sensor": "eye"}
@@ -47,7 +48,7 @@ WRONG = {
     "mapper's sensor is missing": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "flush"}}},
         "mappers.dem.sensor", "flush",
-        "the name of a sensor of kind 'flash-lidar'; there are imu, fix, flash",
+        "of kind 'flash-lidar'; there are imu, altimeter, velocimeter, stars, flash",
     ),
     "mapper's sensor is missing, and there is none at all": (
         {"sensors": {}, "tasking": {}},
@@ -67,7 +68,7 @@ WRONG = {
         "navigation.kind", "fixes", "'rocks': mappers.rocks of kind 'shadow' maps with that filter",
     ),
     "navigation without what it needs": (
-        {"sensors": {"imu": IMU, "flash": FLASH}},
+        {"sensors": {"imu": IMU, "flash": FLASH}, "navigation": {"kind": "fixes"}},
         "navigation.kind", "fixes",
         "needs a sensor of kind 'navigation-fix': add it under [sensors.NAME]",
     ),
@@ -87,11 +88,11 @@ WRONG = {
         "prior_map", None, "a table [prior_map]: navigation of kind 'prior-map' finds its place",
     ),
     "a map that nothing uses": (
-        {"prior_map": {}},
+        {"sensors": FIXED, "prior_map": {}},
         "prior_map", "given", "left out: navigation of kind 'fixes' does not use it",
     ),
     "knowledge of the start that nothing uses": (
-        {"start_knowledge": {}},
+        {"sensors": FIXED, "start_knowledge": {}},
         "start_knowledge", "given", "left out: navigation of kind 'fixes' does not use it",
     ),
     "control on gyroscopes without any": (
@@ -137,7 +138,7 @@ WRONG = {
         "take AltimeterReading",
     ),
     "a LiDAR that no mapper maps": (
-        {"mappers": {}},
+        {"sensors": FIXED, "mappers": {}},
         "sensors.flash", "flash-lidar", "a sensor that some part uses",
     ),
     "decisions on a map that is not there": (
@@ -205,7 +206,7 @@ class ArrivalOnly:
 def test_parts_of_other_packages_are_checked_by_what_they_say():
     kind = f"{__name__}:ArrivalOnly"
     with pytest.raises(InputError) as caught:
-        Scenario.from_dict({"navigation": {"kind": kind}})
+        Scenario.from_dict({"navigation": {"kind": kind}, "sensors": FIXED})
     assert caught.value.field == "sensors.fix"
     assert kind in caught.value.expected
     Scenario.from_dict({"navigation": {"kind": kind}, "sensors": {"imu": IMU, "flash": FLASH}})

@@ -11,6 +11,7 @@ from lunarsim.scenario.notes import notes_on
 from tests.worlds import SCENARIOS
 
 CAMERA = {"kind": "camera"}
+FIXED = {"imu": "imu", "fix": "navigation-fix", "flash": "flash-lidar"}
 
 
 def notes(**tables):
@@ -43,7 +44,14 @@ def test_the_default_study_has_nothing_odd():
         ),
         ({"vehicle": {"com_height_m": 20.0}}, "vehicle.slope_limit_deg = 10", "from 4.75 deg on"),
         ({"vehicle": {"roughness_limit_m": 0.4}}, "vehicle.roughness_limit_m", "belly touches"),
-        ({"sun": {"elevation_deg": 5.0}}, "sun.elevation_deg = 5", "no sensor of kind 'camera'"),
+        (
+            {
+                "sun": {"elevation_deg": 5.0},
+                "sensors": {name: {"kind": kind} for name, kind in FIXED.items()},
+            },
+            "sun.elevation_deg = 5",
+            "no sensor of kind 'camera'",
+        ),
         (
             {"terrain": {"kind": "hazard-field"}, "rocks": {"cover": 0.1}},
             "rocks.cover = 0.1", "its own",

@@ -40,7 +40,8 @@ def test_defaults_make_a_whole_study():
     assert scenario.name == "unnamed"
     assert scenario.vehicle.kind == "lander"
     assert scenario.vehicle.make() == Lander()
-    assert sorted(scenario.sensors) == ["fix", "flash", "imu"]
+    assert sorted(scenario.sensors) == ["altimeter", "flash", "imu", "stars", "velocimeter"]
+    assert scenario.navigation.kind == "inertial"
     assert (scenario.prior_map, scenario.start_knowledge) == (None, None)
     assert scenario.start.heading_deg == 90.0
     assert scenario.start.make().heading == pytest.approx(np.pi / 2)
@@ -206,7 +207,8 @@ def test_none_takes_a_table_or_a_value_away():
     bare = Scenario.from_dict({}).changed(
         sensors={"flash": None}, tasking={"flash": None}, mappers={"dem": None}
     )
-    assert (sorted(bare.sensors), bare.tasking, bare.mappers) == (["fix", "imu"], {}, {})
+    assert sorted(bare.sensors) == ["altimeter", "imu", "stars", "velocimeter"]
+    assert (bare.tasking, bare.mappers) == ({}, {})
     assert Scenario.from_toml(bare.to_toml()) == bare
 
 
@@ -236,3 +238,34 @@ def test_a_file_that_python_cannot_hold_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InputError):
         Scenario.load(path)
+
+
+IMU, FIX, CAMERA = {"kind": "imu"}, {"kind": "navigation-fix"}, {"kind": "camera"}
+
+
+@pytest.mark.parametrize(
+    ("tables", "kind"),
+    [
+        ({}, "inertial"),
+        ({"sensors": {"imu": IMU, "fix": FIX, "flash": {"kind": "flash-lidar"}}}, "fixes"),
+        (
+            {
+                "sensors": {"imu": IMU, "eye": CAMERA},
+                "tasking": {"eye": {"kind": "periodic"}},
+                "mappers": {"rocks": {"kind": "shadow", "sensor": "eye"}},
+            },
+            "rocks",
+        ),
+    ],
+)
+def test_navigation_left_out_goes_by_what_the_lander_carries(tables, kind):
+    assert Scenario.from_dict(tables).navigation.kind == kind
+
+
+@pytest.mark.parametrize(
+    "tables", [{"sensors": 3}, {"sensors": {"a": 3}}, {"mappers": {"a": {"kind": [1]}}}]
+)
+def test_tables_that_are_none_are_told_as_such(tables):
+    with pytest.raises(InputError) as caught:
+        Scenario.from_dict(tables)
+    assert caught.value.field.startswith(next(iter(tables)))

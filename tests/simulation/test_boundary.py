@@ -19,6 +19,11 @@ from tests.conftest import ROOT, SCENARIOS
 
 FLASH = {
     "name": "flash",
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "fix": {"kind": "navigation-fix"},
+        "flash": {"kind": "flash-lidar"},
+    },
     "terrain": {"size_m": 80.0},
     "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
     "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 50.0}},

@@ -1,0 +1,168 @@
+"""How often a fit of a scan to a map is wrong and believed: the nearest minimum is not the place.
+
+No flight: single flashes, wide and narrow, from 100 to 400 m at slants of 30 to 80 deg, over the
+grounds of `places.py`, begun with errors of place drawn from the error that is stated (and of
+attitude and of the scanner likewise). A fit is wrong where, once it is taken in, the middle of the
+scan is more than half a post and more than five of its own deviations off, east or north.
+`RegistrationSettings.believes` decides which are taken; the gate of the filter, by which
+`MapMatcher` refuses some more, is left out.
+
+python scenarios/navigation/fits.py --fits 1000 --jobs 2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import click
+import numpy as np
+from places import UPRIGHT, craters, objects
+from rich.console import Console
+from rich.table import Table
+from study import seed_and_jobs
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.grid import Grid
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.registration import register
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.seen_scan import LEAST, SeenScan
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world.survey import survey
+
+GROUNDS = {"objects": objects, "craters": craters}
+SIGMAS = (0.3, 1.0, 2.0)  # of the place, an axis, m
+STALE = (0.0, 0.2)
+POSTINGS = (0.5, 1.0)
+TURN = np.deg2rad(0.1)
+LIDARS = (FlashLidar(128, 128, 0.0131, 5e-5), FlashLidar(128, 128, 0.1, 5e-5))
+PER_WORLD = 20
+FAR = 5.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Task:
+    """Fits over one world."""
+
+    ground: str
+    posting: float
+    stale: float
+    world: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What came of a fit.
+
+    Attributes
+    ----------
+    believed, wrong
+        Whether it was taken, and whether it is wrong.
+    tells
+        Whether it makes the place better known than before by a fifth and more.
+    """
+
+    sigma: float
+    believed: bool
+    wrong: bool
+    tells: bool
+
+
+def fits(task: Task) -> list[Tried]:
+    """Fit flashes to the map of one world."""
+    index = list(GROUNDS).index(task.ground)
+    rng = np.random.default_rng(
+        [task.seed, index, round(10 * task.posting), round(10 * task.stale), task.world]
+    )
+    world = GROUNDS[task.ground](rng)
+    grid = Grid.centred((0.0, 0.0), 300.0, task.posting)
+    sigma = 0.1 if task.posting < 1.0 else 0.3
+    prior = survey(world.terrain, grid, rng, sigma=sigma, stale_share=task.stale)
+    features = MapFeatures(prior)
+    settings = RegistrationSettings()
+    variance = np.full(grid.shape, 2.0 * prior.sigma**2 + settings.model_sigma**2)
+    out = []
+    for n in range(PER_WORLD):
+        place_sigma = SIGMAS[n % len(SIGMAS)]
+        sigmas = np.array([*[place_sigma] * 3, *[TURN] * 3, *LEAST])
+        error = sigmas * rng.standard_normal(11)
+        seen = flash(world, rng, error)
+        result, _ = register(seen, features, np.diag(sigmas**2), variance)
+        out.append(judged(seen, error, sigmas, result, settings.believes(result), task.posting))
+    return [Tried(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
+
+
+def flash(world, rng: np.random.Generator, error: np.ndarray) -> SeenScan:  # type: ignore[no-untyped-def]
+    """Return a flash as it is believed to have been taken; with `error` (11,) added it is right."""
+    aim = np.append(rng.uniform(-50.0, 50.0, 2), 0.0)
+    height, slant = rng.uniform(100.0, 400.0), np.deg2rad(rng.uniform(30.0, 80.0))
+    heading = rng.uniform(-np.pi, np.pi)
+    away = height / np.tan(slant) * np.array([np.cos(heading), np.sin(heading)])
+    position = np.append(aim[:2] + away, height)
+    mount = gimbal_mount(UPRIGHT, aim - position)
+    state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
+    scan = LIDARS[int(rng.integers(len(LIDARS)))].measure(world, state, 0.0, rng, mount)
+    attitude = quat_multiply(UPRIGHT, quat_from_rotation_vector(-error[3:6]))
+    seen = SeenScan(scan, position - error[:3], attitude, np.zeros(3), np.zeros(3))
+    # What the scanner errs by, the other way round.
+    return seen.moved(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
+
+
+def judged(seen, error, sigmas, result, believed, posting):  # type: ignore[no-untyped-def]
+    """Return whether a fit was believed, is wrong and tells the place."""
+    before = np.diag(sigmas**2)
+    both = np.eye(11) + result.information @ before
+    found = before @ np.linalg.solve(both, result.vector)
+    after = before @ np.linalg.inv(both)
+    points = seen.points()
+    middle = np.nanmean(points, axis=0) if np.isfinite(points).any() else seen.position
+    across = seen.point_jacobian(middle)[:2]
+    off = np.abs(across @ (error - found))
+    own = np.sqrt(np.diag(across @ after @ across.T))
+    first = np.sqrt(np.diag(across @ before @ across.T))
+    far = (off > 0.5 * posting) & (off > FAR * own)
+    return believed, bool(believed and far.any()), bool(believed and (own < 0.8 * first).all())
+
+
+@click.command()
+@click.option("--fits", "count", type=click.IntRange(min=1), default=200, show_default=True,
+              help="In each row, at least.")  # fmt: skip
+@seed_and_jobs
+def main(count: int, seed: int, jobs: int) -> None:
+    """Fit flashes to maps, and count those that are believed and wrong."""
+    console = Console(width=120)
+    worlds = -(-count // PER_WORLD)
+    rows = list(product(GROUNDS, POSTINGS, STALE))
+    tasks = [Task(*row, n, seed) for row in rows for n in range(worlds)]
+    tried = gathered(fits, tasks, jobs, console, "worlds")
+    table = Table(title="Fits of single flashes to a map")
+    for heading in ("ground, posts (m), out of date, place (m)", "fits", "believed",
+                    "of these tell\nthe place", "wrong [95 %]"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading.startswith("ground") else "right")
+    lines = {
+        f"{ground} {posting:g} {stale:g} {sigma:g}": [
+            f for task, some in zip(tasks, tried, strict=True) for f in some
+            if (task.ground, task.posting, task.stale, f.sigma) == (ground, posting, stale, sigma)
+        ]
+        for (ground, posting, stale), sigma in product(rows, SIGMAS)
+    }  # fmt: skip
+    lines["all"] = [f for some in tried for f in some]
+    for name, some in lines.items():
+        believed = sum(f.believed for f in some)
+        wrong = sum(f.wrong for f in some)
+        low, high = Proportion(wrong, believed).interval if believed else (0.0, 1.0)
+        table.add_row(
+            name, f"{len(some)}", f"{believed}", f"{sum(f.tells for f in some)}",
+            f"{wrong} [{low:.4f}, {high:.4f}]",
+        )  # fmt: skip
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
