@@ -169,6 +169,16 @@ def error_of(simulation: Simulation) -> np.ndarray:
     )
 
 
+def nees_of(flights: list[Flown], epoch: int, keep: np.ndarray) -> Consistency:
+    """Return the NEES of some of the nine errors at an epoch, over the flights that came so far."""
+    found = Consistency()
+    for f in flights:
+        if len(f.error) > epoch:
+            own = f.covariance[epoch][np.ix_(keep, keep)]
+            found = found.plus(normalised_square(f.error[epoch, keep], own), len(keep))
+    return found
+
+
 def nees_table(flights: list[Flown]) -> Table:
     """Return NEES over its degrees of freedom, by epoch and part."""
     table = Table(title=f"NEES over degrees of freedom, {100 * LEVEL:g} % bounds in brackets")
@@ -178,13 +188,7 @@ def nees_table(flights: list[Flown]) -> Table:
     for k, share in enumerate(EPOCHS):
         cells = []
         for keep in PARTS.values():
-            found = Consistency()
-            for f in flights:
-                if len(f.error) > k:
-                    square = normalised_square(
-                        f.error[k, keep], f.covariance[k][np.ix_(keep, keep)]
-                    )
-                    found = found.plus(square, len(keep))
+            found = nees_of(flights, k, keep)
             low, high = found.bounds(LEVEL)
             mark = "" if found.holds(LEVEL) else " !"
             cells.append(f"{found.ratio:.2f} [{low:.2f}, {high:.2f}]{mark}")
