@@ -25,6 +25,7 @@ from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.steady import SteadyPlace
+from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import FloatMap
@@ -101,6 +102,7 @@ class OnboardComputer:
         self.mass = self.lander.wet_mass
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
         self._place = SteadyPlace()
+        self._strain = Strain()
         self.telemetry: list[tuple[float, str, dict[str, Any]]] = []
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
@@ -405,6 +407,19 @@ class OnboardComputer:
         if np.isfinite(time_to_go):
             self._arrival = self.time + time_to_go
 
+    def _arrive_later(self) -> None:
+        """Take longer for a path that asks for too much, if a longer one keeps the limits.
+
+        Where the mission fixes the time, or a law its own, that stands.
+        """
+        if self.approach.time_to_go is not None or isinstance(self.guidance, PlansArrival):
+            return
+        time_to_go = float(self.cost_of(self.site[None, :]).time_to_go[0])
+        if self.time_to_go < time_to_go < np.inf:
+            later = time_to_go - self.time_to_go
+            self._arrival = self.time + time_to_go
+            self._note(self.time, "arrives-later", {"seconds": later})
+
     def _end_braking(self) -> None:
         """Follow the time-to-go of braking; begin the approach when its end comes."""
         end = self.braking.end(self.site)
@@ -450,6 +465,8 @@ class OnboardComputer:
             wanted = self.guidance.command(here, end, self.time, self.time_to_go)
             tilt = self.approach.max_tilt
             self._follow_guidance()
+            if self._strain.lasts(wanted, self.mass, (tilt, self.lander.thrust_max), self.time):
+                self._arrive_later()
         elif self.phase == VERTICAL:
             end = self.approach.ground(self.site, self.lander)
             wanted = self.vertical.command(here, end, self.time)

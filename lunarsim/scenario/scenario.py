@@ -159,7 +159,8 @@ class Scenario:
         tables
             By table: ``changed(sun={"elevation_deg": 5.0})``; what is not named stays. A part of
             another `kind` starts from its own defaults; None takes a named part or an optional
-            table away.
+            table away. Navigation that is what it would be if left out goes by what the lander
+            carries then.
 
         Raises
         ------
@@ -173,6 +174,11 @@ class Scenario:
         ('rocky', 0.1)
         """
         data = self.to_dict()
+        left_out = {"kind": layout.kind_left_out("navigation", data)}
+        if "navigation" not in tables and self.navigation == _chosen(
+            "navigation", "navigation", left_out, None, None
+        ):
+            del data["navigation"]
         for key, change in tables.items():
             data[key] = _merged(data.get(key), change)
             if data[key] is None:

@@ -262,6 +262,23 @@ def test_navigation_left_out_goes_by_what_the_lander_carries(tables, kind):
     assert Scenario.from_dict(tables).navigation.kind == kind
 
 
+def test_navigation_goes_by_what_the_lander_carries_after_a_change():
+    hirise = Scenario.load(SCENARIOS / "hirise.toml")
+    assert hirise.changed(sensors={"fix": None}).navigation.kind == "inertial"
+    assert hirise.changed(rocks={"cover": 0.1}).navigation.kind == "fixes"
+    assert (
+        Scenario.from_dict({})
+        .changed(sensors={"fix": FIX, "stars": None, "altimeter": None, "velocimeter": None})
+        .navigation.kind
+        == "fixes"
+    )
+    # What is not as if left out stays.
+    own = Scenario.from_dict({"navigation": {"relief_deg": 8.0}})
+    assert own.changed(rocks={"cover": 0.1}).navigation.relief_deg == 8.0
+    with pytest.raises(InputError, match="navigation-fix"):
+        hirise.changed(sensors={"fix": None}, navigation={"kind": "fixes"})
+
+
 @pytest.mark.parametrize(
     "tables", [{"sensors": 3}, {"sensors": {"a": 3}}, {"mappers": {"a": {"kind": [1]}}}]
 )

@@ -245,6 +245,39 @@ def test_the_first_decision_to_stay_chooses_the_time_afresh(small_scenario):
     assert computer.time_to_go == before
 
 
+def moved_late(scenario) -> Simulation:
+    """Return a flight whose site is elsewhere all of a sudden, and its time-to-go as it was."""
+    simulation = Simulation(scenario, flight_seed(4, 0), None)
+    computer = simulation.computer
+    while computer.time_to_go > 7.0:
+        simulation.step()
+    computer.site = computer.site + np.array([-20.0, 0.0, 0.0])
+    while not simulation.done:
+        simulation.step()
+    return simulation
+
+
+def test_a_path_that_asks_for_too_much_arrives_later(small_scenario, monkeypatch):
+    def miss(simulation: Simulation) -> float:
+        aimed = simulation.site - simulation.navigation_error
+        touchdown = simulation.verdict.touchdown
+        # One that leaves the ground that there is touches down nowhere.
+        return np.inf if touchdown is None else float(np.hypot(*(touchdown.position - aimed)[:2]))
+
+    found = moved_late(small_scenario)
+    (later,) = [d for _, name, d in found.computer.telemetry if name == "arrives-later"]
+    assert later["seconds"] > 1.0
+    assert miss(found) < 1.0
+    assert found.verdict.touchdown.horizontal_speed < 0.5
+    monkeypatch.setattr("lunarsim.onboard.guidance.strain.Strain.lasts", lambda *a: False)
+    assert miss(moved_late(small_scenario)) > 5.0
+
+
+def test_a_time_that_the_mission_fixes_stands(small_scenario):
+    found = moved_late(small_scenario.changed(approach={"time_to_go_s": 30.0}))
+    assert not [1 for _, name, _ in found.computer.telemetry if name == "arrives-later"]
+
+
 def test_a_gimbal_stops_at_its_limit_whatever_it_is_told(small_scenario):
     stiff = small_scenario.changed(sensors={"flash": {"gimbal_limit_deg": 20.0}})
     simulation = Simulation(stiff, flight_seed(4, 0), None)

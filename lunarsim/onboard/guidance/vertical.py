@@ -46,8 +46,8 @@ class VerticalDescent:
     lean, lean_low
         Greatest lean of the thrust from the vertical at `lean_height` above the ground and
         more, and at the ground, rad: the lander must arrive upright.
-    lean_height
-        m.
+    lean_height, low_height
+        Below these the lean shrinks, on the way down and while it slips, m.
     slip
         Sideways speed that need not be taken out, m/s.
     slowest
@@ -61,6 +61,7 @@ class VerticalDescent:
     lean: float = np.deg2rad(12.0)
     lean_low: float = np.deg2rad(2.0)
     lean_height: float = 8.0
+    low_height: float = 3.0
     slip: float = 0.3
     slowest: float = 0.25
 
@@ -85,9 +86,9 @@ class VerticalDescent:
             - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
         )
         height = float(estimate.position[2] - end.position[2])
-        share = min(max(height / self.lean_height, 0.0), 1.0)
-        leaning = float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
-        wanted = self._speed(estimate.velocity, height, float(end.velocity[2]), leaning)
+        planned = float(end.velocity[2])
+        wanted = self._slowed(estimate.velocity, height, planned)
+        leaning = self._leaning(height, self.lean_height if wanted == planned else self.low_height)
         up = self.gravity + self.speed_gain * (wanted - float(estimate.velocity[2]))
         up = max(up, 0.3 * self.gravity)
         limit = up * leaning
@@ -96,13 +97,16 @@ class VerticalDescent:
             sideways *= limit / size
         return np.array([sideways[0], sideways[1], up])
 
-    def _speed(
-        self, velocity: NDArray[np.float64], height: float, planned: float, leaning: float
-    ) -> float:
+    def _leaning(self, height: float, full: float) -> float:
+        """Return the tangent of the greatest lean at a height, all of it from `full` on."""
+        share = min(max(height / full, 0.0), 1.0)
+        return float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
+
+    def _slowed(self, velocity: NDArray[np.float64], height: float, planned: float) -> float:
         """Return the vertical speed, m/s: slower than planned while it slips too fast to stop."""
         excess = max(float(np.hypot(velocity[0], velocity[1])) - self.slip, 0.0)
         # The lean allowed shrinks on the way down: half of what it can do here is to be had.
-        stopping = excess / (0.5 * self.gravity * leaning)
+        stopping = excess / (0.5 * self.gravity * self._leaning(height, self.lean_height))
         if excess == 0.0 or -planned * stopping <= height:
             return planned
         return min(-height / stopping, self.slowest * planned)

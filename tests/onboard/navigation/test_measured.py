@@ -145,6 +145,8 @@ BAD = [
     lambda s: take_range(s, np.nan, 1.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 100.0, 0.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 100.0, np.nan, BEAMS[0], 0.0),
+    lambda s: take_range(s, 100.0, 1e155, BEAMS[0], 0.0),
+    lambda s: take_range(s, np.inf, 1.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 100.0, 1.0, -BEAMS[0], 0.0),
     lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4, gate=16.0),
     lambda s: take_range(s, -100.0, 1.0, BEAMS[0], 0.0),

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 # Cosine from straight down beyond which a beam says little of the ground below.
 LEAST_DOWN = 0.1
+# A deviation beyond this tells nothing, m: its square may be no number.
+_VAGUE = 1e9
 
 
 def take_range(
@@ -33,8 +35,8 @@ def take_range(
     state
         Of the filter.
     distance, sigma
-        Measured, and its standard deviation, m; NaN, or a deviation that is not positive, tells
-        nothing.
+        Measured, and its standard deviation, m; NaN, or a deviation that is not positive or
+        beyond any use, tells nothing.
     beam
         Unit vector (3,), body axes.
     ground
@@ -49,7 +51,7 @@ def take_range(
         See `ErrorState.measure`.
     """
     nothing = Outcome(np.nan, 1, False)
-    if not (np.isfinite(distance) and distance > 0.0 and np.isfinite(sigma) and sigma > 0.0):
+    if not (0.0 < distance < np.inf and 0.0 < sigma < _VAGUE):
         return nothing
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
