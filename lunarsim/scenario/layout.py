@@ -84,14 +84,14 @@ MOVED_KEYS: dict[str, str] = {
 def kind_left_out(table: str, data: Mapping[str, Any]) -> str:
     """Return the kind of a part of `CHOSEN` that a scenario does not name.
 
-    Navigation goes by what else is given: a lander with fixes of another system takes those, a map
-    of shadows maps with the filter that tracks rocks.
+    Navigation goes by what else is given: a map of shadows maps with the filter that tracks rocks,
+    a lander with fixes of another system takes those.
     """
     if table == "navigation":
-        if "navigation-fix" in _kinds(data, "sensors"):
-            return "fixes"
         if "shadow" in _kinds(data, "mappers"):
             return "rocks"
+        if "navigation-fix" in _kinds(data, "sensors"):
+            return "fixes"
     return CHOSEN[table][1]
 
 

@@ -256,10 +256,24 @@ IMU, FIX, CAMERA = {"kind": "imu"}, {"kind": "navigation-fix"}, {"kind": "camera
             },
             "rocks",
         ),
+        (
+            {
+                "sensors": {"imu": IMU, "eye": CAMERA, "fix": FIX},
+                "tasking": {"eye": {"kind": "periodic"}},
+                "mappers": {"rocks": {"kind": "shadow", "sensor": "eye"}},
+            },
+            "rocks: sensors.fix",
+        ),
     ],
 )
 def test_navigation_left_out_goes_by_what_the_lander_carries(tables, kind):
-    assert Scenario.from_dict(tables).navigation.kind == kind
+    if ": " not in kind:
+        assert Scenario.from_dict(tables).navigation.kind == kind
+        return
+    kind, field = kind.split(": ")
+    with pytest.raises(InputError, match=f"navigation of kind '{kind}'") as caught:
+        Scenario.from_dict(tables)
+    assert caught.value.field == field
 
 
 def test_navigation_goes_by_what_the_lander_carries_after_a_change():

@@ -51,7 +51,7 @@ from lunarsim.onboard.navigation.inertial import (
     StrapdownState,
 )
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.measured import speed_errors
+from lunarsim.onboard.navigation.measured import LEAST_DOWN, VAGUE, speed_errors
 from lunarsim.onboard.navigation.watch import Verdict, Watch
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -63,8 +63,6 @@ _TURN = slice(9, 15)
 _VELOCITY = np.r_[3:6]
 # What lasts as long as this and is taken for noise counts as often as it is met in it, s.
 _LASTING = 10.0
-# Cosine from straight down beyond which a beam says little of the ground below.
-_LEAST_DOWN = 0.1
 # Where something is doubted variances grow fourfold to 1e4-fold, up to these deviations: height and
 # bias in m and m/s^2, velocity in m/s.
 _GROWTH = (4.0, 1e4)
@@ -320,8 +318,8 @@ class UnscentedFilter(Navigation):
         beam = np.asarray(self._beams.get(sensor, (0.0, 0.0, -1.0)))
         down = float(quat_to_matrix(self.inertial.attitude)[2] @ beam)
         r, sigma = reading.range, reading.sigma
-        good = np.isfinite(r) and r > 0.0 and np.isfinite(sigma) and sigma > 0.0
-        if not good or down > -_LEAST_DOWN:
+        good = 0.0 < r < np.inf and 0.0 < sigma < VAGUE
+        if not good or down > -LEAST_DOWN:
             return Outcome(np.nan, 1, False)
         # The ground is off by the same at every reading: together they never count more than once.
         uses = self._ranges.get(sensor, 0)

@@ -18,9 +18,9 @@ def estimate(time: float, step: float = 0.0) -> Estimate:
     )  # fmt: skip
 
 
-def flown(left: float, step: float, until: float = 4.0) -> np.ndarray:
+def flown(left: float, step: float, until: float = 4.0, cycle: float = 0.1) -> np.ndarray:
     steady = SteadyPlace()
-    times = np.arange(0.0, until, 0.1)
+    times = np.arange(0.0, until, cycle)
     return np.array([steady.of(estimate(t, step), left).position - t * SPEED for t in times])
 
 
@@ -60,3 +60,22 @@ def test_small_corrections_pass_unchanged():
         given = estimate(0.1 * n)
         given.position[0] += 0.001 * (-1) ** n
         np.testing.assert_array_equal(steady.of(given, 2.0).position, given.position)
+
+
+def test_a_step_is_taken_up_as_fast_in_shorter_cycles():
+    off = flown(5.0, 1.0, cycle=0.05)
+    np.testing.assert_allclose(np.diff(off[22:, 0]), 0.15 * 0.05, atol=1e-12)
+
+
+@pytest.mark.parametrize(("left", "slow"), [(0.0, True), (11.9, True), (12.1, False)])
+def test_it_is_slow_within_twelve_seconds_of_the_end_and_after_it(left, slow):
+    assert (flown(left, 1.0)[12, 0] < 0.1) == slow
+
+
+def test_a_step_aside_is_taken_up_along_itself():
+    steady = SteadyPlace()
+    for n in range(3):
+        given = estimate(0.1 * n)
+        given.position[:2] += 3.0 * (n > 1), 4.0 * (n > 1)
+        found = steady.of(given, 1.0).position - 0.1 * n * SPEED
+    np.testing.assert_allclose(found[:2], 0.015 * np.array([0.6, 0.8]), atol=1e-12)

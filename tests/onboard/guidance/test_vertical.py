@@ -70,3 +70,17 @@ def test_a_lander_below_where_the_ground_should_be_still_goes_down():
     law = VerticalDescent(G)
     command = law.command(estimate([0.0, 0.0, -1.0], [2.0, 0.0, 0.0]), GROUND, 0.0)
     assert command[2] < G
+
+
+@pytest.mark.parametrize(("sideways", "slower"), [(1.1, False), (1.25, True)])
+def test_it_waits_where_half_of_what_it_can_lean_would_not_do(sideways, slower):
+    """From 10 m at 2 m/s half of 1.622 tan 12 deg takes out 0.86 m/s, and 0.3 may be left."""
+    command = VerticalDescent(G).command(
+        estimate([0.0, 0.0, 10.0], [sideways, 0.0, -2.0]), GROUND, 0.0
+    )
+    assert (command[2] > G + 0.01) == slower
+
+
+def test_the_engine_never_idles():
+    command = VerticalDescent(G).command(estimate([0.0, 0.0, 10.0], [0.0, 0.0, 9.0]), GROUND, 0.0)
+    assert command[2] == pytest.approx(0.3 * G)

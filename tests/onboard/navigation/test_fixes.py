@@ -12,6 +12,7 @@ from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, InertialSamples, NavigationFix
 from lunarsim.onboard.navigation.fixes import FixNavigation
+from lunarsim.onboard.navigation.navigator import Navigator
 
 TURN = quat_from_rotation_vector([0.1, 0.2, 0.3])
 START = StartEstimate(np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), TURN, 2.0, 0.3, 0.04)
@@ -107,3 +108,8 @@ def test_samples_that_are_missing_leave_the_rate():
     assert navigation.estimate(0.1, 1.0).rate == pytest.approx([0.1, 0.0, 0.0])
     navigation.take("imu", InertialSamples(0.2, np.zeros((0, 3)), np.zeros((0, 3))), 0.2)
     assert navigation.estimate(0.2, 1.0).rate == pytest.approx([0.1, 0.0, 0.0])
+
+
+def test_fixes_do_not_move_the_place_in_steps():
+    assert not FixNavigation.steps
+    assert Navigator.steps

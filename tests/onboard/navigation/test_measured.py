@@ -208,3 +208,17 @@ def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
     # The velocity is as well known as the tilt lets it be: 45 m/s times 4 mrad.
     assert 0.05 < np.sqrt(np.diag(state.covariance)[3:6].max()) < 0.2
     assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)
+
+
+def test_ground_that_may_rise_makes_a_range_vaguer():
+    t, rough = Truth(5), Truth(5)
+    far = t.range(BEAMS[0], 0.0) + 3.0
+    plain = take_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
+    found = take_range(rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", rise=10.0**2)
+    assert found.nis < plain.nis
+    # Both innovations are the same; what they were expected to vary by differs by the rise.
+    assert 1.0 / found.nis - 1.0 / plain.nis > 0.0
+    ratio = (1.0 / found.nis) / (1.0 / plain.nis)
+    variance = 10.0**2 / (ratio - 1.0)
+    assert 0.5**2 < variance < 1e4
+    assert np.trace(rough.state.covariance[:3, :3]) > np.trace(t.state.covariance[:3, :3])

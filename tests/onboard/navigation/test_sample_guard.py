@@ -108,6 +108,9 @@ def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
     # Velocity and attitude were summed with the wrong one for a while.
     assert after[4, 4] > 2.0 * before[4, 4]
     assert after[11, 11] > 2.0 * before[11, 11]
+    # 20 samples and the 3 that it took to be believed, with all of the jump.
+    summed = np.sqrt(np.diag(after)[[4, 11]] - np.diag(before)[[4, 11]])
+    assert summed == pytest.approx(np.array([3.0, 0.5]) * 23 * STEP, rel=0.15)
 
 
 def test_spikes_that_agree_but_do_not_follow_each_other_are_refused():
@@ -211,3 +214,12 @@ def test_the_worst_spike_under_the_limit_is_no_silent_error(which, axis, size, w
     assert "lost" not in told
     if abs(size) > 1.0:
         assert "samples-refused" in told
+
+
+def test_steps_of_the_converter_are_noise_too():
+    fine, coarse = (
+        SampleLimits.of(LANDER, STEP, replace(GYROSCOPES, quantum=q), ACCELEROMETERS)
+        for q in (0.0, 1e-4)
+    )
+    assert coarse.noise[:3] - fine.noise[:3] == pytest.approx(np.full(3, 2e-4 / STEP))
+    assert coarse.noise[3:] == pytest.approx(fine.noise[3:])

@@ -248,3 +248,13 @@ def test_figures_that_no_lander_has_are_refused(value):
         own.commanded(value if value else -1.0, 0.1)
     with pytest.raises(InputError, match="seconds"):
         own.commanded(100.0, value if value else -1.0)
+
+
+def test_what_is_measured_moves_the_site_and_not_the_lander_in_its_own_frame():
+    own = made(off=0.5)
+    before = own.estimate(0.0, 1.0).position
+    own.take("down", AltimeterReading(0.0, 260.0, 0.5), 0.0)
+    found = own.estimate_in_site(0.0, 1.0).position
+    assert abs(found[2] - before[2]) > 3.0
+    np.testing.assert_allclose(own.estimate(0.0, 1.0).position, before, atol=1e-9)
+    np.testing.assert_allclose(own.site_to_local.to_local(found), before, atol=1e-9)

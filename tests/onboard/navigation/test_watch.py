@@ -201,3 +201,17 @@ def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=rf"watch\.{name}"):
         WatchSettings(**{name: value})
+
+
+def test_trust_does_not_come_back_while_it_was_doubted_of_late():
+    watch = Watch()
+    verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    rng = np.random.default_rng(2)
+    back = None
+    for k, outcome in enumerate(drawn(rng, 200, 1)):
+        watch.note(4.0 + 0.1 * k, outcome)
+        if back is None and not watch.lost:
+            back = 0.1 * k
+    assert back is not None
+    # Widenings count for three windows of 2 s.
+    assert 4.0 < back < 6.5

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 # Cosine from straight down beyond which a beam says little of the ground below.
 LEAST_DOWN = 0.1
 # A deviation beyond this tells nothing, m: its square may be no number.
-_VAGUE = 1e9
+VAGUE = 1e9
 
 
 def take_range(
@@ -51,7 +51,7 @@ def take_range(
         See `ErrorState.measure`.
     """
     nothing = Outcome(np.nan, 1, False)
-    if not (0.0 < distance < np.inf and 0.0 < sigma < _VAGUE):
+    if not (0.0 < distance < np.inf and 0.0 < sigma < VAGUE):
         return nothing
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
