@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
@@ -289,3 +290,25 @@ def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
     assert found.nis == np.inf
     assert np.array_equal(state.covariance, before, equal_nan=True)
     assert np.array_equal(state.inertial.position, np.zeros(3))
+
+
+@pytest.mark.parametrize("size", [0.02, 0.3, 5.0])
+def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_under(size):
+    """The error that stays, ``e_v + v x e_tilt``, is that of an invariant filter."""
+    rng = np.random.default_rng(7)
+    turned = rng.normal(size=4)
+    turned /= np.linalg.norm(turned)
+    inertial = StrapdownState(rng.normal(size=3), rng.normal(size=3), turned, 1.6)
+    state = ErrorState(inertial, StartSigmas(), blocks=BLOCKS)
+    root = rng.normal(size=(SIZE, SIZE))
+    state.covariance[:] = p = root @ root.T
+    change = size * rng.normal(size=3)
+    x, y, z = change
+    error = np.zeros(SIZE)
+    error[3:6] = change
+    carried = np.eye(SIZE)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    carried[3:6, 9:12] = -cross @ Rotation.from_quat(turned).as_matrix()
+    expected = carried @ p @ carried.T
+    state.correct(error)
+    assert state.covariance == pytest.approx(expected, abs=1e-10)
