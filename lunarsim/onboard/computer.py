@@ -317,7 +317,8 @@ class OnboardComputer:
         target = shift.to_local(self.briefing.target)
         if not np.array_equal(target, self._target):
             self._target = target
-            if not self.diverts:
+            # What is learnt of it during the last metres would be chased.
+            if not self.diverts and self.phase != VERTICAL:
                 self.site = target
                 for mapper in self.mappers.values():
                     mapper.recentre(target)

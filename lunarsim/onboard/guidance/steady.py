@@ -17,19 +17,22 @@ class SteadyPlace:
     A filter moves its position in steps, by a metre at times. A path with T s left answers a step
     d with 6 d / T^2 at once: 1.5 m/s^2 for a metre and two seconds, which is more than a lander
     can lean for and is still being flown when the path ends. So the place is carried on with the
-    velocity, and what navigation has moved it by besides is taken up by no more than `creep`. What
-    is not taken up by touchdown is missed by, over ground that was judged with its place's error.
+    velocity, and what navigation has moved it by besides is taken up by no more than `creep`, and
+    by more while there is time to fly it out. What is not taken up by touchdown is missed by.
 
     Attributes
     ----------
     within
         Of the end of the path, s; before, the estimate is taken as it is.
     creep
-        m/s.
+        Least speed of taking it up, m/s.
+    growth
+        By so much more can be taken up for each second left, m/s^2.
     """
 
     within: float = 12.0
     creep: float = 0.15
+    growth: float = 0.06
     _time: float = -np.inf
     _place: NDArray[np.float64] | None = None
 
@@ -47,7 +50,8 @@ class SteadyPlace:
         if self._place is not None and time_left < self.within:
             carried = self._place + passed * estimate.velocity[:2]
             off = place - carried
-            size, most = float(np.hypot(off[0], off[1])), self.creep * passed
+            size = float(np.hypot(off[0], off[1]))
+            most = max(self.creep, self.growth * time_left) * passed
             if size > most:
                 place = carried + off * (most / size)
         self._time, self._place = estimate.time, place.copy()

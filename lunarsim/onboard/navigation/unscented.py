@@ -61,6 +61,8 @@ STATES = 10
 _LINEAR, _MASS = slice(0, 9), 9
 _TURN = slice(9, 15)
 _VELOCITY = np.r_[3:6]
+# Share of the greatest variance that every direction has at least, once rounding has eaten one.
+_SINGULAR = 1e-9
 # What lasts as long as this and is taken for noise counts as often as it is met in it, s.
 _LASTING = 10.0
 # Where something is doubted variances grow fourfold to 1e4-fold, up to these deviations: height and
@@ -269,6 +271,7 @@ class UnscentedFilter(Navigation):
         whole = np.eye(STATES)
         whole[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
         self.kalman.Q = q
+        self._mend()
         self.kalman.predict(dt=seconds, fx=lambda x, dt: carried + whole @ (x - before))
         turn = transition[_TURN, _TURN]
         self._turn = turn @ self._turn @ turn.T + noise[_TURN, _TURN]
@@ -382,6 +385,7 @@ class UnscentedFilter(Navigation):
         """Take in a measurement (m,), unless it lies beyond the gate."""
         k = self.kalman
         # filterpy draws its points in `predict` alone: several updates need them anew.
+        self._mend()
         k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
         through = np.array([expected(x) for x in k.sigmas_f])
         mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
@@ -391,6 +395,19 @@ class UnscentedFilter(Navigation):
             k.P = 0.5 * (k.P + k.P.T)
             self._follow()
         return outcome
+
+    def _mend(self) -> None:
+        """Make the covariance positive again where spoilt readings have left one that is not.
+
+        Directions that were left without a variance get a little, and no reading brings it back to
+        nothing: what was lost there is told by innovations from then on.
+        """
+        try:
+            np.linalg.cholesky(self.kalman.P)
+        except np.linalg.LinAlgError:
+            values, axes = np.linalg.eigh(0.5 * (self.kalman.P + self.kalman.P.T))
+            least = max(_SINGULAR * float(values.max()), 1e-12)
+            self.kalman.P = (axes * np.maximum(values, least)) @ axes.T
 
     def _follow(self) -> None:
         """Set the carried state to where the filter is."""

@@ -25,14 +25,14 @@ def flown(left: float, step: float, until: float = 4.0, cycle: float = 0.1) -> n
 
 
 def test_a_step_of_the_place_is_taken_up_slowly_near_the_end():
-    off = flown(5.0, 1.0)
+    off = flown(2.0, 1.0)
     np.testing.assert_allclose(off[:10], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.diff(off[11:, 0]), 0.015, atol=1e-12)
     np.testing.assert_allclose(off[:, 1:], 0.0, atol=1e-12)
 
 
 def test_a_step_is_taken_up_whole_in_the_end():
-    assert flown(5.0, 0.2)[-1, 0] == pytest.approx(0.2, abs=1e-12)
+    assert flown(2.0, 0.2)[-1, 0] == pytest.approx(0.2, abs=1e-12)
 
 
 def test_far_from_the_end_the_place_is_taken_as_it_is():
@@ -63,13 +63,13 @@ def test_small_corrections_pass_unchanged():
 
 
 def test_a_step_is_taken_up_as_fast_in_shorter_cycles():
-    off = flown(5.0, 1.0, cycle=0.05)
+    off = flown(2.0, 1.0, cycle=0.05)
     np.testing.assert_allclose(np.diff(off[22:, 0]), 0.15 * 0.05, atol=1e-12)
 
 
 @pytest.mark.parametrize(("left", "slow"), [(0.0, True), (11.9, True), (12.1, False)])
 def test_it_is_slow_within_twelve_seconds_of_the_end_and_after_it(left, slow):
-    assert (flown(left, 1.0)[12, 0] < 0.1) == slow
+    assert (flown(left, 1.0)[11, 0] < 0.1) == slow
 
 
 def test_a_step_aside_is_taken_up_along_itself():
@@ -79,3 +79,8 @@ def test_a_step_aside_is_taken_up_along_itself():
         given.position[:2] += 3.0 * (n > 1), 4.0 * (n > 1)
         found = steady.of(given, 1.0).position - 0.1 * n * SPEED
     np.testing.assert_allclose(found[:2], 0.015 * np.array([0.6, 0.8]), atol=1e-12)
+
+
+@pytest.mark.parametrize(("left", "speed"), [(0.0, 0.15), (2.4, 0.15), (5.0, 0.3), (10.0, 0.6)])
+def test_it_is_taken_up_faster_while_there_is_time_to_fly_it_out(left, speed):
+    np.testing.assert_allclose(np.diff(flown(left, 3.0)[11:, 0]), 0.1 * speed, atol=1e-12)

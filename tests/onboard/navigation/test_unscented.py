@@ -258,3 +258,18 @@ def test_what_is_measured_moves_the_site_and_not_the_lander_in_its_own_frame():
     assert abs(found[2] - before[2]) > 3.0
     np.testing.assert_allclose(own.estimate(0.0, 1.0).position, before, atol=1e-9)
     np.testing.assert_allclose(own.site_to_local.to_local(found), before, atol=1e-9)
+
+
+def test_a_covariance_that_is_not_positive_is_mended_and_goes_on():
+    own = made()
+    root = np.random.default_rng(3).normal(size=(10, 10))
+    own.kalman.P = root @ root.T
+    values, axes = np.linalg.eigh(own.kalman.P)
+    own.kalman.P = (axes * np.r_[-0.1, values[1:]]) @ axes.T
+    own.take("imu", InertialSamples(0.1, np.zeros((10, 3)), np.zeros((10, 3))), 0.1)
+    own.take("down", AltimeterReading(0.1, 296.0, 0.5), 0.1)
+    found = np.linalg.eigvalsh(own.kalman.P)
+    assert found.min() > 0.0
+    assert np.isfinite(own.estimate(0.1, 1.0).position).all()
+    # What was known otherwise still is.
+    assert found.max() == pytest.approx(values.max(), rel=0.5)
