@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.models.gravity import GravityModel
+from lunarsim.models.gravity import GravityModel, UniformGravity
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.population import RockExpectation
 
@@ -120,6 +120,11 @@ class Briefing:
     prior_map: PriorMap | None
     step: float
     cycle: float
+
+    @property
+    def field(self) -> GravityModel | None:
+        """Gravity where it is not the same everywhere; else None."""
+        return None if isinstance(self.gravity, UniformGravity) else self.gravity
 
     @property
     def weight(self) -> float:

@@ -130,7 +130,8 @@ class OnboardComputer:
         self.telemetry.append((time, name, details))
 
     def _height(self, estimate: Estimate) -> float:
-        return float(estimate.position[2] - self.site[2] - self.lander.com_height)
+        level = float(self.briefing.gravity.height(estimate.position))
+        return level - float(self.site[2]) - self.lander.com_height
 
     @property
     def time_to_go(self) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from lunarsim.models.gravity import RoundMoon
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
@@ -31,6 +32,7 @@ FIXED: dict[str, type] = {
 }
 # Likewise, but only where they are given.
 OPTIONAL: dict[str, type] = {
+    "moon": RoundMoon,
     "start_knowledge": StartKnowledge,
     "prior_map": PriorSurvey,
     "faults": Faults,

@@ -61,6 +61,7 @@ class Scenario:
     name: str
     description: str
     gravity_m_s2: float
+    moon: Any | None
     terrain: ChosenPart
     rocks: Any
     sun: Any

@@ -72,10 +72,10 @@ def draw_start(start: Start, world: World, lander: Lander, streams: Streams, sit
     rng = streams.get("start")
     position = site + np.asarray(start.position) + start.position_sigma * rng.standard_normal(3)
     velocity = np.asarray(start.velocity) + start.velocity_sigma * rng.standard_normal(3)
-    ground = float(world.terrain.elevation(position[:2]))
+    ground, level = float(world.terrain.elevation(position[:2])), position[2]
     if not np.isfinite(ground):
-        ground = world.terrain.z_range[1]
-    if position[2] - lander.com_height <= ground:
+        ground, level = world.terrain.z_range[1], float(world.height(position))
+    if level - lander.com_height <= ground:
         raise InputError(
             "start.position_m",
             start.position,
@@ -184,7 +184,7 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         software=software,
         lander=lander,
         instruments={name: s.make().calibration() for name, s in scenario.sensors.items()},
-        gravity=UniformGravity(scenario.gravity_m_s2),
+        gravity=world.moon or UniformGravity(scenario.gravity_m_s2),
         target=target,
         heading=start.heading,
         start=told(planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),
