@@ -62,6 +62,8 @@ class Software:
         How to come down after the approach; None: straight down at a constant speed.
     braking
         What comes before the approach; None: nothing.
+    window
+        Look angles within which a site can be designated; None: any.
     """
 
     navigation: Any
@@ -73,6 +75,7 @@ class Software:
     decisions: Any
     descent: Any = None
     braking: Any = None
+    window: Any = None
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from lunarsim.models.gravity import RoundMoon
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
+from lunarsim.onboard.policies.window import Window
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
 from lunarsim.vehicle.faults import Faults
@@ -38,6 +39,7 @@ OPTIONAL: dict[str, type] = {
     "faults": Faults,
     "legs": Legs,
     "braking": Braking,
+    "window": Window,
 }
 # One table each, of a part chosen by `kind`, but only where they are given: contract.
 OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}

@@ -82,6 +82,7 @@ class Scenario:
     approach: Any
     guidance: ChosenPart
     braking: Any | None
+    window: Any | None
     descent: ChosenPart | None
     control: ChosenPart
     simulation: Any
@@ -202,6 +203,7 @@ class Scenario:
             decisions=self.decisions.make(),
             descent=None if self.descent is None else self.descent.make(),
             braking=None if self.braking is None else self.braking.make(),
+            window=None if self.window is None else self.window.make(),
         )
 
     def to_dict(self) -> dict[str, Any]:

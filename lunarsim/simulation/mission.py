@@ -132,11 +132,17 @@ def steered(state: State, briefing: Briefing) -> State:
     braking = software.braking
     part = software.guidance if braking is None else braking.part()
     law = part.build(briefing, software.control.response_time + lander.thrust_lag)
-    end, tilt = software.approach.end(briefing.target, lander), software.approach.max_tilt
-    if braking is not None:
-        end, tilt = braking.end(briefing.target), braking.max_tilt
+    end = (
+        software.approach.end(briefing.target, lander)
+        if braking is None
+        else braking.end(briefing.target)
+    )
     wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
-    command = thrust_to_command(wanted, state.mass, lander, briefing.heading, tilt)
+    if braking is not None:
+        command = braking.ask(wanted, state.mass, lander, briefing.heading, 0.0)
+    else:
+        tilt = software.approach.max_tilt
+        command = thrust_to_command(wanted, state.mass, lander, briefing.heading, tilt)
     return replace(state, attitude=command.attitude, thrust=command.thrust)
 
 

@@ -130,7 +130,8 @@ def test_an_inertial_unit_feels_thrust_alone():
     y[0:3], y[3:6], y[14] = (-300_000.0, 0.0, 15_000.0), (1_600.0, 20.0, 5.0), 0.0
     rows = [y]
     for _ in range(10):
-        rows.append(plant.dynamics.advance(State.from_vector(rows[-1]), 0.0, np.zeros(3)).as_vector())
+        state = State.from_vector(rows[-1])
+        rows.append(plant.dynamics.advance(state, 0.0, np.zeros(3)).as_vector())
     freed, _, lift = plant._unpulled(np.array(rows))
     assert lift == 0.0
     assert np.abs(np.diff(freed[:, 3:6], axis=0)).max() < 1e-9
