@@ -69,7 +69,7 @@ class UniformGravity:
 
     def height(self, position: ArrayLike) -> Array:
         """Return the third coordinate (...,), m."""
-        return np.asarray(position, dtype=np.float64)[..., 2]
+        return np.asarray(np.asarray(position, dtype=np.float64)[..., 2])
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,8 @@ class CentralGravity:
     def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
         """Return gravity, Coriolis and centrifugal acceleration (..., 3); see `GravityModel`."""
         about = np.cross(self.spin, self.from_centre(position))
-        turning = 2.0 * np.cross(self.spin, velocity) + np.cross(self.spin, about)
+        v = np.asarray(velocity, dtype=np.float64)
+        turning = 2.0 * np.cross(self.spin, v) + np.cross(self.spin, about)
         return np.asarray(self.at(position) - turning)
 
     def height(self, position: ArrayLike) -> Array:
@@ -156,4 +157,5 @@ class CentralGravity:
 
     def inertial_velocity(self, position: ArrayLike, velocity: ArrayLike) -> Array:
         """Return velocities in a frame that does not turn (..., 3), m/s, along the same axes."""
-        return np.asarray(velocity + np.cross(self.spin, self.from_centre(position)))
+        about = np.cross(self.spin, self.from_centre(position))
+        return np.asarray(np.asarray(velocity, dtype=np.float64) + about)

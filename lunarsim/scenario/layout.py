@@ -18,6 +18,7 @@ from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledg
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
 from lunarsim.world.light import Light
+from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.survey import PriorSurvey
 
 # One table each, of one class.
@@ -34,6 +35,7 @@ FIXED: dict[str, type] = {
 # Likewise, but only where they are given.
 OPTIONAL: dict[str, type] = {
     "moon": RoundMoon,
+    "surroundings": Surroundings,
     "start_knowledge": StartKnowledge,
     "prior_map": PriorSurvey,
     "faults": Faults,

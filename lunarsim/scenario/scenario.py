@@ -62,6 +62,7 @@ class Scenario:
     description: str
     gravity_m_s2: float
     moon: Any | None
+    surroundings: Any | None
     terrain: ChosenPart
     rocks: Any
     sun: Any

@@ -197,7 +197,7 @@ class Plant:
             self.verdict, self.rest = judge_motion(self.legs, self.dynamics, self.state, terrain)
         elif touched:
             self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
-        elif self.world.height(self.state.position) < self._low - 1.0:
+        elif self.world.under(self.state.position, self._low):
             self.verdict = Verdict(False, ("off-map",), None)
         elif abort and self._clear:
             self.verdict = Verdict(False, (ABORTED,), None)
