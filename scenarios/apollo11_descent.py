@@ -226,7 +226,7 @@ def main(
     base = scenario_of(1e3 * uprange_km, isp, ground)
     runs = [fly("P65", base, seed), fly("P66", piloted(base), seed)]
     if load_start:
-        own = scenario_of(440_675.0, isp, ground)
+        own = scenario_of(apollo11.own_uprange(base), isp, ground)
         runs.append(fly("P65 from 441 km", own, seed))
     console.print(table_of(runs))
     for run in runs[:2]:

@@ -74,6 +74,12 @@ def loaded(scenario: Scenario) -> Scenario:
     return scenario.changed(braking=braking, approach=approach)
 
 
+def own_uprange(scenario: Scenario) -> float:
+    """Return the way over the sphere from the load's own point of ignition to the site, m."""
+    t, radius = targets(), scenario.moon.radius_m
+    return float(radius * np.arctan2(abs(t["RIGNZ"][0]), t["RIGNX"][2] + radius))
+
+
 def started(scenario: Scenario, uprange: float) -> Scenario:
     """Return a scenario that begins at a way over the sphere from the site, m.
 
