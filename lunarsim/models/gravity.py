@@ -131,7 +131,7 @@ class CentralGravity:
 
     def from_centre(self, position: ArrayLike) -> Array:
         """Return positions from the Moon's centre (..., 3), m."""
-        return np.asarray(position, dtype=np.float64) + np.array([0.0, 0.0, self.radius])
+        return np.asarray(np.asarray(position, dtype=np.float64) + [0.0, 0.0, self.radius])
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration of gravity alone (..., 3), ENU, m/s^2."""
