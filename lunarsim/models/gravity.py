@@ -131,7 +131,8 @@ class CentralGravity:
 
     def from_centre(self, position: ArrayLike) -> Array:
         """Return positions from the Moon's centre (..., 3), m."""
-        return np.asarray(np.asarray(position, dtype=np.float64) + [0.0, 0.0, self.radius])
+        centre = np.array([0.0, 0.0, -self.radius])
+        return np.asarray(np.asarray(position, dtype=np.float64) - centre)
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration of gravity alone (..., 3), ENU, m/s^2."""
