@@ -170,13 +170,13 @@ class Plant:
         samples: list[tuple[str, object]] = []
         for name, imu in self.imus.items():
             angle = gyroscopes[name][:steps] if name in gyroscopes else None
-            sensed = imu.sense(*self._unpulled(rows), self.time, angle)
+            sensed = imu.sense(*self.unpulled(rows), self.time, angle)
             samples.append((name, sensed))
         self._judge(touched is not None, abort)
         measured = self.measure(tasks if self.verdict is None else ())
         return Measurements(self.time, (*samples, *measured.items))
 
-    def _unpulled(self, rows: Array) -> tuple[Array, float, float]:
+    def unpulled(self, rows: Array) -> tuple[Array, float, float]:
         """Return states, step and downward acceleration from which an inertial unit senses.
 
         Where gravity is not the same everywhere what it has given is taken out of the velocities,
