@@ -119,7 +119,7 @@ class CentralGravity:
     Examples
     --------
     >>> gravity = CentralGravity(1.622, 1_737_400.0, np.zeros(3))
-    >>> float(gravity.at([0.0, 0.0, 1_737_400.0])[2])
+    >>> round(float(gravity.at([0.0, 0.0, 1_737_400.0])[2]), 4)
     -0.4055
     >>> round(float(gravity.height([1_000.0, 0.0, 0.0])), 4)
     0.2878

@@ -111,6 +111,7 @@ class OnboardComputer:
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
         self._pulses = 0.0
+        self._jets_out = 0
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -275,6 +276,9 @@ class OnboardComputer:
             pulses = self.attitude_loop.spent
             burnt, least = burnt + pulses - self._pulses, least - pulses
             self._pulses = pulses
+            for number in self.attitude_loop.watch.failed[self._jets_out :]:
+                self._note(measurements.time, "thruster-failed", {"thruster": number})
+            self._jets_out = len(self.attitude_loop.watch.failed)
         self.mass = max(self.mass - burnt, least)
         self.time = measurements.time
         self.mapped = set()
