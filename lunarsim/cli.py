@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from lunarsim.scenario import Scenario
     from lunarsim.simulation.flight import Flight
 
+_POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
+
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
@@ -175,8 +177,12 @@ def _facts(record: Flight) -> list[tuple[str, str]]:
 @main.command()
 @scenario_options
 @click.option(
-    "--policies", default="no-divert,safest,nearest-safe,fuel-aware,truth-oracle",
-    show_default=True, help="Policies, separated by commas.",
+    "--policies", default=None, show_default=f"{_POLICIES}; with --guidance the scenario's",
+    help="Policies, separated by commas.",
+)  # fmt: skip
+@click.option(
+    "--guidance", "laws", multiple=True, metavar="LAW",
+    help="A law that `lunarsim parts guidance` lists, or module:Class; once for each law.",
 )  # fmt: skip
 @click.option("--flights", type=int, default=20, show_default=True, help="Flights a policy.")
 @SEED
@@ -191,31 +197,34 @@ def _facts(record: Flight) -> list[tuple[str, str]]:
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @cache_options
 def compare(
-    scenario: Path, changes: tuple[str, ...], policies: str, flights: int, seed: int, jobs: int,
-    out: Path, figures: bool, cache: Path | None, cache_size: float,
+    scenario: Path, changes: tuple[str, ...], policies: str | None, laws: tuple[str, ...],
+    flights: int, seed: int, jobs: int, out: Path, figures: bool, cache: Path | None,
+    cache_size: float,
 ) -> None:  # fmt: skip
-    """Fly several policies over the same worlds of SCENARIO and compare them.
+    """Fly several policies, or laws of guidance, over the same worlds of SCENARIO and compare them.
 
-    Every policy meets the same worlds, starts and noise. The table gives, a row a policy: the
+    Each meets the same worlds, starts and noise. The table gives, a row a policy or law: the
     share that landed safe with its 95 % Wilson interval; the same among flights whose scanned
     ground held an exactly safe site within reach; how many climbed away; propellant; divert
     distance; the largest touchdown speeds and tilt; precision and recall of the hazard map (cells
     with p > 0.5 against the exact map); and wall-clock time a flight, where the first policy's
-    holds what all of them share.
+    holds what all of them share. With laws it tells besides what each spends more than the first,
+    flight by flight.
     """
     from lunarsim.campaign.comparison import check_request
     from lunarsim.campaign.comparison import compare as fly_all
     from lunarsim.campaign.engines.local import WorkersDieError
 
     loaded = load_scenario(scenario, changes)
-    names = [name.strip() for name in policies.split(",") if name.strip()]
-    check_request(names, flights, jobs)
-    kept, console = opened_cache(cache, cache_size), wide_console(170)
-    with progress_bar(loaded.name, flights * len(names)) as advance:
+    given = policies if policies is not None else loaded.policy.kind if laws else _POLICIES
+    names = [name.strip() for name in given.split(",") if name.strip()]
+    check_request(names, flights, jobs, laws)
+    kept, console = opened_cache(cache, cache_size), wide_console(195 if laws else 170)
+    with progress_bar(loaded.name, flights * len(names) * max(len(laws), 1)) as advance:
         try:
             result = fly_all(
                 loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
-                progress=advance, cache=kept, apart=True,
+                progress=advance, cache=kept, apart=True, guidance=laws,
                 say=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkersDieError as error:
@@ -364,14 +373,17 @@ def _table(result: Any) -> Table:
 
     table = Table(title=None)
     headings = (
-        "policy", "landed safe [95 %]", "safe, site in reach", "aborted",
+        "guidance" if result.by_law else "policy", "landed safe [95 %]", "safe, site in reach",
+        "aborted",
         "propellant kg\nmedian / 95 %",
         "divert m\nmedian", "touchdown m/s\ndown / side max", "tilt deg\nmax",
         "map\nprecision", "map\nrecall", "s a flight",
+        *(["kg over the first\nmean, 95 %"] if result.by_law else []),
     )  # fmt: skip
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i == 0 else "right", no_wrap=i == 0)
-    for policy, row in summarise(result.rows).items():
+    rows, first = result.shown, None
+    for policy, row in summarise(rows).items():
         seconds = result.seconds[policy]
         reach = row["safe_in_reach"]
         table.add_row(
@@ -386,8 +398,21 @@ def _table(result: Any) -> Table:
             f"{row['precision']:.4f}",
             f"{row['recall']:.3f}",
             f"{sum(seconds) / len(seconds):.2f}",
+            *([_more(rows, first, policy)] if result.by_law else []),
         )
+        first = first or policy
     return table
+
+
+def _more(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
+    """Return what one arm spends more than the first, flight by flight, in words."""
+    from lunarsim.evaluation.statistics import mean_interval
+    from lunarsim.viz.comparison import paired
+
+    if first is None:
+        return ""
+    found = mean_interval(paired(rows, first, other, "propellant_kg"))
+    return f"{found.mean:+.2f} ± {found.half:.2f}"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Fly several policies over the same worlds and write what came of it: a campaign in short.
+"""Fly several policies or laws over the same worlds and write what came: a campaign in short.
 
 Flight i of every policy has the same world, start, sensor noise and navigation errors: they all
 derive from the root seed and i alone, so any number of processes gives the same bits.
@@ -6,6 +6,7 @@ derive from the root seed and i alone, so any number of processes gives the same
 
 from __future__ import annotations
 
+import itertools
 import json
 import pickle
 import tempfile
@@ -58,6 +59,8 @@ class CompareResult:
         False when the run was interrupted.
     failed
         Rows without a verdict: their code raised, or their process died.
+    by_law
+        Whether laws of guidance are compared: rows are then told apart by arm, not by policy.
     """
 
     rows: list[dict[str, Any]]
@@ -66,6 +69,12 @@ class CompareResult:
     safe_share_at_heading: float
     complete: bool
     failed: list[dict[str, Any]]
+    by_law: bool = False
+
+    @property
+    def shown(self) -> list[dict[str, Any]]:
+        """Rows whose `policy` is what tables and figures tell them apart by."""
+        return [row | {"policy": row["arm"]} for row in self.rows] if self.by_law else self.rows
 
 
 def policy_name(policy: str | RetargetingPolicy) -> str:
@@ -74,8 +83,23 @@ def policy_name(policy: str | RetargetingPolicy) -> str:
     return name.rpartition(":")[2] if ":" in name else name
 
 
-def check_request(policies: Sequence[str | RetargetingPolicy], flights: int, jobs: int) -> None:
+def law_name(law: str) -> str:
+    """Return the name of a law of guidance in tables and folders."""
+    return law.rpartition(":")[2]
+
+
+def check_request(
+    policies: Sequence[str | RetargetingPolicy],
+    flights: int,
+    jobs: int,
+    guidance: Sequence[str] = (),
+) -> None:
     """Raise `InputError` for a request that cannot be met."""
+    for law in guidance:
+        resolve("guidance", law, "--guidance")
+    laws = [law_name(law) for law in guidance]
+    if len(set(laws)) < len(laws):
+        raise InputError("--guidance", ",".join(laws), "each law once")
     for policy in policies:
         if isinstance(policy, str):
             resolve("policy", policy, "--policies")
@@ -105,8 +129,9 @@ def compare(
     cache: DiskCache | None = None,
     say: Callable[[str], None] | None = None,
     apart: bool = False,
+    guidance: Sequence[str] = (),
 ) -> CompareResult:
-    """Fly `flights` flights under each policy.
+    """Fly `flights` flights under each policy, and with each law of guidance if some are named.
 
     Parameters
     ----------
@@ -126,17 +151,21 @@ def compare(
         See `lunarsim.campaign.fly_spec.fly_spec`.
     apart
         Whether a single job is a process of its own, as several are; else it is this one.
+    guidance
+        Laws, each flown under every policy: names or "module:Class", with their defaults (the
+        scenario's own settings where it names that law itself); none: the scenario's.
 
     Raises
     ------
     InputError
         If the scenario, the request or the folder will not do; nothing has been written then.
     """
-    check_request(policies, flights, jobs)
-    spec = _spec(scenario, policies, flights, seed, figures)
+    check_request(policies, flights, jobs, guidance)
+    spec = _spec(scenario, policies, flights, seed, figures, guidance)
     if out is not None and not (out / "manifest.json").exists():
         check_folder(out)
     apart = apart or jobs > 1
+    by_law = bool(guidance)
     engine: Engine = LocalEngine(min(jobs, flights)) if apart else InlineEngine()
     if apart:
         _check_travel(policies)
@@ -144,22 +173,22 @@ def compare(
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
             spec_here = spec.keeping(records="none", figures=False)
-            return _compare(spec_here, fly, Path(folder), None)
-    return _compare(spec, fly, out, out)
+            return _compare(spec_here, fly, Path(folder), None, by_law)
+    return _compare(spec, fly, out, out, by_law)
 
 
 def _compare(
-    spec: CampaignSpec, fly: Callable[..., Ran], folder: Path, out: Path | None
+    spec: CampaignSpec, fly: Callable[..., Ran], folder: Path, out: Path | None, by_law: bool
 ) -> CompareResult:
     """Fly into `folder`; write what `out` is promised besides the results."""
     ran = fly(spec, out=folder)
-    result = _result(folder, ran.complete)
+    result = _result(folder, ran.complete, by_law)
     if out is not None and result.rows:
         _write(result, out, spec)
         if spec.head.figures:
             from lunarsim.viz import draw_comparison  # noqa: PLC0415
 
-            draw_comparison(result.rows, spec.scenario, out / "figures" / "comparison.png")
+            draw_comparison(result.shown, spec.scenario, out / "figures" / "comparison.png")
     return result
 
 
@@ -169,15 +198,17 @@ def _spec(
     flights: int,
     seed: int,
     figures: bool,
+    guidance: Sequence[str] = (),
 ) -> CampaignSpec:
     arms = []
-    for policy in policies:
+    for policy, law in itertools.product(policies, guidance or (None,)):
         name = policy_name(policy)
-        if isinstance(policy, str):
-            values = {"policy": policy}
-            arms.append(Arm(name, values, with_values(scenario, values, "policies")))
-        else:
-            arms.append(Arm(name, {}, scenario, policy))
+        values: dict[str, Any] = {"policy": policy} if isinstance(policy, str) else {}
+        if law is not None:
+            name = law_name(law) if len(policies) == 1 else f"{name}, {law_name(law)}"
+            values["guidance"] = law
+        changed = with_values(scenario, values, "policies") if values else scenario
+        arms.append(Arm(name, values, changed, None if isinstance(policy, str) else policy))
     head = Head(scenario.name, flights, seed, records="all", figures=figures)
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
 
@@ -193,20 +224,22 @@ def _check_travel(policies: Sequence[str | RetargetingPolicy]) -> None:
             ) from None
 
 
-def _result(folder: Path, complete: bool) -> CompareResult:
+def _result(folder: Path, complete: bool, by_law: bool) -> CompareResult:
     found = load_results(folder)  # of no flight at all too, after an early interrupt
     rows = found.table.to_pylist()
     seconds = {time["id"]: time["seconds"] for time in found.timing.to_pylist()}
     flown = [row for row in rows if row["outcome"] == FLOWN]
-    names = dict.fromkeys(row["policy"] for row in flown)
+    apart = "arm" if by_law else "policy"
+    names = dict.fromkeys(row[apart] for row in flown)
     shares = {row["flight"]: row for row in flown}.values()
     return CompareResult(
         rows=flown,
-        seconds={n: [seconds[r["id"]] for r in flown if r["policy"] == n] for n in names},
+        seconds={n: [seconds[r["id"]] for r in flown if r[apart] == n] for n in names},
         safe_share=_mean([row["safe_share"] for row in shares]),
         safe_share_at_heading=_mean([row["safe_share_at_heading"] for row in shares]),
         complete=complete,
         failed=[row for row in rows if row["outcome"] != FLOWN],
+        by_law=by_law,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.models.gravity import GravityModel
+from lunarsim.models.gravity import GravityModel, UniformGravity
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.population import RockExpectation
 
@@ -62,6 +62,8 @@ class Software:
         How to come down after the approach; None: straight down at a constant speed.
     braking
         What comes before the approach; None: nothing.
+    window
+        Look angles within which a site can be designated; None: any.
     """
 
     navigation: Any
@@ -73,6 +75,7 @@ class Software:
     decisions: Any
     descent: Any = None
     braking: Any = None
+    window: Any = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,11 @@ class Briefing:
     prior_map: PriorMap | None
     step: float
     cycle: float
+
+    @property
+    def field(self) -> GravityModel | None:
+        """Gravity where it is not the same everywhere; else None."""
+        return None if isinstance(self.gravity, UniformGravity) else self.gravity
 
     @property
     def weight(self) -> float:

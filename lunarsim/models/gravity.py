@@ -9,13 +9,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.parts.quantity import check_bounds, quantity
+
+Array = NDArray[np.float64]
 
 
 class GravityModel(Protocol):
     """Acceleration by position."""
 
-    def at(self, position: ArrayLike) -> NDArray[np.float64]:
+    def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2, at a position (3,), m."""
+        ...
+
+    def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return what moves a body without thrust (..., 3), ENU, m/s^2.
+
+        Gravity, and what a frame that turns with the Moon adds to it.
+
+        Parameters
+        ----------
+        position, velocity
+            In that frame (..., 3), m and m/s.
+        """
+        ...
+
+    def height(self, position: ArrayLike) -> Array:
+        """Return heights (...,) over the level of the frame's origin, m, of positions (..., 3)."""
         ...
 
 
@@ -40,6 +59,104 @@ class UniformGravity:
         if not (np.isfinite(self.magnitude) and self.magnitude > 0.0):
             raise InputError("gravity_m_s2", self.magnitude, "a positive number in m/s^2")
 
-    def at(self, position: ArrayLike) -> NDArray[np.float64]:
+    def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2."""
         return np.array([0.0, 0.0, -self.magnitude])
+
+    def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return the same; see `GravityModel.felt`."""
+        return np.zeros(np.shape(position)) + self.at(position)
+
+    def height(self, position: ArrayLike) -> Array:
+        """Return the third coordinate (...,), m."""
+        return np.asarray(np.asarray(position, dtype=np.float64)[..., 2])
+
+
+@dataclass(frozen=True)
+class RoundMoon:
+    """A sphere that turns, with central gravity; it touches the site's level at the origin.
+
+    Attributes
+    ----------
+    radius
+        Of the level of the frame's origin, m.
+    spin
+        Of the Moon about its axis, rad/s.
+    latitude
+        Of the frame's origin, rad, positive north.
+    """
+
+    radius: float = quantity(1_737_400.0, "m", gt=1e3, help="of the level of the map's origin")
+    spin: float = quantity(1.5250414e-4, "deg/s", ge=0, lt=1, help="of the Moon about its axis")
+    latitude: float = quantity(0.0, "deg", ge=-90, le=90, help="of the map's origin, north")
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "moon")
+
+    def gravity(self, magnitude: float) -> CentralGravity:
+        """Return its gravity, of a given magnitude (m/s^2) at the frame's origin."""
+        return CentralGravity(magnitude, self.radius, self.axis)
+
+    @property
+    def axis(self) -> Array:
+        """Angular velocity of the frame (3,), ENU, rad/s."""
+        return self.spin * np.array([0.0, np.cos(self.latitude), np.sin(self.latitude)])
+
+
+@dataclass(frozen=True)
+class CentralGravity:
+    """Inverse-square gravity in a frame that turns with the Moon.
+
+    Attributes
+    ----------
+    magnitude
+        At the frame's origin, without what turning takes from it, m/s^2.
+    radius
+        Distance of the origin from the Moon's centre, which lies straight below it, m.
+    spin
+        Angular velocity of the frame (3,), ENU, rad/s.
+
+    Examples
+    --------
+    >>> gravity = CentralGravity(1.622, 1_737_400.0, np.zeros(3))
+    >>> round(float(gravity.at([0.0, 0.0, 1_737_400.0])[2]), 4)
+    -0.4055
+    >>> round(float(gravity.height([1_000.0, 0.0, 0.0])), 4)
+    0.2878
+    """
+
+    magnitude: float
+    radius: float
+    spin: Array
+
+    def from_centre(self, position: ArrayLike) -> Array:
+        """Return positions from the Moon's centre (..., 3), m."""
+        centre = np.array([0.0, 0.0, -self.radius])
+        return np.asarray(np.asarray(position, dtype=np.float64) - centre)
+
+    def at(self, position: ArrayLike) -> Array:
+        """Return the acceleration of gravity alone (..., 3), ENU, m/s^2."""
+        r = self.from_centre(position)
+        distance = np.linalg.norm(r, axis=-1, keepdims=True)
+        return np.asarray(-self.magnitude * self.radius**2 * r / distance**3)
+
+    def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return gravity, Coriolis and centrifugal acceleration (..., 3); see `GravityModel`."""
+        about = np.cross(self.spin, self.from_centre(position))
+        v = np.asarray(velocity, dtype=np.float64)
+        turning = 2.0 * np.cross(self.spin, v) + np.cross(self.spin, about)
+        return np.asarray(self.at(position) - turning)
+
+    def height(self, position: ArrayLike) -> Array:
+        """Return the height above the sphere (...,), m."""
+        return np.asarray(np.linalg.norm(self.from_centre(position), axis=-1) - self.radius)
+
+    def up(self, position: ArrayLike) -> Array:
+        """Return the local vertical (..., 3)."""
+        r = self.from_centre(position)
+        return np.asarray(r / np.linalg.norm(r, axis=-1, keepdims=True))
+
+    def inertial_velocity(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return velocities in a frame that does not turn (..., 3), m/s, along the same axes."""
+        about = np.cross(self.spin, self.from_centre(position))
+        return np.asarray(np.asarray(velocity, dtype=np.float64) + about)

@@ -21,6 +21,7 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
+from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
@@ -110,6 +111,7 @@ class OnboardComputer:
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
         self._pulses = 0.0
+        self._jets_out = 0
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -130,7 +132,8 @@ class OnboardComputer:
         self.telemetry.append((time, name, details))
 
     def _height(self, estimate: Estimate) -> float:
-        return float(estimate.position[2] - self.site[2] - self.lander.com_height)
+        level = float(self.briefing.gravity.height(estimate.position))
+        return level - float(self.site[2]) - self.lander.com_height
 
     @property
     def time_to_go(self) -> float:
@@ -184,6 +187,21 @@ class OnboardComputer:
         )
         return cost
 
+    def _designable(self, sites: Array) -> DivertCost:
+        """Return what sites cost (n, 3); those that are not seen through a window are out of reach.
+
+        A look angle is taken only where the scenario has a window.
+        """
+        cost, window = self.cost_of(sites), self.briefing.software.window
+        if window is None:
+            return cost
+        seen = window.sees(self.estimate, sites)
+        return replace(
+            cost,
+            propellant=np.where(seen, cost.propellant, np.inf),
+            time_to_go=np.where(seen, cost.time_to_go, np.nan),
+        )
+
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
         mapper = self.mapper
@@ -200,7 +218,7 @@ class OnboardComputer:
             hazard_map,
             aim,
             self.site,
-            self.cost_of,
+            self._designable,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
             mapper=self.decisions_map,
@@ -258,6 +276,9 @@ class OnboardComputer:
             pulses = self.attitude_loop.spent
             burnt, least = burnt + pulses - self._pulses, least - pulses
             self._pulses = pulses
+            for number in self.attitude_loop.watch.failed[self._jets_out :]:
+                self._note(measurements.time, "thruster-failed", {"thruster": number})
+            self._jets_out = len(self.attitude_loop.watch.failed)
         self.mass = max(self.mass - burnt, least)
         self.time = measurements.time
         self.mapped = set()
@@ -273,7 +294,7 @@ class OnboardComputer:
         self._bar_diverts()
         self._level_site()
         begins = not self._decided and elapsed == 0.0 and self.phase == APPROACH
-        if begins and self.approach.time_to_go is None:
+        if begins and self.approach.free:
             # The plan was made for the planned start: begin from where the lander is.
             self._retime()
 
@@ -325,7 +346,7 @@ class OnboardComputer:
         self._level_maps()
         for event in self.navigation.events[self._events :]:
             self._note(event.time, event.name, dict(event.details))
-            free = self.phase == APPROACH and self.approach.time_to_go is None
+            free = self.phase == APPROACH and self.approach.free
             if event.name in {"lock", "relock"} and free:
                 # A path planned from tens of metres off is planned afresh.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
@@ -379,7 +400,7 @@ class OnboardComputer:
             return True
         first, self._decided = not self._decided, True
         if decision.site is None:
-            if first and self.approach.time_to_go is None:
+            if first and self.approach.free:
                 self._retime()
             return True
         site = np.asarray(decision.site, dtype=np.float64)
@@ -389,6 +410,10 @@ class OnboardComputer:
         time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
         if not np.isfinite(time_to_go):
             self._refuse(site, "out of reach")
+            return False
+        window = self.briefing.software.window
+        if window is not None and not window.sees(self.estimate, site):
+            self._refuse(site, "out of sight")
             return False
         self.diverts.append((self.time, self.site, decision))
         self.site = site
@@ -413,7 +438,7 @@ class OnboardComputer:
 
         Where the mission fixes the time, or a law its own, that stands.
         """
-        if self.approach.time_to_go is not None or isinstance(self.guidance, PlansArrival):
+        if not self.approach.free or isinstance(self.guidance, PlansArrival):
             return
         time_to_go = float(self.cost_of(self.site[None, :]).time_to_go[0])
         if self.time_to_go < time_to_go < np.inf:
@@ -431,6 +456,10 @@ class OnboardComputer:
         self.phase = APPROACH
         told = {"altitude": self.altitude}
         self._note(self.time, "approach", told)
+        if self.approach.jerk is not None:
+            guess = self.approach.time_to_go or self._plain_time()
+            self._arrival = self.time + self._followed(guess, share=np.inf)
+            return
         fixed = self.approach.time_to_go
         time_to_go = fixed or float(self.cost_of(self.site[None, :]).time_to_go[0])
         if not np.isfinite(time_to_go):
@@ -438,6 +467,11 @@ class OnboardComputer:
             time_to_go = self._plain_time()
             self._note(self.time, "approach-out-of-limits", told)
         self._arrival = self.time + time_to_go
+
+    def _followed(self, guess: float, share: float = 1.0 / 3.0) -> float:
+        """Return the time-to-go of the approach by its jerk; see `followed_time`."""
+        end = self.approach.end(self.site, self.lander)
+        return followed_time(self.estimate, end, self.approach.jerk, guess, share=share)
 
     def _plain_time(self) -> float:
         """Return a time-to-go by way and speed alone, s: twice the way over the speed now."""
@@ -450,18 +484,33 @@ class OnboardComputer:
         """Return what vehicle and sensors are to do until the next cycle."""
         if self.phase == BRAKING:
             self._end_braking()
-        if self.phase == APPROACH and (
-            self.altitude <= self.approach.vertical_altitude or self.time_to_go <= 0.0
-        ):
+        if self.phase == APPROACH and self.approach.jerk is not None:
+            self._arrival = self.time + self._followed(self.time_to_go)
+        if self.phase == APPROACH and self.approach.over(self.altitude, self.time_to_go):
             self.phase = VERTICAL
             self._note(self.time, "vertical-descent", {"altitude": self.altitude})
+        asked = self._brake_on() if self.phase == BRAKING else self._steer()
+        if self.throttle is not None:
+            asked = replace(asked, thrust=self.throttle.allowed(asked.thrust))
+        command = replace(asked, tasks=self._tasks(), abort=self.phase == ABORT)
+        self._thrust = command.thrust
+        self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
+        return command
+
+    def _brake_on(self) -> Command:
+        """Return what braking asks of the vehicle."""
+        end = self.braking.end(self.site)
+        wanted = self._brake.command(self.estimate, end, self.time, self.time_to_go)
+        asked: Command = self.braking.ask(
+            wanted, self.mass, self.lander, self.briefing.heading, self.time
+        )
+        return asked
+
+    def _steer(self) -> Command:
+        """Return what approach, descent or climb ask of the vehicle."""
         end: PhaseEnd
         here = self._steadied()
-        if self.phase == BRAKING:
-            end = self.braking.end(self.site)
-            wanted = self._brake.command(self.estimate, end, self.time, self.time_to_go)
-            tilt = self.braking.max_tilt
-        elif self.phase == APPROACH:
+        if self.phase == APPROACH:
             end = self.approach.end(self.site, self.lander)
             wanted = self.guidance.command(here, end, self.time, self.time_to_go)
             tilt = self.approach.max_tilt
@@ -475,13 +524,7 @@ class OnboardComputer:
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
             tilt = self.approach.max_tilt
-        asked = thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
-        if self.throttle is not None:
-            asked = replace(asked, thrust=self.throttle.allowed(asked.thrust))
-        command = replace(asked, tasks=self._tasks(), abort=self.phase == ABORT)
-        self._thrust = command.thrust
-        self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
-        return command
+        return thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
 
     def _steadied(self) -> Estimate:
         """Return where guidance takes the lander to be on the last part of the way."""

@@ -137,6 +137,7 @@ CONTRACTS: dict[str, Contract] = {
         {
             "rate-of-descent": "lunarsim.onboard.guidance.rate_of_descent:RateOfDescent",
             "gravity-turn": "lunarsim.onboard.guidance.gravity_turn:GravityTurn",
+            "velocity-null": "lunarsim.onboard.guidance.velocity_null:VelocityNull",
         },
         ("build",),
     ),

@@ -73,6 +73,16 @@ class Tables(Protocol):
         ...
 
     @property
+    def surroundings(self) -> Any:
+        """A table or None."""
+        ...
+
+    @property
+    def moon(self) -> Any:
+        """A table or None."""
+        ...
+
+    @property
     def prior_map(self) -> Any:
         """A table or None."""
         ...
@@ -216,6 +226,14 @@ def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:
                 "navigation.kind", scenario.navigation.kind,
                 f"needs a sensor of kind {_kinds_giving(wanted)}: add it under [sensors.NAME]",
             )  # fmt: skip
+    if scenario.surroundings is not None and scenario.moon is None:
+        raise InputError("surroundings", "given", "left out, or a table [moon]: they lie on it")
+    if scenario.moon is not None and InertialSamples in navigation.needs:
+        raise InputError(
+            "moon", "given",
+            f"left out, or navigation of kind 'fixes': kind {scenario.navigation.kind!r} knows "
+            "uniform gravity alone",
+        )  # fmt: skip
     if navigation.needs_prior_map and scenario.prior_map is None:
         raise InputError(
             "prior_map", None,

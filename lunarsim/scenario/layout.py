@@ -8,14 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from lunarsim.models.gravity import RoundMoon
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
+from lunarsim.onboard.policies.window import Window
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
 from lunarsim.world.light import Light
+from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.survey import PriorSurvey
 
 # One table each, of one class.
@@ -31,11 +34,14 @@ FIXED: dict[str, type] = {
 }
 # Likewise, but only where they are given.
 OPTIONAL: dict[str, type] = {
+    "moon": RoundMoon,
+    "surroundings": Surroundings,
     "start_knowledge": StartKnowledge,
     "prior_map": PriorSurvey,
     "faults": Faults,
     "legs": Legs,
     "braking": Braking,
+    "window": Window,
 }
 # One table each, of a part chosen by `kind`, but only where they are given: contract.
 OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}

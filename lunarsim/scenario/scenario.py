@@ -61,6 +61,8 @@ class Scenario:
     name: str
     description: str
     gravity_m_s2: float
+    moon: Any | None
+    surroundings: Any | None
     terrain: ChosenPart
     rocks: Any
     sun: Any
@@ -81,6 +83,7 @@ class Scenario:
     approach: Any
     guidance: ChosenPart
     braking: Any | None
+    window: Any | None
     descent: ChosenPart | None
     control: ChosenPart
     simulation: Any
@@ -201,6 +204,7 @@ class Scenario:
             decisions=self.decisions.make(),
             descent=None if self.descent is None else self.descent.make(),
             braking=None if self.braking is None else self.braking.make(),
+            window=None if self.window is None else self.window.make(),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -64,7 +64,7 @@ class RadarAltimeter:
         """Return one reading; noise is drawn whether or not there is a return."""
         noise = float(rng.standard_normal())
         beam = quat_rotate(state.attitude, self.boresight)
-        hit = world.terrain.cast(state.position, beam[None, :], self.max_range)
+        hit = world.cast(state.position, beam[None, :], self.max_range)
         incidence = np.arccos(np.clip(-hit.normal[0] @ beam, -1.0, 1.0))
         if not incidence <= self.max_incidence:  # NaN without a hit
             return AltimeterReading(time, np.nan, np.nan)

@@ -92,7 +92,7 @@ class DopplerVelocimeter:
         """Return one reading; noise is drawn whether or not there is a return."""
         noise = rng.standard_normal((2, self.beams))
         beams = quat_rotate(state.attitude, self.directions())
-        hit = world.terrain.cast(state.position, beams, self.max_range)
+        hit = world.cast(state.position, beams, self.max_range)
         incidence = np.arccos(np.clip(-np.einsum("ni,ni->n", hit.normal, beams), -1.0, 1.0))
         seen = incidence <= self.max_incidence  # NaN without a hit
         speed = beams @ state.velocity + self.speed_noise * noise[0]

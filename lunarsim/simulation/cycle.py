@@ -21,7 +21,6 @@ from lunarsim.sensors._imu_kernels import sample
 from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import _cycle_kernels as k
 from lunarsim.simulation.plant import Plant
-from lunarsim.vehicle.dynamics import PLAIN_RIG
 from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
@@ -62,7 +61,7 @@ def _compiled(
     d, gyros = plant.dynamics, imu.gyroscopes
     history, increments, torques = k.fly(
         plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.figures, d.inertia,
-        PLAIN_RIG, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
+        d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
         gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum, gyros.remainder,
     )  # fmt: skip
     return history, increments, torques

@@ -112,7 +112,7 @@ class Simulation:
         clock = scenario.simulation.make()
         self.plant = Plant(
             world,
-            Dynamics(briefing.lander, world.gravity, clock.step),
+            Dynamics(briefing.lander, world.gravity, clock.step, world.moon),
             state,
             {
                 name: (part.make(), self.streams.get(f"sensors.{name}"))

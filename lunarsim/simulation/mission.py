@@ -72,10 +72,10 @@ def draw_start(start: Start, world: World, lander: Lander, streams: Streams, sit
     rng = streams.get("start")
     position = site + np.asarray(start.position) + start.position_sigma * rng.standard_normal(3)
     velocity = np.asarray(start.velocity) + start.velocity_sigma * rng.standard_normal(3)
-    ground = float(world.terrain.elevation(position[:2]))
+    ground, level = float(world.terrain.elevation(position[:2])), position[2]
     if not np.isfinite(ground):
-        ground = world.terrain.z_range[1]
-    if position[2] - lander.com_height <= ground:
+        ground, level = world.terrain.z_range[1], float(world.height(position))
+    if level - lander.com_height <= ground:
         raise InputError(
             "start.position_m",
             start.position,
@@ -132,11 +132,17 @@ def steered(state: State, briefing: Briefing) -> State:
     braking = software.braking
     part = software.guidance if braking is None else braking.part()
     law = part.build(briefing, software.control.response_time + lander.thrust_lag)
-    end, tilt = software.approach.end(briefing.target, lander), software.approach.max_tilt
-    if braking is not None:
-        end, tilt = braking.end(briefing.target), braking.max_tilt
+    end = (
+        software.approach.end(briefing.target, lander)
+        if braking is None
+        else braking.end(briefing.target)
+    )
     wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
-    command = thrust_to_command(wanted, state.mass, lander, briefing.heading, tilt)
+    if braking is not None:
+        command = braking.ask(wanted, state.mass, lander, briefing.heading, 0.0)
+    else:
+        tilt = software.approach.max_tilt
+        command = thrust_to_command(wanted, state.mass, lander, briefing.heading, tilt)
     return replace(state, attitude=command.attitude, thrust=command.thrust)
 
 
@@ -184,7 +190,7 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         software=software,
         lander=lander,
         instruments={name: s.make().calibration() for name, s in scenario.sensors.items()},
-        gravity=UniformGravity(scenario.gravity_m_s2),
+        gravity=world.moon or UniformGravity(scenario.gravity_m_s2),
         target=target,
         heading=start.heading,
         start=told(planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),

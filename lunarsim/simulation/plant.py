@@ -170,11 +170,25 @@ class Plant:
         samples: list[tuple[str, object]] = []
         for name, imu in self.imus.items():
             angle = gyroscopes[name][:steps] if name in gyroscopes else None
-            sensed = imu.sense(rows, self.dynamics.step, self.world.gravity, self.time, angle)
+            sensed = imu.sense(*self.unpulled(rows), self.time, angle)
             samples.append((name, sensed))
         self._judge(touched is not None, abort)
         measured = self.measure(tasks if self.verdict is None else ())
         return Measurements(self.time, (*samples, *measured.items))
+
+    def unpulled(self, rows: Array) -> tuple[Array, float, float]:
+        """Return states, step and downward acceleration from which an inertial unit senses.
+
+        Where gravity is not the same everywhere what it has given is taken out of the velocities,
+        and nothing is left to be taken out.
+        """
+        step, moon = self.dynamics.step, self.world.moon
+        if moon is None:
+            return rows, step, self.world.gravity
+        middle = 0.5 * (rows[1:, :6] + rows[:-1, :6])
+        out = rows.copy()
+        out[1:, 3:6] -= np.cumsum(step * moon.felt(middle[:, :3], middle[:, 3:]), axis=0)
+        return out, step, 0.0
 
     def _judge(self, touched: bool, abort: bool) -> None:
         """Set the verdict if the flight is over."""
@@ -183,7 +197,7 @@ class Plant:
             self.verdict, self.rest = judge_motion(self.legs, self.dynamics, self.state, terrain)
         elif touched:
             self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
-        elif self.state.position[2] < self._low - 1.0:
+        elif self.world.under(self.state.position, self._low):
             self.verdict = Verdict(False, ("off-map",), None)
         elif abort and self._clear:
             self.verdict = Verdict(False, (ABORTED,), None)
@@ -193,12 +207,12 @@ class Plant:
     @property
     def _clear(self) -> bool:
         """Whether the lander climbs, well above all ground."""
-        height = self.state.position[2] - self._high
+        height = self.world.height(self.state.position) - self._high
         return bool(height > _CLEAR_HEIGHT and self.state.velocity[2] > _CLEAR_SPEED)
 
     def _first_contact(self, history: Array) -> int | None:
         """Return the first step at which a pad is at or below the ground, or None."""
-        if history[-1, 2] - self._high > _CONTACT_HEIGHT:
+        if self.world.height(history[-1, :3]) - self._high > _CONTACT_HEIGHT:
             return None
         mounted = self.lander.pads - com_of(self.lander, float(history[0, 13]))
         pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], mounted)

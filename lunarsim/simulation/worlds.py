@@ -33,4 +33,8 @@ def build_world(scenario: Scenario, streams: Streams, terrain: Terrain | None = 
     light = scenario.sun.make()
     if light.mottle > 0.0 or light.boulder_mottle > 0.0:
         light = replace(light, mottle_seed=int(streams.get("albedo").integers(2**31)))
-    return World(terrain, scenario.gravity_m_s2, light)
+    moon = None if scenario.moon is None else scenario.moon.make().gravity(scenario.gravity_m_s2)
+    about = None
+    if moon is not None and scenario.surroundings is not None:
+        about = scenario.surroundings.make().build(terrain, moon, streams)
+    return World(terrain, scenario.gravity_m_s2, light, moon, about)

@@ -73,6 +73,36 @@ def rates(y, out, n, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, 
     out[14, n] = (asked - thrust) / lag if lag > 0.0 else 0.0
 
 
+@kernel(exact=True)
+def curve(y, out, n, gravity, rig):
+    """Add to dy/dt of body n what a round, turning Moon changes; see `Dynamics`.
+
+    Gravity grows and turns with the place, and the frame's turning adds Coriolis and centrifugal
+    accelerations. `rig[17]` is the radius, m, and `rig[18:21]` the spin, ENU, rad/s.
+    """
+    radius = rig[17]
+    wx = rig[18]
+    wy = rig[19]
+    wz = rig[20]
+    x = y[0, n]
+    z = y[2, n] + radius
+    vx = y[3, n]
+    vy = y[4, n]
+    vz = y[5, n]
+    square = x * x + y[1, n] * y[1, n] + z * z
+    pull = gravity * radius * radius / (square * np.sqrt(square))
+    # Of the frame at this place: spin x r.
+    fx = wy * z - wz * y[1, n]
+    fy = wz * x - wx * z
+    fz = wx * y[1, n] - wy * x
+    ux = 2.0 * vx + fx
+    uy = 2.0 * vy + fy
+    uz = 2.0 * vz + fz
+    out[3, n] -= pull * x + (wy * uz - wz * uy)
+    out[4, n] -= pull * y[1, n] + (wz * ux - wx * uz)
+    out[5, n] += gravity - pull * z - (wx * uy - wy * ux)
+
+
 @kernel()
 def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
     """Write dy/dt (15,) of one body; see `rates`."""
@@ -80,6 +110,8 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
         y.reshape(15, 1), out.reshape(15, 1), 0, thrust_command, torque[0], torque[1], torque[2],
         gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig,
     )  # fmt: skip
+    if rig[17] > 0.0:
+        curve(y.reshape(15, 1), out.reshape(15, 1), 0, gravity, rig)
 
 
 @kernel(inner=True)
@@ -102,6 +134,9 @@ def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
                 at, work[stage], n, asked[n], torque[0, n], torque[1, n], torque[2, n], gravity,
                 exhaust, lag, dry, wet, i_dry, i_wet, rig,
             )  # fmt: skip
+        if rig[17] > 0.0:
+            for n in range(bodies):
+                curve(at, work[stage], n, gravity, rig)
         if stage < 3:
             part = dt if stage == 2 else 0.5 * dt
             for s in range(15):
@@ -144,7 +179,7 @@ def advance_body(y, dt, thrust, torque, figures, inertia, rig, work):
     """Advance y (15,) by one step under a thrust and torques (3,) in place.
 
     `figures` is gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3) the
-    principal moments with tanks empty and full; `rig` (17,) see `rig_of`; `work` scratch (5, 15).
+    principal moments with tanks empty and full; `rig` (21,) see `rig_of`; `work` scratch (5, 15).
     """
     asked = np.empty(1)
     asked[0] = thrust

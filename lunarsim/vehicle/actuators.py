@@ -96,9 +96,8 @@ class Actuators:
         limit = self.step * self.lander.engine.gimbal_rate
         self.gimbal = self.gimbal + np.clip(self._target - self.gimbal, -limit, limit)
         flow = self.lander.thrusters.flow * float(share.sum())
-        moved = dynamics.advance_rigged(
-            state, throttle, share @ self._torques, self.rig(share @ self._forces, flow)
-        )
+        rig = dynamics.on_moon(self.rig(share @ self._forces, flow))
+        moved = dynamics.advance_rigged(state, throttle, share @ self._torques, rig)
         self.spent += flow * self.step
         self.on_time += share * self.step
         self._open_for += np.minimum(self._left, self.step)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.commands import Command
+from lunarsim.models.gravity import CentralGravity
 from lunarsim.models.lander import Lander
 from lunarsim.vehicle import _kernels as k
 from lunarsim.vehicle.state import State
@@ -25,8 +26,10 @@ def rig_of(
     com_dry: ArrayLike = (0.0, 0.0, 0.0),
     com_full: ArrayLike = (0.0, 0.0, 0.0),
     spent: float = 0.0,
+    radius: float = 0.0,
+    spin: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
-    """Return what acts on the body besides thrust along body z and torques, for kernels (17,).
+    """Return what acts on the body besides thrust along body z and torques, for kernels (21,).
 
     Parameters
     ----------
@@ -38,8 +41,10 @@ def rig_of(
         Centre of mass with tanks empty and full (3,), body axes, m.
     spent
         Propellant of the thrusters burnt so far, kg.
+    radius, spin
+        Of the Moon, m, and angular velocity of the frame (3,), ENU, rad/s; radius 0: level ground.
     """
-    parts = (force, flow, engine, pivot, com_dry, com_full, spent)
+    parts = (force, flow, engine, pivot, com_dry, com_full, spent, radius, spin)
     return np.concatenate([np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts])
 
 
@@ -61,25 +66,43 @@ class Dynamics:
     ``I w' = tau + p x T d - c(m) x (T d + F) - w x I w``, ``m' = -T / (Isp g0) - f``. The position
     is that of the centre of mass; its slow drift in the body adds no momentum of its own.
 
+    On a round `moon` gravity is ``-g R^2 r / |r|^3`` with r from its centre, and the frame turns:
+    ``- 2 W x v - W x (W x r)`` comes to v'. Attitude and body rate are those against the frame;
+    what its turning, 2.7e-6 rad/s, does to Euler's equations is left out.
+
     Attributes
     ----------
     lander
         The vehicle.
     gravity
-        Downward acceleration, m/s^2.
+        Downward acceleration at the frame's origin, m/s^2.
     step
         Integration step, s.
+    moon
+        Central gravity in a turning frame; None: level ground and uniform gravity.
     """
 
     lander: Lander
     gravity: float
     step: float = 0.01
+    moon: CentralGravity | None = None
 
     def __post_init__(self) -> None:
         for name in ("gravity", "step"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"dynamics.{name}", value, "a positive number")
+
+    @property
+    def plain_rig(self) -> Array:
+        """What acts on a body that torques alone turn, for kernels; see `rig_of` (21,)."""
+        return PLAIN_RIG if self.moon is None else self.on_moon(PLAIN_RIG.copy())
+
+    def on_moon(self, rig: Array) -> Array:
+        """Write the Moon's radius and spin into what kernels take, and return it (21,)."""
+        if self.moon is not None:
+            rig[17], rig[18:] = self.moon.radius, self.moon.spin
+        return rig
 
     @property
     def figures(self) -> Array:
@@ -102,7 +125,7 @@ class Dynamics:
         """Return the state a step later under a thrust (N) and torques (3,), N m."""
         limit = np.asarray(self.lander.torque_max)
         return self.advance_rigged(
-            state, self.thrust(thrust), np.clip(torque, -limit, limit), PLAIN_RIG
+            state, self.thrust(thrust), np.clip(torque, -limit, limit), self.plain_rig
         )
 
     def advance_rigged(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
@@ -117,7 +140,7 @@ class Dynamics:
         torque
             About the origin of the body axes (3,), N m.
         rig
-            See `rig_of` (17,).
+            See `rig_of` (21,).
         """
         y = state.as_vector()
         k.advance_body(
@@ -136,6 +159,6 @@ class Dynamics:
             k.advance_ideal(
                 state.as_vector(), steps, self.step, self.thrust(command.thrust),
                 np.ascontiguousarray(command.attitude, dtype=np.float64), slew_limit, self.figures,
-                self.inertia, PLAIN_RIG,
+                self.inertia, self.plain_rig,
             )
         )  # fmt: skip

@@ -34,7 +34,7 @@ def _flown(law: Any, start: Any, end: Any, time_to_go: float, exhaust: float) ->
     from dataclasses import replace
 
     cycle = 0.1
-    flight = law.build(SimpleNamespace(weight=_G), 0.0)
+    flight = law.build(SimpleNamespace(weight=_G, field=None), 0.0)
     r, v, mass, at = start.position.copy(), start.velocity.copy(), start.mass, 0.0
     while at < time_to_go - 1e-9:
         step = min(cycle, time_to_go - at)
@@ -72,7 +72,7 @@ def guidance() -> None:
     )
     for kind, law in laws.items():
         began = time.perf_counter()
-        flight = law.build(SimpleNamespace(weight=_G), 0.4)
+        flight = law.build(SimpleNamespace(weight=_G, field=None), 0.4)
         for n in range(2000):
             flight.command(starts[n % 20], end, 0.1 * n, 30.0)
         took = (time.perf_counter() - began) / 2000 * 1e6

@@ -107,3 +107,69 @@ def test_other_results_are_not_overwritten(scenario, tmp_path):
     with pytest.raises(InputError, match="holds other files"):
         compare(scenario, ["safest"], flights=1, seed=1, out=tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
+
+
+LAWS = ("apollo", "e-guidance", "zem-zev")
+
+
+@pytest.fixture(scope="module")
+def by_law(scenario, tmp_path_factory):
+    out = tmp_path_factory.mktemp("laws") / "out"
+    return compare(scenario, ["no-divert"], flights=3, seed=4, out=out, guidance=LAWS), out
+
+
+def test_laws_are_compared_as_policies_are(scenario, by_law):
+    result, out = by_law
+    assert result.by_law
+    assert [row["policy"] for row in result.shown] == list(LAWS) * 3
+    assert {row["policy"] for row in result.rows} == {"no-divert"}
+    assert set(result.seconds) == set(LAWS)
+    assert {p.name for p in (out / "flights").iterdir()} == set(LAWS)
+    assert (out / "figures" / "comparison.png").stat().st_size > 20_000
+    spent = {(r["arm"], r["flight"]): r["propellant_kg"] for r in result.rows}
+    for flight in range(3):
+        # Two ways of writing one law fly the same; another does not.
+        assert spent["zem-zev", flight] == pytest.approx(spent["e-guidance", flight], rel=1e-6)
+        assert abs(spent["apollo", flight] - spent["e-guidance", flight]) > 0.1
+    # Each meets the world, start and noise that it meets by itself.
+    alone = compare(
+        scenario.changed(guidance={"kind": "e-guidance"}), ["no-divert"], flights=3, seed=4
+    )
+    own = [row for row in result.rows if row["arm"] == "e-guidance"]
+    assert [r["propellant_kg"] for r in own] == [r["propellant_kg"] for r in alone.rows]
+
+
+def test_several_policies_and_laws_are_every_pair(scenario):
+    result = compare(
+        scenario, ["no-divert", "safest"], flights=1, seed=4, guidance=["apollo", "e-guidance"]
+    )
+    assert [row["policy"] for row in result.shown] == [
+        "no-divert, apollo", "no-divert, e-guidance", "safest, apollo", "safest, e-guidance",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("laws", "said"), [(["apolo"], "--guidance"), (["apollo", "apollo"], "each law once")]
+)
+def test_laws_that_will_not_do_are_refused(scenario, laws, said):
+    with pytest.raises(InputError, match=said):
+        compare(scenario, ["no-divert"], flights=1, seed=1, guidance=laws)
+
+
+def test_the_command_prints_a_row_a_law(tmp_path, scenario):
+    from click.testing import CliRunner
+
+    from lunarsim.cli import main
+
+    scenario.save(tmp_path / "tiny.toml")
+    done = CliRunner().invoke(
+        main,
+        ["compare", str(tmp_path / "tiny.toml"), "--guidance", "apollo", "--guidance", "e-guidance",
+         "--flights", "2", "--jobs", "1", "--no-figures", "--out", str(tmp_path / "out")],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "kg over the first" in done.output
+    rows = [line for line in done.output.splitlines() if "apollo" in line or "e-guidance" in line]
+    assert len(rows) == 2
+    assert "±" not in rows[0]
+    assert "±" in rows[1]

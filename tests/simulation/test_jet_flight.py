@@ -151,3 +151,18 @@ def test_parts_that_do_not_go_together_are_refused(small, tables, field):
     with pytest.raises(InputError) as refused:
         small.changed(**tables)
     assert refused.value.field == field
+
+
+def test_a_dead_thruster_is_noticed_and_left_alone(small, landed):
+    assert not [e for e in landed[1].events if e["name"] == "thruster-failed"]
+    simulation, flight = flown(
+        small, vehicle=JETS, control=PHASE_PLANE, faults={"jets_shut": [1], "jets_from_s": 5.0}
+    )
+    told = [e for e in flight.events if e["name"] == "thruster-failed"]
+    assert [e["thruster"] for e in told] == [1]
+    assert 5.0 < told[0]["time"] < 30.0
+    loop = simulation.computer.attitude_loop
+    assert loop.on_times[1] == 0.0
+    times = loop.allocation.on_times(np.array([20.0, -30.0, 10.0]), 0.1)
+    assert times[1] == 0.0
+    assert flight.verdict.safe

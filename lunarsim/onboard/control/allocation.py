@@ -8,6 +8,7 @@ are found once; a torque is then served by the first whose cone holds it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -29,6 +30,8 @@ class Allocation:
     ----------
     thrusters
         The layout.
+    without
+        Numbers of thrusters that are not to be used.
 
     Attributes
     ----------
@@ -39,21 +42,34 @@ class Allocation:
         both senses.
     """
 
-    def __init__(self, thrusters: Thrusters) -> None:
+    def __init__(self, thrusters: Thrusters, without: Sequence[int] = ()) -> None:
         self.thrusters = thrusters
         torques = thrusters.torques
         scale = float(np.abs(torques).max())
+        used = np.setdiff1d(np.arange(len(torques)), np.asarray(without, dtype=np.int64))
         _, first, group = np.unique(
-            np.round(torques / scale, 9), axis=0, return_index=True, return_inverse=True
+            np.round(torques[used] / scale, 9), axis=0, return_index=True, return_inverse=True
         )
-        self._groups = [np.flatnonzero(group.ravel() == g) for g in range(len(first))]
-        self._columns = torques[first] / thrusters.force  # per newton, (groups, 3)
+        self._groups = [used[group.ravel() == g] for g in range(len(first))]
+        self._columns = torques[used[first]] / thrusters.force  # per newton, (groups, 3)
         self._sizes = np.array([len(g) for g in self._groups])
         self._bases, self._inverses = self._best_bases()
         self._turn = 0
+        if len(self._bases) == 0:
+            self.authority = self.least_impulse = np.zeros(3)
+            return
         both = np.array([[self._limits(s * axis) for axis in np.eye(3)] for s in (1.0, -1.0)])
         self.authority = both[:, :, 0].min(axis=0)
         self.least_impulse = both[:, :, 1].max(axis=0)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every torque can be made."""
+        if len(self._bases) == 0:
+            return False
+        axes = np.vstack((np.eye(3), -np.eye(3)))
+        made = [self._columns.T @ self.group_thrust(axis) for axis in axes]
+        return bool(np.allclose(made, axes, atol=1e-6))
 
     def _best_bases(self) -> tuple[NDArray[np.int64], Array]:
         bases, inverses = [], []
@@ -72,6 +88,8 @@ class Allocation:
         """Return greatest torque and least impulse along a unit vector."""
         share = self.group_thrust(axis)
         used = share > 1e-12
+        if not used.any():
+            return 0.0, 0.0
         most = float(np.min(self._sizes[used] * self.thrusters.force / share[used]))
         least = float(self.thrusters.minimum_on * self.thrusters.force / share[used].min())
         return most, least

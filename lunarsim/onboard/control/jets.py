@@ -13,6 +13,7 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.control.allocation import Allocation
 from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.control.loop import AttitudeLoop
+from lunarsim.onboard.control.thruster_watch import ThrusterWatch
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,8 @@ class JetLoop(AttitudeLoop):
         Orders of the present period: (n,), s, and (2,), rad.
     spent
         Propellant of the thrusters by what was ordered, kg.
+    watch
+        What is known of the thrusters; one that does not push is no longer ordered.
     """
 
     def __init__(self, law: AttitudeControl, lander: JetLander, step: float) -> None:
@@ -53,6 +56,9 @@ class JetLoop(AttitudeLoop):
         self._step = 0
         self._thrust = 0.0
         self._arm = lander.engine.pivot_depth
+        self.watch = ThrusterWatch(lander.thrusters.count)
+        self._com = np.zeros(3)
+        self._rate: Array | None = None
 
     @property
     def compiled(self) -> bool:
@@ -73,7 +79,8 @@ class JetLoop(AttitudeLoop):
         """Take over a command, and what navigation knows now: attitude (4,) and mass (kg)."""
         super().begin(command, attitude, mass)
         self._thrust = command.thrust
-        self._arm = self.vehicle.engine.pivot_depth + float(self.vehicle.com(mass)[2])
+        self._com = self.vehicle.com(mass)
+        self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
 
     def torque(self) -> Array:
         """Return the mean torque of the present period's firings (3,), N m; order them if due."""
@@ -82,7 +89,23 @@ class JetLoop(AttitudeLoop):
         self._step += 1
         return self.state[7:].copy()
 
+    def _look(self) -> None:
+        """Set what has turned in the last period against what was ordered for it."""
+        rate, before = self.state[4:7].copy(), self._rate
+        self._rate = rate
+        if before is None:
+            return
+        jets, period, inertia = self.vehicle.thrusters, self.period, self.inertia
+        about_com = jets.torques - np.cross(self._com, jets.forces)
+        engine = -self._thrust * self._arm * np.array([*self.gimbal, 0.0]) * period
+        turns = self.on_times[:, None] * about_com / inertia
+        if self.watch.see(rate - before, engine / inertia, turns, period):
+            left = Allocation(jets, self.watch.failed)
+            if left.complete:
+                self.allocation = left
+
     def _order(self) -> None:
+        self._look()
         error = np.empty(3)
         rotation_between(self.state[:4], self.target, error)
         rate, inertia, period = self.state[4:7].copy(), self.inertia, self.period

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.frames import attitude_from_thrust
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control import _kernels as k
@@ -42,3 +43,28 @@ def thrust_to_command(
         lander.thrust_max, heading, max_tilt, attitude,
     )  # fmt: skip
     return Command(float(thrust), attitude)
+
+
+def thrust_along(
+    acceleration: NDArray[np.float64],
+    mass: float,
+    lander: Lander,
+    heading: float,
+    max_tilt: float,
+) -> Command:
+    """Return the command that thrusts along an acceleration, whatever the engine can give of it.
+
+    As braking of the lunar module did: the direction is kept, the size held in the throttle range.
+    A direction more than `max_tilt` (which may be over a quarter turn) from the vertical is turned
+    towards it. For the parameters see `thrust_to_command`.
+    """
+    size = float(np.linalg.norm(acceleration))
+    if size == 0.0:
+        return Command(lander.thrust_min, attitude_from_thrust([0.0, 0.0, 1.0], heading))
+    along = acceleration / size
+    aside = float(np.hypot(along[0], along[1]))
+    if np.arctan2(aside, along[2]) > max_tilt:
+        sideways = along[:2] * (np.sin(max_tilt) / max(aside, 1e-12))
+        along = np.array([sideways[0], sideways[1], np.cos(max_tilt)])
+    thrust = min(max(size * mass, lander.thrust_min), lander.thrust_max)
+    return Command(thrust, attitude_from_thrust(along, heading))

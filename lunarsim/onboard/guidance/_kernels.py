@@ -1,4 +1,4 @@
-"""Compiled survey of the paths of a law, and times-to-go by limits on jerk and snap."""
+"""Compiled measures of the paths of a law, and times-to-go by limits on jerk and snap."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SHARE, LOW, HIGH = 0, 1, 2
 POSITION, VELOCITY = 0, 1
 SPEED, ACCELERATION = 0, 1
 GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE = 0, 1, 2, 3, 4, 5, 6
-_HALVINGS = 5
+HALVINGS = 5
 
 
 @kernel(inline=True, inner=True)
@@ -116,7 +116,7 @@ def close_in(state, target, asked, first, at, step, span, table, powers, figures
     time = first * np.exp(at)
     if measure(state, target, asked, time, table, powers, figures, x, found):
         _keep(found, out)
-    for _ in range(_HALVINGS if step > 0.0 else 0):
+    for _ in range(HALVINGS if step > 0.0 else 0):
         step *= 0.5
         middle = at
         for near in (middle - step, middle + step):
@@ -126,41 +126,6 @@ def close_in(state, target, asked, first, at, step, span, table, powers, figures
                 if good and found[0] < out[0]:
                     _keep(found, out)
                     at = near
-
-
-@kernel(shared=True)
-def survey(share, state, targets, asked, first, last, coarse, rough, table, powers, figures, out):
-    """Find for each target the admissible time-to-go that takes the least velocity increment.
-
-    Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
-    (N) and the greatest tangent of its lean (see `measure`). `coarse` times a target are tried in
-    geometric steps from `first` to `last` (n,) on the samples of `rough`, and where none of them
-    will do those between, three to a step. Then the steps about the best are halved on the samples
-    of `table`, which finds an edge of what is admissible as well as a dip. NaN for no time.
-    """
-    for n in range(share[0], targets.shape[0], share[1]):
-        out[n, 0] = np.inf
-        out[n, 1:] = np.nan
-        if not (0.0 < first[n] <= last[n] < np.inf):
-            continue
-        found, x = np.empty(4), np.empty((2, 3))
-        start = first[n]
-        span = np.log(last[n] / start)
-        step = span / max(coarse - 1, 1)
-        best = first_look(
-            state, targets[n], asked, start, step, coarse, 0, rough, powers, figures, x, found
-        )
-        if best < 0 and step > 0.0:
-            step /= 3.0
-            best = first_look(
-                state, targets[n], asked, start, step, 3 * (coarse - 1), 3, rough, powers, figures,
-                x, found,
-            )  # fmt: skip
-        if best >= 0:
-            close_in(
-                state, targets[n], asked, start, best * step, step, span, table, powers, figures,
-                x, found, out[n],
-            )  # fmt: skip
 
 
 @kernel(inner=True)

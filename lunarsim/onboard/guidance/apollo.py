@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
+from lunarsim.onboard.navigation.estimate import Estimate
 
 
 @dataclass(frozen=True)
@@ -63,3 +65,35 @@ def jerk_time_to_go(
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.maximum(1.0, np.abs(roots))]
     real = real[real > 0.0]
     return float(real[np.argmin(np.abs(real - guess))]) if real.size else float("nan")
+
+
+def followed_time(
+    estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, share: float = 1.0 / 3.0
+) -> float:
+    """Return the time-to-go (s) of a jerk wanted downrange at an end, or the guess itself.
+
+    Downrange is along the end's velocity over ground. Where that is nought, or the cubic has no
+    root within a share of the guess, the guess stays.
+
+    Parameters
+    ----------
+    estimate, end
+        Where the lander is, and where the phase ends.
+    jerk
+        Downrange at the end, m/s^3.
+    guess
+        Time-to-go of the last cycle, s.
+    share
+        Of the guess, by which the time-to-go may differ from it.
+    """
+    along = end.velocity[:2]
+    speed = float(np.hypot(*along))
+    if speed == 0.0:
+        return guess
+    unit = along / speed
+    goal = float(unit @ end.position[:2]), speed, float(unit @ end.acceleration[:2])
+    found = jerk_time_to_go(
+        float(unit @ estimate.position[:2]), float(unit @ estimate.velocity[:2]), goal, jerk,
+        guess=guess,
+    )  # fmt: skip
+    return found if abs(found - guess) < share * guess else guess

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.guidance.apollo import jerk_time_to_go
+from lunarsim.messages.commands import Command
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.control.thrust import thrust_along, thrust_to_command
+from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts import resolve, settings_of
@@ -36,7 +39,11 @@ class Braking:
     ends_at
         Time-to-go at which the approach begins, s.
     max_tilt
-        Of the thrust, rad.
+        Of the thrust from the site's vertical, rad.
+    direction_first
+        Where the engine falls short the thrust keeps its direction; else its vertical part.
+    trim
+        For so long the engine stays at its least thrust after the start, s.
     """
 
     law: str = quantity("apollo", help="kind of guidance")
@@ -52,12 +59,20 @@ class Braking:
         None, "m/s^3", help="downrange at the end, sets the time-to-go; left out: it runs down"
     )
     ends_at: float = quantity(2.0, "s", ge=0, help="time-to-go at which the approach begins")
-    max_tilt: float = quantity(80.0, "deg", gt=0, lt=90, help="of the thrust")
+    max_tilt: float = quantity(80.0, "deg", gt=0, lt=180, help="of the thrust at the site")
+    direction_first: bool = quantity(
+        False, help="where the engine falls short, keep the thrust's direction, not its lift"
+    )
+    trim: float = quantity(0.0, "s", ge=0, help="at the least thrust after the start")
 
     def __post_init__(self) -> None:
         check_bounds(self, "braking")
         if self.ends_at >= self.time_to_go:
             raise InputError("braking.ends_at", self.ends_at, f"less than {self.time_to_go} s")
+        if self.max_tilt >= 0.5 * np.pi and not self.direction_first:
+            raise InputError(
+                "braking.max_tilt", self.max_tilt, "under a quarter turn, or direction_first"
+            )
         self.part()
 
     def part(self) -> Any:
@@ -75,17 +90,17 @@ class Braking:
     def time_left(self, estimate: Estimate, end: PhaseEnd, guess: float) -> float:
         """Return the time-to-go (s) by the jerk wanted at the end, or the guess itself.
 
-        Downrange is along the end's velocity over ground. Where the cubic has no root within a
-        third of the guess the guess stays.
+        Where the cubic has no root within a third of the guess the guess stays.
         """
-        along = end.velocity[:2]
-        speed = float(np.hypot(*along))
-        if self.jerk is None or speed == 0.0 or guess <= self.ends_at:
+        if self.jerk is None or guess <= self.ends_at:
             return guess
-        unit = along / speed
-        goal = float(unit @ end.position[:2]), speed, float(unit @ end.acceleration[:2])
-        found = jerk_time_to_go(
-            float(unit @ estimate.position[:2]), float(unit @ estimate.velocity[:2]), goal,
-            self.jerk, guess=guess,
-        )  # fmt: skip
-        return found if abs(found - guess) < guess / 3.0 else guess
+        return followed_time(estimate, end, self.jerk, guess)
+
+    def ask(
+        self, wanted: Array, mass: float, lander: Lander, heading: float, time: float
+    ) -> Command:
+        """Return the command for a thrust acceleration (3,), m/s^2; see `thrust_to_command`."""
+        give = thrust_along if self.direction_first else thrust_to_command
+        command = give(wanted, mass, lander, heading, self.max_tilt)
+        trims = time < self.trim - 1e-9
+        return replace(command, thrust=lander.thrust_min) if trims else command

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance import _kernels as k
+from lunarsim.onboard.guidance import _reach_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -142,7 +142,7 @@ def divert_cost(
     if least_times is not None:
         first = np.maximum(first, least_times)
     found = np.empty((len(targets), 4))
-    with threads_for(5.0 * len(targets)):
+    with threads_for(1.0 * len(targets)):
         k.survey(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
             targets,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.models.gravity import GravityModel
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import Path, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -73,6 +74,8 @@ class PathGuidance:
         The law's own formula; None: the start of the path.
     answering
         How the vehicle answers, where another law flies it as well; it has the lead then.
+    field
+        Gravity by place, and a turning frame, to be made up for; None: `gravity` everywhere.
 
     Raises
     ------
@@ -89,8 +92,10 @@ class PathGuidance:
         least_time_to_go: float = 1.5,
         feedback: Feedback | None = None,
         answering: Answering | None = None,
+        field: GravityModel | None = None,
     ) -> None:
         self.shape = shape
+        self.field = field
         self.gravity = np.array([0.0, 0.0, -gravity])
         self.least_time_to_go = least_time_to_go
         self.feedback = feedback
@@ -121,4 +126,7 @@ class PathGuidance:
             since, path = self._last
             wanted = path.at(min(time - since, path.time_to_go))[2]
         self._answering.ask(wanted)
-        return np.asarray(wanted - self.gravity)
+        pull = self.gravity
+        if self.field is not None:
+            pull = self.field.felt(estimate.position, estimate.velocity)
+        return np.asarray(wanted - pull)

@@ -63,7 +63,7 @@ class PathLaw(ABC):
         gravity = briefing.weight
         return PathGuidance(
             self.shape, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
-            feedback=self.feedback(gravity),
+            feedback=self.feedback(gravity), field=briefing.field,
         )  # fmt: skip
 
     def cost(

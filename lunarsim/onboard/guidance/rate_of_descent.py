@@ -47,6 +47,9 @@ class RateOfDescent:
         He leans so as to take a wrong speed out in this time, s.
     max_lean
         Greatest lean, rad.
+    hold_speed
+        While the speed over ground is above it he wants to keep his height, m/s; None: he comes
+        down whatever it is.
     """
 
     time_constant: float = quantity(1.5, "s", gt=0, help="of the vertical channel")
@@ -59,6 +62,9 @@ class RateOfDescent:
     still_height: float = quantity(10.0, "m", ge=0, help="below it he wants no speed over ground")
     lean_time: float = quantity(3.0, "s", gt=0, help="in which a wrong speed is taken out")
     max_lean: float = quantity(15.0, "deg", gt=0, lt=60, help="of the thrust")
+    hold_speed: float | None = quantity(
+        None, "m/s", gt=0, help="over ground, above it he keeps his height; left out: never"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "descent")
@@ -100,6 +106,8 @@ class RateOfDescentLaw:
             self.wanted = -float(estimate.velocity[2])  # P66 takes over the rate that it finds
         slowest = abs(float(end.velocity[2]))
         aim = min(max(height / s.descent_time, slowest), max(s.fastest, slowest))
+        if s.hold_speed is not None and np.hypot(*estimate.velocity[:2]) > s.hold_speed:
+            aim = 0.0
         if time >= self._next_click - 1e-9 and abs(aim - self.wanted) > 0.5 * s.click:
             self.wanted += float(np.copysign(s.click, aim - self.wanted))
             self.clicks += 1

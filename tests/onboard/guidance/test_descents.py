@@ -17,7 +17,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622
-BRIEFING = SimpleNamespace(weight=G)
+BRIEFING = SimpleNamespace(weight=G, field=None)
 GROUND = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.5]))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance import _kernels as kernels
+from lunarsim.onboard.guidance import _reach_kernels as kernels
 from tests.reference import divert as plain
 
 POWERS = [(1.0, 2.0), (0.0, 1.0), (0.5, 1.3), (1.0, 4.0)]
@@ -87,3 +87,34 @@ def test_search_ends_at_the_edge_of_what_is_admissible():
     fine = plain.best(r, v, target[0], v_f, a_f, np.geomspace(5.0, 200.0, 4000), *figures, powers)
     assert out[0, 0] == pytest.approx(fine[0], rel=5e-3)
     assert out[0, 0] >= fine[0] * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("glide", [0.25, 0.0, -1e9])
+def test_a_site_is_judged_alike_whoever_stands_beside_it(glide):
+    powers, samples = (1.0, 2.0), 24
+    rng = np.random.default_rng(11)
+    state = np.array([[-150.0, 40.0, 260.0], [14.0, -3.0, -12.0]])
+    asked = np.array([[0.0, 0.0, -2.0], np.zeros(3)])
+    targets = np.column_stack((rng.uniform(-400.0, 400.0, (50, 2)), rng.normal(0.0, 5.0, 50)))
+    first, last = rng.uniform(4.0, 12.0, 50), rng.uniform(40.0, 200.0, 50)
+    first[7], last[9], last[11] = np.nan, 2.0, np.inf
+    given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, glide])
+    tables = table_of(powers, 8), table_of(powers, samples), np.array(powers)
+
+    def surveyed(k):
+        out = np.empty((len(k), 4))
+        kernels.survey(state, targets[k], asked, first[k], last[k], 14, *tables, given, out)
+        return out
+
+    every = surveyed(np.arange(50))
+    assert 0.1 < np.isfinite(every[:, 0]).mean() < 0.95
+    assert not np.isfinite(every[[7, 9, 11], 0]).any()
+    alone = np.vstack([surveyed(np.array([n])) for n in range(50)])
+    assert np.array_equal(alone, every, equal_nan=True)
+    turned = rng.permutation(50)[:17]
+    assert np.array_equal(surveyed(turned), every[turned], equal_nan=True)
+    # What is written is the path's, to the last bit but a few, at the time that is written.
+    figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, glide)
+    for n in np.flatnonzero(np.isfinite(every[:, 0])):
+        told = plain.best(*state, targets[n], *asked, [every[n, 1]], *figures, powers)
+        assert every[n] == pytest.approx(told, rel=1e-9)

@@ -34,7 +34,7 @@ LAWS = [
     AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(),
     FractionalPolynomialLaw(gamma=0.2, gain=5.0),
 ]  # fmt: skip
-BRIEFING = SimpleNamespace(weight=G)
+BRIEFING = SimpleNamespace(weight=G, field=None)
 R, V = np.array([-600.0, 50.0, 500.0]), np.array([28.0, 1.0, -18.0])
 END = PhaseEnd(
     np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.5, -2.0]), np.array([0.05, 0.0, 0.1])

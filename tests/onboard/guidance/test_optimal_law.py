@@ -26,6 +26,7 @@ UP = np.array([0.0, 0.0, MOON])
 LANDER = Lander()
 BRIEFING = SimpleNamespace(
     weight=MOON,
+    field=None,
     lander=LANDER,
     software=SimpleNamespace(approach=Approach().__class__(max_tilt=0.7)),
 )

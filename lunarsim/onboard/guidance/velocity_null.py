@@ -1,0 +1,71 @@
+"""P65: the automatic descent after the approach, which nulls velocities and looks at no site.
+
+Each channel is first order, ``a = (v_wanted - v) / tau``: no speed over ground is wanted, and the
+rate of descent of the phase (Klumpp 1974, the velocity-nulling guidance of P65).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.quantity import check_bounds, quantity
+
+
+@dataclass(frozen=True)
+class VelocityNull:
+    """Descent at the phase's rate, speed over ground taken out, wherever the site is (P65).
+
+    Attributes
+    ----------
+    time_constant
+        Of each channel, s.
+    max_lean
+        Greatest lean of the thrust, rad.
+    """
+
+    time_constant: float = quantity(5.0, "s", gt=0, help="of each channel")
+    max_lean: float = quantity(20.0, "deg", gt=0, lt=60, help="of the thrust")
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "descent")
+
+    def build(self, briefing: Briefing, lag: float) -> VelocityNullLaw:
+        """Return the law of one flight."""
+        return VelocityNullLaw(self, briefing.weight)
+
+
+@dataclass(frozen=True)
+class VelocityNullLaw:
+    """P65 in flight; see `VelocityNull`.
+
+    Attributes
+    ----------
+    settings
+        Of the part.
+    gravity
+        Downward acceleration, m/s^2.
+    """
+
+    settings: VelocityNull
+    gravity: float
+
+    @property
+    def lean(self) -> float:
+        """Greatest lean of the thrust, rad."""
+        return self.settings.max_lean
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
+        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        wanted = np.array([0.0, 0.0, float(end.velocity[2])])
+        pull = (wanted - estimate.velocity) / self.settings.time_constant
+        pull[2] = max(pull[2] + self.gravity, 0.3 * self.gravity)
+        most, size = self.gravity * np.tan(self.settings.max_lean), float(np.hypot(*pull[:2]))
+        if size > most:
+            pull[:2] *= most / size
+        return pull

@@ -1,0 +1,250 @@
+"""The Apollo 11 descent from ignition to the ground, flown by guidance, beside its record.
+
+Two runs over a sphere that turns: P63, P64 and the automatic P65; and the same with P66 and the
+pilot model from 500 ft on. Targets are Apollo 10's load (scenarios/data/lm_targets.csv). Nothing is
+fitted to the record: it is read after the flights. Ignition is 260 nautical miles uprange as
+published for the mission; from the load's own 440 km a lander of full tanks cannot stop in time
+(Apollo 10's was a ton lighter): a third row shows it.
+
+python scenarios/apollo11_descent.py --out out/apollo11 --json apollo11.json
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from landers import apollo11
+from landers.apollo11_figure import drawn
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.onboard.computer import APPROACH, BRAKING
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.simulation.flight import Flight
+
+NAUTICAL_MILES = 260.0
+LOW_GATE = 500.0 * apollo11.FEET
+# Low gate is 700 m short of the site: with a lean of 15 deg, 0.43 m/s^2, a speed of distance over
+# 40 s is the fastest that can be taken out on the way. Above 5 m/s he keeps his height.
+PILOT = {"speed_time_s": 40.0, "hold_speed_m_s": 5.0}
+HERE = Path(__file__).resolve().parent
+MEASURED: dict[str, Any] = {
+    "terrain": {
+        "kind": "dtm", "path": str(HERE / "data/moon_apollo15_nac_dtm_2m.tif"),
+        "dtm_posting_m": 2.0, "height_step_m": 0.192, "posting_m": 0.5, "detail": True,
+    },
+    "surroundings": {
+        "path": str(HERE / "data/moon_shackleton_ridge_lola_40m.tif"), "dtm_posting_m": 40.0,
+        "sizes_m": [10_240.0, 1_024_000.0],
+    },
+}  # fmt: skip
+
+
+@dataclass
+class Run:
+    """A flight and what came of it; `told` goes into the table and the file."""
+
+    name: str
+    flight: Flight
+    sim: Simulation
+    told: dict[str, Any]
+
+
+def scenario_of(uprange: float, isp: float, ground: str) -> Scenario:
+    """Return the descent with the load's targets from a way uprange (m), over a ground."""
+    base = Scenario.load(HERE / "landers/apollo11.toml")
+    base = base.changed(vehicle={"specific_impulse_s": isp})
+    if ground == "measured":
+        base = base.changed(**MEASURED)
+    return apollo11.started(apollo11.loaded(base), uprange)
+
+
+def piloted(scenario: Scenario) -> Scenario:
+    """Return the descent with P66 and the pilot from low gate on."""
+    taken = scenario.changed(approach={"takeover_altitude_m": LOW_GATE})
+    return taken.changed(descent={"kind": "rate-of-descent", **PILOT})
+
+
+def fly(name: str, scenario: Scenario, seed: int) -> Run:
+    """Fly one descent and set it beside the record."""
+    begun = time.process_time()
+    sim = Simulation(scenario, seed, "no-divert")
+    flight = sim.run()
+    seconds = time.process_time() - begun
+    moon, lander = sim.world.moon, sim.lander
+    assert moon is not None
+    told = apollo11.told_of(flight, moon, lander.com_height, lander.engine.gap_to)
+    told |= {"run": name, "times_real_time": flight.duration / seconds}
+    told |= _compared(apollo11.flown(flight, moon, lander.com_height)) | _seen(sim, flight)
+    return Run(name, flight, sim, told)
+
+
+def _compared(track: apollo11.Track) -> dict[str, float]:
+    """Return root mean squares beside the record by its phases."""
+    told, out = apollo11.record(), {}
+    ends = (apollo11.LOCK_ON, apollo11.P64, apollo11.P66, apollo11.LANDING)
+    for name, since, until in zip(("p63", "p64", "p66"), ends, ends[1:], strict=False):
+        b = apollo11.beside(track, told, since, until)
+        out |= {f"{name}_altitude_m": b.altitude, f"{name}_pitch_deg": float(np.rad2deg(b.pitch))}
+    return out
+
+
+def _seen(sim: Simulation, flight: Flight) -> dict[str, float]:
+    """Return the ground under the altimeter while braking, and the look angle to the site."""
+    phase, about = flight.trajectory["phase"], sim.world.surroundings
+    braking = flight.positions[phase == BRAKING][::10]
+    assert about is not None
+    ground = about.elevation(about.way(braking))
+    out = {
+        "ground_rms_m": float(np.sqrt(np.mean(ground**2))),
+        "ground_least_m": float(ground.min()),
+        "ground_most_m": float(ground.max()),
+    }
+    look = look_angles(flight)[phase == APPROACH]
+    window = Scenario.load(HERE / "landers/apollo11.toml").window.make()
+    inside = (look >= window.highest) & (look <= window.lowest)
+    return out | {"site_in_window": float(inside.mean()) if len(look) else float("nan")}
+
+
+def look_angles(flight: Flight) -> np.ndarray:
+    """Return the angle of the site below the forward direction, body axes (n,), rad."""
+    from lunarsim.frames import quat_conjugate, quat_rotate
+
+    q = np.column_stack([flight.trajectory[f"attitude_{a}"] for a in "xyzw"])
+    body = quat_rotate(quat_conjugate(q), flight.target - flight.positions)
+    return np.asarray(np.arctan2(-body[:, 2], body[:, 1]))
+
+
+def _verdict(told: dict[str, Any]) -> str:
+    return "landed safe" if told["safe"] else ", ".join(told["failed"])
+
+
+def table_of(runs: list[Run]) -> Table:
+    """Return the table of all runs, a column each."""
+    table = Table(title="Apollo 11's descent, flown by guidance with Apollo 10's targets")
+    table.add_column("")
+    for run in runs:
+        table.add_column(run.name, justify="right")
+    whole = apollo11.REPORTED
+    rows: list[tuple[str, Any]] = [
+        ("verdict", _verdict),
+        ("throttle recovery s / m up", lambda t: _pair(t, "recovery")),
+        ("high gate (P64) s / m up", lambda t: _pair(t, "approach")),
+        ("last phase s / m up", lambda t: _pair(t, "last")),
+        ("touchdown s / m from the site", lambda t: f"{t['duration_s']:.0f} / {t['miss_m']:.0f}"),
+        ("burnt from ignition to the end kg", lambda t: f"{t['propellant_kg']:.0f}"),
+        (f"with insertion, against {whole:.0f} kg", _against),
+        ("burnt by lock-on (288 s) kg", lambda t: f"{t['burnt_at_lock_on_kg']:.0f}"),
+        ("thrusters kg", lambda t: f"{t['thruster_propellant_kg']:.0f}"),
+        ("altitude off the record, rms m: P63 / P64", lambda t: _rms(t, "altitude_m")),
+        ("pitch off the record, rms deg: P63 / P64", lambda t: _rms(t, "pitch_deg")),
+        ("P66's time, which a man flew: m / deg",
+         lambda t: f"{t['p66_altitude_m']:.0f} / {t['p66_pitch_deg']:.1f}"),
+        ("ground under the altimeter while braking, rms / least / most m",
+         lambda t: f"{t['ground_rms_m']:.0f} / {t['ground_least_m']:.0f} / "
+                   f"{t['ground_most_m']:.0f}"),
+        ("share of P64 with the site in the window", lambda t: f"{t['site_in_window']:.2f}"),
+        ("times real time", lambda t: f"{t['times_real_time']:.0f}"),
+    ]  # fmt: skip
+    for label, of in rows:
+        table.add_row(label, *(of(run.told) for run in runs))
+    return table
+
+
+def _pair(told: dict[str, Any], name: str) -> str:
+    return f"{told[f'{name}_s']:.0f} / {told[f'{name}_altitude_m']:.0f}"
+
+
+def _rms(told: dict[str, Any], unit: str) -> str:
+    digits = 0 if unit.endswith("_m") else 1
+    return " / ".join(f"{told[f'{name}_{unit}']:.{digits}f}" for name in ("p63", "p64"))
+
+
+def _against(told: dict[str, Any]) -> str:
+    whole = told["propellant_kg"] + apollo11.INSERTION
+    return f"{whole:.0f}, {100.0 * (whole / apollo11.REPORTED - 1.0):+.1f} %"
+
+
+def _hover(run: Run) -> str:
+    """Return what the record's longer time after P64 comes to at the thrust of a hover."""
+    told, mass = run.told, run.flight.trajectory["mass"]
+    longer = apollo11.LANDING - told["duration_s"]
+    flow = mass[-1] * run.sim.world.gravity / run.sim.lander.exhaust_velocity
+    whole = told["propellant_kg"] + apollo11.INSERTION + longer * flow
+    return (
+        f"{run.name}: the record is {longer:.0f} s longer; hovering for these takes "
+        f"{flow:.2f} kg/s, {longer * flow:.0f} kg, in all {whole:.0f} kg, "
+        f"{100.0 * (whole / apollo11.REPORTED - 1.0):+.1f} % of the report's."
+    )
+
+
+@click.command()
+@click.option(
+    "--uprange-km",
+    type=click.FloatRange(350.0, 700.0),
+    default=NAUTICAL_MILES * 1.852,
+    show_default=True,
+    help="Ignition from the site.",
+)
+@click.option(
+    "--isp",
+    type=click.FloatRange(301.0, 305.0),
+    default=303.0,
+    show_default=True,
+    help="Specific impulse, s: 301 is the computer's, 305 the engine's best.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option(
+    "--ground",
+    type=click.Choice(["drawn", "measured"]),
+    default="drawn",
+    show_default=True,
+    help="Measured: the terrain models at hand, of other places.",
+)
+@click.option(
+    "--load-start/--no-load-start",
+    default=True,
+    show_default=True,
+    help="Fly from the load's own ignition besides.",
+)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Figure and flights.")
+@click.option("--json", "file", type=click.Path(path_type=Path), help="Every figure of every run.")
+def main(
+    uprange_km: float, isp: float, seed: int, ground: str, load_start: bool, out: Path | None,
+    file: Path | None,
+) -> None:  # fmt: skip
+    """Fly the descent twice, automatic and by the pilot model, and set it beside the record."""
+    console = Console(width=130)
+    base = scenario_of(1e3 * uprange_km, isp, ground)
+    runs = [fly("P65", base, seed), fly("P66", piloted(base), seed)]
+    if load_start:
+        own = scenario_of(apollo11.own_uprange(base), isp, ground)
+        runs.append(fly("P65 from 441 km", own, seed))
+    console.print(table_of(runs))
+    for run in runs[:2]:
+        console.print(_hover(run))
+    about = runs[0].sim.world.surroundings
+    assert about is not None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    console.print(
+        f"Ground: {about.nbytes / 2**20:.0f} MiB in all its levels; process at most {peak:.0f} MiB."
+    )
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        for run in runs:
+            run.flight.save(out / run.name.replace(" ", "-"))
+        console.print(f"Figure: {drawn(runs[:2], look_angles, out / 'descent.png')}")
+    if file is not None:
+        file.write_text(json.dumps([run.told for run in runs], indent=1))
+
+
+if __name__ == "__main__":
+    main()

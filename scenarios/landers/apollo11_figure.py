@@ -1,0 +1,68 @@
+"""The figure of the Apollo 11 descent: flights beside the record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from landers import apollo11
+
+from lunarsim.viz.style import COLOURS, new_figure
+
+_FULL = 46_706.0  # what the throttle's per cent are counted from, N
+
+
+def drawn(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: Path) -> Path:
+    """Draw altitude, pitch, throttle, look angle and ground of flights; return the path."""
+    figure = new_figure(11.0, 8.0)
+    axes = figure.subplots(2, 2)
+    told = apollo11.record()
+    known = np.isfinite(told.altitude)
+    black = {"color": "black", "linewidth": 1.0, "label": "record"}
+    axes[0, 0].plot(told.time[known], told.altitude[known] / 1e3, **black)
+    axes[0, 1].plot(told.time, np.rad2deg(told.pitch), **black)
+    for run, colour in zip(runs, COLOURS, strict=False):
+        _one(axes, run, colour, look_angles(run.flight))
+    _ground(axes[0, 0], runs[0])
+    for panel, label in zip(
+        axes.ravel(),
+        ("height over the site's level, km", "pitch back from the site's vertical, deg",
+         "throttle, % of 46,706 N", "look angle to the site in P64, deg"),
+        strict=True,
+    ):  # fmt: skip
+        panel.set_xlabel("time since ignition, s")
+        panel.set_ylabel(label)
+        panel.legend()
+        for phase in (apollo11.P64, apollo11.P66):
+            panel.axvline(phase, color="0.8", linewidth=0.8, zorder=0)
+    axes[1, 1].axhspan(-5.0, 65.0, color="0.93", zorder=0)
+    axes[1, 1].set_xlim(400.0, apollo11.LANDING)
+    figure.suptitle(
+        "From ignition to the ground: guidance with Apollo 10's targets, and Apollo 11's record "
+        "(grey lines: its P64 and P66)"
+    )
+    figure.savefig(path, dpi=110)
+    return path
+
+
+def _one(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
+    flight, lander = run.flight, run.sim.lander
+    track = apollo11.flown(flight, run.sim.world.moon, lander.com_height)
+    line = {"color": colour, "linewidth": 1.2, "label": run.name}
+    axes[0, 0].plot(track.time, track.altitude / 1e3, **line)
+    axes[0, 1].plot(track.time, np.rad2deg(track.pitch), **line)
+    axes[1, 0].plot(track.time, 100.0 * flight.trajectory["thrust"] / _FULL, **line)
+    approach = flight.trajectory["phase"] == 0
+    axes[1, 1].plot(track.time[approach], np.rad2deg(look[approach]), **line)
+
+
+def _ground(panel: Any, run: Any) -> None:
+    """Draw the ground under the lander, 10 times as high as it is."""
+    about, positions = run.sim.world.surroundings, run.flight.positions[::20]
+    ground = about.elevation(about.way(positions))
+    panel.fill_between(
+        run.flight.trajectory["time"][::20], -1.0, 10.0 * ground / 1e3, color="0.6", alpha=0.6,
+        label="ground below (P65), x 10", linewidth=0.0,
+    )  # fmt: skip
