@@ -52,6 +52,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         info: dict[str, Any] = {"reward_terms": named}
         if terminated[0] or truncated[0]:
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
+            info |= {name: float(told[0]) for name, told in d.told().items()}
         ends = bool(terminated[0]), bool(truncated[0])
         return d.observe()[0], sum(named.values()), *ends, info
 
@@ -141,14 +142,16 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if over.any():
             info |= {"safe": d.lanes.safe & over, "_safe": over}
             info |= {"failed": np.where(over, d.lanes.failed, 0), "_failed": over}
+            for name, told in d.told().items():
+                info |= {name: np.where(over, told, 0.0), f"_{name}": over}
         if self.autoreset_mode is mode.NEXT_STEP:
             if self._due.any():
                 d.restart(self._due)
             self._due = over
         elif self.autoreset_mode is mode.SAME_STEP and over.any():
             info |= {"final_obs": d.observe(), "_final_obs": over}
-            kept = ("reward_terms", "safe", "_safe", "failed", "_failed")
-            info["final_info"] = {name: info[name] for name in kept}
+            left = ("_reward_terms", "final_obs", "_final_obs")
+            info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             d.restart(over)
         return d.observe(), np.sum(list(terms.values()), axis=0), terminated, truncated, info
@@ -184,7 +187,8 @@ class GuidanceEnv(DescentEnv):
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 within all limits, -1
     for a crash or a flight off the map), ``propellant`` (-0.001 a kilogram), ``miss`` (-0.01 a
-    metre between a safe touchdown and the target, up to 50 m), ``shaping`` (potential-based: its
+    metre between a safe touchdown and the target, up to 50 m), ``severity`` (nothing, unless it is
+    given a weight: of a crash by its distance and speed), ``shaping`` (potential-based: its
     discounted sum is the same for all flights from one start). Every crash returns less than any
     safe landing, shaping aside; weights with which it may not are refused.
 
@@ -198,8 +202,10 @@ class GuidanceEnv(DescentEnv):
     ## Episode End
 
     Terminated at the touchdown, whose verdict is the simulation's (``info["safe"]``,
-    ``info["failed"]``), or below the map. Truncated by the scenario's time limit (120 s). In a
-    batch ``info["failed"]`` has a bit for each of `lunarsim_envs.descent.lanes.LIMITS`.
+    ``info["failed"]``), or below the map; ``info`` then has ``time_s``, ``propellant_kg`` burnt
+    and ``miss_m``, the distance over the ground from the target. Truncated by the scenario's time
+    limit (120 s). In a batch ``info["failed"]`` has a bit for each of
+    `lunarsim_envs.descent.lanes.LIMITS`.
 
     ## Arguments
 
