@@ -30,7 +30,7 @@ from lunarsim.errors import InputError, check_folder
     help="A TOML file, or a name of `scenario list`.",
 )  # fmt: skip
 @click.option(
-    "--set", "changes", multiple=True, metavar="KEY=VALUE",
+    "--set", "values", multiple=True, metavar="KEY=VALUE",
     help="Another value of a key of the scenario; may be repeated.",
 )  # fmt: skip
 @click.option(
@@ -49,7 +49,7 @@ from lunarsim.errors import InputError, check_folder
     "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."
 )  # fmt: skip
 def evaluate(
-    env: str, agents: tuple[str, ...], scenario: Path | None, changes: tuple[str, ...],
+    env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
     episodes: int, seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
@@ -81,7 +81,7 @@ def evaluate(
         raise InputError("--within", within, "a finite number of metres")
     if out is not None:
         check_folder(out)
-    asked = study(env, scenario, changes, seed)
+    asked = study(env, scenario, values, seed)
     check_agents(asked, agents)
     console = wide_console(170)
     with (

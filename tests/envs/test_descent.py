@@ -199,7 +199,8 @@ def test_every_crash_returns_less_than_any_safe_landing(seed):
     rng = np.random.default_rng(seed)
     weights = DescentWeights(
         safe=rng.normal(0.0, 2.0), crash=rng.normal(0.0, 2.0),
-        propellant=rng.exponential(0.003), miss=rng.exponential(0.02), severity=rng.exponential(1.0),
+        propellant=rng.exponential(0.003), miss=rng.exponential(0.02),
+        severity=rng.exponential(1.0), excess=rng.exponential(1.0),
         shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
     )  # fmt: skip
     worst = weights.safe - weights.propellant * 400.0 - weights.miss * MOST_MISS

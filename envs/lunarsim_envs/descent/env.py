@@ -187,8 +187,9 @@ class GuidanceEnv(DescentEnv):
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 within all limits, -1
     for a crash or a flight off the map), ``propellant`` (-0.001 a kilogram), ``miss`` (-0.01 a
-    metre between a safe touchdown and the target, up to 50 m), ``severity`` (nothing, unless it is
-    given a weight: of a crash by its distance and speed), ``shaping`` (potential-based: its
+    metre between a safe touchdown and the target, up to 50 m), ``severity`` and
+    ``excess`` (nothing, unless they are given weights: of a crash by its distance and speed, and by
+    how far it exceeds the limits of a touchdown), ``shaping`` (potential-based: its
     discounted sum is the same for all flights from one start). Every crash returns less than any
     safe landing, shaping aside; weights with which it may not are refused.
 

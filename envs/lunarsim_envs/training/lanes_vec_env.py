@@ -18,6 +18,9 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
     ----------
     batch
         A ``Guidance-v0`` or ``Control-v0`` batch with ``autoreset_mode="SameStep"``.
+    starts
+        Options of a reset, each for an equal share of the lanes, in their order; left out: all
+        lanes start as the scenario says.
 
     Raises
     ------
@@ -25,11 +28,14 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         If it resets its lanes otherwise.
     """
 
-    def __init__(self, batch: gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
+    def __init__(
+        self, batch: gymnasium.vector.VectorEnv[Any, Any, Any],
+        starts: Sequence[dict[str, Any]] = (),
+    ) -> None:  # fmt: skip
         mode = batch.metadata.get("autoreset_mode")
         if mode is not gymnasium.vector.AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode = {mode}: must be 'SameStep'")
-        self.batch = batch
+        self.batch, self.starts = batch, tuple(starts)
         self.render_mode = None
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] | None = None
@@ -40,6 +46,10 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         observation, _ = self.batch.reset(seed=seeds)
         self._reset_seeds()
         self._reset_options()
+        for k, start in enumerate(self.starts):
+            mine = np.arange(self.num_envs) * len(self.starts) // self.num_envs == k
+            if mine.any():
+                observation, _ = self.batch.reset(options=start | {"reset_mask": mine})
         return observation
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
@@ -56,6 +66,7 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
                 "terminal_observation": info["final_obs"][lane],
                 "TimeLimit.truncated": bool(truncated[lane]),
                 "safe": bool(info["safe"][lane]),
+                "miss_m": float(info["miss_m"][lane]),
             }
         return observation, reward.astype(np.float32), over, told
 
