@@ -59,7 +59,6 @@ def evaluate(
 
     \b
       zero, random, hover, polynomial     what is built in
-      ppo                                 trained; flies Guidance-v0
       apollo, e-guidance, ...             `lunarsim parts guidance`; Guidance-v0
       safest, nearest-safe, ...           `lunarsim parts policy`; Retarget-v0
       FILE.npz                            a network, flown by NumPy alone

@@ -192,6 +192,12 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """What the onboard computer shows a policy now; None before the first reset."""
         return self._observation
 
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return which actions are available (21,), as sb3-contrib's MaskablePPO asks for it."""
+        if self.simulation is None:
+            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
+        return np.asarray(self._info(self.simulation)["action_mask"], dtype=np.bool_)
+
     def _frame(self) -> NDArray[np.uint8]:
         """Return an image of the flight as it stands."""
         assert self.frames is not None

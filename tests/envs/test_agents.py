@@ -74,7 +74,9 @@ def test_random_draws_from_the_flights_own_generator(env):
     assert {int(retarget.act(None, {"action_mask": mask})) for _ in range(60)} == {0, 3, 20}
 
 
-@pytest.mark.parametrize(("kind", "off"), [("apollo", 0.5), ("modified-apollo", 0.5), ("zem-zev", 10.0)])
+@pytest.mark.parametrize(
+    ("kind", "off"), [("apollo", 0.5), ("modified-apollo", 0.5), ("zem-zev", 10.0)]
+)
 def test_a_guidance_law_lands_on_its_target(kind, off):
     env = GuidanceEnv(changes=CALM)
     info, _, steps = flown(env, agent_of(kind, env), 3)

@@ -71,7 +71,10 @@ class DescentWeights:
             value = getattr(self, field.name)
             if not np.isfinite(value):
                 raise InputError(f"weights.{field.name}", value, "a finite number")
-            if field.name in ("propellant", "miss", "severity", "excess", "shaping") and value < 0.0:
+            if (
+                field.name in ("propellant", "miss", "severity", "excess", "shaping")
+                and value < 0.0
+            ):
                 raise InputError(f"weights.{field.name}", value, "0 or more: it is a cost")
         if not 0.0 < self.discount <= 1.0:
             raise InputError("weights.discount", self.discount, "above 0, at most 1")

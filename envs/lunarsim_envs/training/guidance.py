@@ -139,7 +139,7 @@ class Run:
         env = LanesVecEnv(batch, s.starts(descents.lanes.craft.start))
         env.seed(s.seed)
         far, near = scales(tuple(part.name for part in descents.shown.parts))
-        return PPO(
+        model = PPO(
             "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, n_epochs=s.epochs,
             gamma=s.discount, gae_lambda=s.trace, seed=s.seed, device="cpu",
             policy_kwargs={
@@ -148,6 +148,11 @@ class Run:
                 "net_arch": [s.width, s.width], "log_std_init": s.spread,
             },
         )  # fmt: skip
+        # Flights that climb away teach nothing: it begins a little below hovering.
+        sinking = [0.0, 0.0, s.bears * descents.lanes.craft.dynamics.gravity]
+        with torch.no_grad():
+            model.policy.action_net.bias[:] = torch.as_tensor(descents.actions.action(sinking))
+        return model
 
     def advance(self) -> None:
         """Fly all lanes for a while and update the agent."""

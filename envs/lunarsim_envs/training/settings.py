@@ -44,6 +44,8 @@ class Training:
         Logarithm of the standard deviation of actions at first.
     width
         Of the two hidden layers.
+    bears
+        Share of the weight that the first actions bear, on average.
     position_sigma, velocity_sigma
         Dispersion of the start an axis, m and m/s.
     nearest, shares
@@ -57,14 +59,15 @@ class Training:
     seed: int = 0
     lanes: int = 256
     horizon: int = 128
-    batch: int = 4096
-    epochs: int = 5
+    batch: int = 1024
+    epochs: int = 4
     discount: float = 0.995
     trace: float = 0.95
     rate_first: float = 1e-3
     rate_last: float = 1e-4
     spread: float = -2.0
     width: int = 64
+    bears: float = 0.9
     position_sigma: float = 100.0 / 3.0
     velocity_sigma: float = 10.0
     nearest: float = 0.04
