@@ -26,6 +26,7 @@ from lunarsim.cli_common import (
     scenario_options,
     wide_console,
 )
+from lunarsim.cli_evaluate import evaluate
 from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_terrain import terrain
@@ -56,7 +57,7 @@ def main() -> None:
     """  # noqa: D301  (click wants the character itself)
 
 
-for _command in (campaign, sweep, replay, terrain, scenario, parts):
+for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate):
     main.add_command(_command)
 
 

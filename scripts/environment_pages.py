@@ -49,6 +49,47 @@ Rocket-Landing-v4 1,010:
 | `Control-v0`, 4096 lanes | 2,710,000, 81 of LunarLander | 54,000 |
 
 A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it.
+
+## Agents
+
+`lunarsim evaluate` flies agents over the same episodes and compares them, flight by flight:
+
+```sh
+lunarsim evaluate Guidance-v0 --agent random --agent apollo --agent e-guidance --episodes 100
+lunarsim evaluate Retarget-v0 --scenario hirise --agent no-divert --agent safest --episodes 20
+lunarsim evaluate Guidance-v0 --agent own_agents:Careful --set start.velocity_sigma_m_s=10
+```
+
+An agent of one's own is a function of observation and info, or a class that is built with the
+environment and called so; one with `begin(rng)` is told of every flight, and draws from that
+generator alone:
+
+```python
+import numpy as np
+
+
+class Careful:
+    def __init__(self, env):
+        self.actions = env.unwrapped.descents.actions
+
+    def begin(self, rng):
+        self.rng = rng
+
+    def __call__(self, observation, info):
+        return self.actions.action([0.0, 0.0, 1.622 - 0.3 * (observation[5] + 2.0)])
+```
+
+Policies are shown what the onboard computer shows them and fly what the simulation flies with them,
+bit for bit; laws of guidance are asked five times a second, on the true state. A site that is none
+of the rows of `Retarget-v0`, and giving up the landing, are no actions there.
+
+`python scenarios/learning/train_guidance.py --out out/ppo` trains an agent of `Guidance-v0` by
+proximal policy optimisation (`pip install "lunarsim[rl]"`; PyTorch without CUDA is at
+`--index-url https://download.pytorch.org/whl/cpu`): no law of guidance inside the action, starts at
+shares of the way for some lanes, a checkpoint and a look at unseen seeds every few updates. Broken
+off and called again it goes on, bit for bit. `agent.npz` in its folder is flown by NumPy alone,
+`checkpoint/model.zip` by Stable-Baselines3. RLlib pins an older Gymnasium and is left out;
+MaskablePPO of sb3-contrib takes `Retarget-v0` as it is, through `action_masks()`.
 """
 
 

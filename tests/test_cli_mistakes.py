@@ -99,6 +99,25 @@ OWN = {
         (["folder", "--flight", "0-0"], ["folder", "manifest.json"]),
         (["gone", "--flight", "0-0"], ["gone", "manifest.json"]),
     ],
+    "evaluate": [
+        (["Guidance-v0", "--agent", "apolo"], ["--agent = 'apolo'", "did you mean 'apollo'"]),
+        (["Guidance-v0", "--agent", "gone.npz"], ["--agent = 'gone.npz'", "an existing file"]),
+        (["Guidance-v0", "--agent", "broken.npz"], ["--agent = 'broken.npz'", "a network"]),
+        (["Guidance-v0", "--agent", "broken.zip"], ["broken.zip", "Stable-Baselines3 has saved"]),
+        (["Guidance-v0", "--agent", "json:gone"], ["--agent = 'json:gone'", "AttributeError"]),
+        (["Guidance-v0", "--agent", "safest"], ["--agent = 'safest'", "safest flies Retarget-v0"]),
+        (["Control-v0", "--agent", "apollo"], ["--agent = 'apollo'", "apollo flies Guidance-v0"]),
+        (["Guidance-v0", "--agent", "zero", "--agent", "zero"], ["--agent", "each name once"]),
+        (["Guidanse-v0", "--agent", "zero"], ["did you mean 'lunarsim/Guidance-v0'"]),
+        (["gone:x-v0", "--agent", "zero"], ["env = 'gone:x-v0'", "can be imported"]),
+        (["Guidance-v0", "--agent", "zero", "--episodes", "0"], ["--episodes", "0", "x>=1"]),
+        (["Guidance-v0", "--agent", "zero", "--jobs", "0"], ["--jobs", "0", "x>=1"]),
+        (["Guidance-v0", "--agent", "zero", "--within", "inf"], ["--within = inf", "finite"]),
+        (["Guidance-v0", "--agent", "zero", "--out", "full"], ["--out = 'full'", "empty or new"]),
+        (["Guidance-v0", "--agent", "zero", "--scenario", "hirisee"], ["did you mean 'hirise'"]),
+        (["Guidance-v0", "--agent", "zero", "--set", "rocks.covr=1"], ["did you mean 'cover'"]),
+        (["Guidance-v0"], ["--agent", "evaluate --help"]),
+    ],
     "parts": [(["polcy"], ["contract = 'polcy'", "did you mean 'policy'"])],
     "campaign plan": [
         (["gone.toml"], ["gone.toml", "an existing TOML file"]),
@@ -222,6 +241,8 @@ def mistakes(tmp_path_factory):
     (here / "chosen.toml").write_text('policy = "safest"\n')
     (here / "wide.toml").write_text('name = "mare"\n', encoding="utf-16")
     (here / "loop.toml").symlink_to("loop.toml")
+    for name in ("broken.npz", "broken.zip"):
+        (here / name).write_text("neither")
     (here / "there.json").write_text(json.dumps({}))
     _raster(here / "bands.tif", 3)
     _raster(here / "high.tif", 1, 1e30)

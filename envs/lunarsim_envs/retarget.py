@@ -187,6 +187,17 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             return film
         return self._frame()
 
+    @property
+    def seen(self) -> Observation | None:
+        """What the onboard computer shows a policy now; None before the first reset."""
+        return self._observation
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return which actions are available (21,), as sb3-contrib's MaskablePPO asks for it."""
+        if self.simulation is None:
+            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
+        return np.asarray(self._info(self.simulation)["action_mask"], dtype=np.bool_)
+
     def _frame(self) -> NDArray[np.uint8]:
         """Return an image of the flight as it stands."""
         assert self.frames is not None
@@ -228,4 +239,6 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if simulation.verdict is not None:
             info["safe"] = simulation.verdict.safe
             info["failed"] = simulation.verdict.failed
+            wet = self.scenario.vehicle.make().wet_mass
+            info["propellant_kg"] = wet - simulation.state.mass
         return info

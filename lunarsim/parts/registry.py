@@ -215,7 +215,7 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     return _resolve(contract, kind, field or f"{contract}.kind")
 
 
-def _imported(module: str) -> ModuleType:
+def imported(module: str) -> ModuleType:
     """Return a module; one that is found nowhere is looked for in the working directory too.
 
     A command that is installed, other than ``python -m``, does not look there.
@@ -237,7 +237,7 @@ def _resolve(contract: str, kind: str, field: str) -> type:
         raise InputError(field, kind, near + more)
     module, _, name = where.partition(":")
     try:
-        found = getattr(_imported(module), name)
+        found = getattr(imported(module), name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever somebody else's module raises, an exit included

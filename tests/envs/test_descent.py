@@ -49,7 +49,7 @@ def test_gymnasium_has_nothing_to_say_of_it(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gymnasium.make(f"lunarsim_envs:{name}", changes=LOW)
-        check_env(env.unwrapped, skip_render_check=True)
+        check_env(env.unwrapped)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -200,6 +200,7 @@ def test_every_crash_returns_less_than_any_safe_landing(seed):
     weights = DescentWeights(
         safe=rng.normal(0.0, 2.0), crash=rng.normal(0.0, 2.0),
         propellant=rng.exponential(0.003), miss=rng.exponential(0.02),
+        severity=rng.exponential(1.0), excess=rng.exponential(1.0),
         shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
     )  # fmt: skip
     worst = weights.safe - weights.propellant * 400.0 - weights.miss * MOST_MISS
@@ -365,6 +366,91 @@ def test_a_copy_and_a_pickle_fly_on_alike():
         assert np.array_equal(env.descents.lanes.y, first)
         kept = copy.deepcopy(env)
         assert np.array_equal(told[0], kept.step(np.zeros(3, np.float32))[0])
+
+
+def test_a_picture_shows_where_the_lander_is_and_how_it_ended():
+    env = GuidanceEnv(changes=LOW, render_mode="rgb_array", rate_hz=10.0)
+    assert env.metadata["render_fps"] == 10
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.render()
+    observation, _ = env.reset(seed=4)
+
+    def body(picture):
+        """Middle of the lander's body: columns, and rows from above."""
+        rows, cols = np.nonzero((picture[:, :440] == (222, 222, 226)).all(axis=2))
+        return cols.mean(), rows.mean()
+
+    first = env.render()
+    assert first.shape == (440, 640, 3) and first.dtype == np.uint8
+    ended = False
+    while not ended:
+        action = descent(observation[None], env.descents.actions)[0]
+        observation, _, ended, _, info = env.step(action)
+    last = env.render()
+    assert info["safe"] and info["cost"] == 0.0
+    # It ends on the ground in the middle of the view, the target's mark under it.
+    col, row = body(last)
+    off = observation[:2] @ env._picture._along
+    assert col == pytest.approx(220.0 + 0.5 * off * 440.0 / 24.0, abs=4.0)
+    assert row > body(first)[1] + 100
+    green = (last[380:, 440:] == (0, 200, 130)).all(axis=2)
+    assert green.any() and not (first[380:, 440:] == (0, 200, 130)).all(axis=2).any()
+    flame = (255, 170, 60)
+    assert (first == flame).all(axis=2).sum() > 20 and not (last == flame).all(axis=2).any()
+    assert GuidanceEnv(changes=LOW).render() is None
+    with pytest.raises(ValueError, match="must be 'rgb_array' or None"):
+        GuidanceEnv(changes=LOW, render_mode="human")
+
+
+def test_a_crash_costs_and_the_end_is_told():
+    vector = batch(IDS[0], 16, autoreset_mode="SameStep")
+    vector.reset(seed=3)
+    lanes = vector.unwrapped.descents.lanes
+    seen = 0
+    for _ in range(100):
+        burnt, time = lanes.burnt.copy(), lanes.time.copy()
+        _, _, ended, late, info = vector.step(np.tile(np.float32([0.3, 0.0, -0.8]), (16, 1)))
+        assert np.array_equal(info["cost"], np.where(ended & ~info.get("safe", ended), 1.0, 0.0))
+        for lane in np.flatnonzero(ended | late):
+            seen += 1
+            assert 0.0 < info["propellant_kg"][lane] - burnt[lane] < 1.0
+            assert 0.0 < info["time_s"][lane] - time[lane] < 0.2 + 1e-9
+            off = np.hypot(*info["final_obs"][lane, :2])
+            assert info["miss_m"][lane] == pytest.approx(off, rel=1e-5)
+            assert info["final_info"]["miss_m"][lane] == info["miss_m"][lane]
+    assert seen > 10
+
+
+def test_a_crash_is_told_by_how_bad_it_is():
+    """Of speeds, tilt and rate over their limits, number by number."""
+    weights = DescentWeights(safe=5.0, severity=2.0, excess=0.5)
+    vector = batch(IDS[0], 32, weights=weights, autoreset_mode="Disabled")
+    vector.reset(seed=3)
+    lanes = vector.unwrapped.descents.lanes
+    far, fast = np.linalg.norm(LOW["start.position_m"]), np.linalg.norm(LOW["start.velocity_m_s"])
+    rng, seen = np.random.default_rng(1), 0
+    for _ in range(200):
+        drawn = rng.uniform(-0.2, 0.2, (32, 3)) + [0.0, 0.0, -0.5]
+        *_, ended, late, info = vector.step(drawn.astype(np.float32))
+        for i in np.flatnonzero(ended):
+            if lanes.safe[i]:
+                assert info["reward_terms"]["severity"][i] == 0.0
+                continue
+            y = lanes.y[i]
+            off = np.linalg.norm(y[:3] - lanes.target[i]) / far + np.linalg.norm(y[3:6]) / fast
+            assert info["reward_terms"]["severity"][i] == pytest.approx(-min(off, 2.0))
+            folds = 12.0
+            if lanes.ended[i] == 1:
+                down, side = abs(y[5]), np.hypot(y[3], y[4])
+                up = 1.0 - 2.0 * (y[6] ** 2 + y[7] ** 2)
+                values = [down / 3.0, side / 1.0, np.degrees(np.arccos(up)) / 6.0,
+                          np.degrees(np.linalg.norm(y[10:13])) / 6.0]  # fmt: skip
+                folds = sum(min(max(np.log(v), 0.0), 3.0) for v in values)
+                seen += 1
+            assert info["reward_terms"]["excess"][i] == pytest.approx(-0.5 * folds, abs=1e-6)
+        if (ended | late).any():
+            vector.reset(options={"reset_mask": ended | late})
+    assert seen > 10
 
 
 def test_a_seed_for_each_lane():

@@ -56,6 +56,14 @@ def test_one_decision_a_second_between_400_and_50_m(env):
     assert simulation.done
 
 
+def test_masks_of_actions_are_those_of_info(env):
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.unwrapped.action_masks()
+    _, info = env.reset(seed=1)
+    masks = env.unwrapped.action_masks()
+    assert masks.dtype == bool and masks.tolist() == (info["action_mask"] == 1).tolist()
+
+
 def test_choosing_a_site_moves_the_target(env):
     observation, info = env.reset(seed=1)
     while not info["action_mask"][1:].any():

@@ -108,6 +108,11 @@ class Descents:
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights(), self.lanes)
 
+    @property
+    def period(self) -> float:
+        """Between two actions, s."""
+        return self.lanes.steps * self.lanes.craft.dynamics.step
+
     def seed(self, mask: Mask, seeds: Sequence[int | None]) -> None:
         """Give lanes of `mask` new keys from their seeds; one of None goes on as it was.
 
@@ -136,6 +141,11 @@ class Descents:
     def observe(self) -> NDArray[np.float32]:
         """Return what is shown of every lane (n, size)."""
         return self.shown.of(self.lanes)
+
+    def told(self) -> dict[str, NDArray[np.float64]]:
+        """Return what is told of flights at their end (n,), by name: s, kg, m."""
+        lanes = self.lanes
+        return {"time_s": lanes.time, "propellant_kg": lanes.burnt, "miss_m": lanes.miss}
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
         """Move all lanes in flight; return terms of the reward, moved, terminated, truncated."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.descent.picture import Picture
 
 Shown = NDArray[np.float32]
 
@@ -18,19 +19,21 @@ Shown = NDArray[np.float32]
 class DescentEnv(gymnasium.Env[Any, Any]):
     """One descent; see `GuidanceEnv` and `ControlEnv` for what differs."""
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
     guided: ClassVar[bool]
     rate: ClassVar[float]
 
     def __init__(self, render_mode: str | None = None, **settings: Unpack[Settings]) -> None:
-        if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: must be None")
-        self.render_mode = None
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
+        self.render_mode = render_mode
         settings.setdefault("rate_hz", self.rate)
         self.descents = Descents(None, guided=self.guided, **settings)
         self.action_space = self.descents.actions.space
         self.observation_space = self.descents.shown.space
+        self.metadata = self.metadata | {"render_fps": max(round(1.0 / self.descents.period), 1)}
         self._one = np.ones(1, np.bool_)
+        self._picture = Picture(self.descents.lanes) if render_mode is not None else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -40,6 +43,8 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         if seed is not None or not self.descents.lanes.has_key[0]:
             self.descents.key(0, self.np_random)
         self.descents.begin(self._one, options)
+        if self._picture is not None:
+            self._picture.begin()
         return self.descents.observe()[0], {}
 
     def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
@@ -49,11 +54,23 @@ class DescentEnv(gymnasium.Env[Any, Any]):
             raise gymnasium.error.ResetNeeded("no flight is in the air: call reset()")
         terms, _, terminated, truncated = d.step(action)
         named = {name: float(term[0]) for name, term in terms.items()}
-        info: dict[str, Any] = {"reward_terms": named}
+        if self._picture is not None:
+            self._picture.note()
+        crash = bool(terminated[0]) and not d.lanes.safe[0]
+        info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)}
         if terminated[0] or truncated[0]:
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
+            info |= {name: float(told[0]) for name, told in d.told().items()}
         ends = bool(terminated[0]), bool(truncated[0])
         return d.observe()[0], sum(named.values()), *ends, info
+
+    def render(self) -> Any:
+        """Return the plane of the descent and gauges as an image (440, 640, 3), or None."""
+        if self._picture is None:
+            return None
+        if not self.descents.lanes.has_key[0]:
+            raise gymnasium.error.ResetNeeded("call reset() before render()")
+        return self._picture.draw()
 
 
 class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -138,17 +155,20 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         terms, moved, terminated, truncated = d.step(actions)
         over = terminated | truncated
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
+        info |= {"cost": np.where(terminated & ~d.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():
             info |= {"safe": d.lanes.safe & over, "_safe": over}
             info |= {"failed": np.where(over, d.lanes.failed, 0), "_failed": over}
+            for name, told in d.told().items():
+                info |= {name: np.where(over, told, 0.0), f"_{name}": over}
         if self.autoreset_mode is mode.NEXT_STEP:
             if self._due.any():
                 d.restart(self._due)
             self._due = over
         elif self.autoreset_mode is mode.SAME_STEP and over.any():
             info |= {"final_obs": d.observe(), "_final_obs": over}
-            kept = ("reward_terms", "safe", "_safe", "failed", "_failed")
-            info["final_info"] = {name: info[name] for name in kept}
+            left = ("_reward_terms", "_cost", "final_obs", "_final_obs")
+            info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             d.restart(over)
         return d.observe(), np.sum(list(terms.values()), axis=0), terminated, truncated, info
@@ -184,9 +204,13 @@ class GuidanceEnv(DescentEnv):
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 within all limits, -1
     for a crash or a flight off the map), ``propellant`` (-0.001 a kilogram), ``miss`` (-0.01 a
-    metre between a safe touchdown and the target, up to 50 m), ``shaping`` (potential-based: its
+    metre between a safe touchdown and the target, up to 50 m), ``severity`` and
+    ``excess`` (nothing, unless they are given weights: of a crash by its distance and speed, and by
+    how far it exceeds the limits of a touchdown), ``shaping`` (potential-based: its
     discounted sum is the same for all flights from one start). Every crash returns less than any
     safe landing, shaping aside; weights with which it may not are refused.
+
+    ``info["cost"]``, for constrained methods, is 1 at a crash and 0 else.
 
     ## Starting State
 
@@ -198,8 +222,10 @@ class GuidanceEnv(DescentEnv):
     ## Episode End
 
     Terminated at the touchdown, whose verdict is the simulation's (``info["safe"]``,
-    ``info["failed"]``), or below the map. Truncated by the scenario's time limit (120 s). In a
-    batch ``info["failed"]`` has a bit for each of `lunarsim_envs.descent.lanes.LIMITS`.
+    ``info["failed"]``), or below the map; ``info`` then has ``time_s``, ``propellant_kg`` burnt
+    and ``miss_m``, the distance over the ground from the target. Truncated by the scenario's time
+    limit (120 s). In a batch ``info["failed"]`` has a bit for each of
+    `lunarsim_envs.descent.lanes.LIMITS`.
 
     ## Arguments
 
@@ -209,6 +235,8 @@ class GuidanceEnv(DescentEnv):
     - ``rate_hz``: actions a second.
     - ``observation``: names of its parts.
     - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`.
+    - ``render_mode``: ``"rgb_array"``, the plane of the descent with gauges beside it, or None; a
+      batch draws nothing.
     - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
       meets one of them. Ground is a raster of 0.1 m about the targets.
     - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,

@@ -209,6 +209,16 @@ class Lanes:
         """Whether each has landed within all limits (n,)."""
         return np.asarray((self.ended == LANDED) & (self.failed == 0))
 
+    @property
+    def miss(self) -> Array:
+        """Distance over the ground from the target (n,), m."""
+        return np.asarray(np.linalg.norm(self.y[:, :2] - self.target[:, :2], axis=1))
+
+    @property
+    def burnt(self) -> Array:
+        """Propellant burnt since the start (n,), kg."""
+        return np.asarray(self.craft.dynamics.lander.wet_mass - self.y[:, 13])
+
     def words(self, lane: int) -> tuple[str, ...]:
         """Return the limits that a lane's flight failed."""
         if self.ended[lane] == LATE:

@@ -114,6 +114,11 @@ class Shown:
     names
         Of the parts, in their order.
 
+    Attributes
+    ----------
+    places
+        Where each part stands in an observation, by name.
+
     Raises
     ------
     InputError
@@ -130,6 +135,11 @@ class Shown:
             raise InputError("observation", list(names), "each part once")
         self.parts = [PARTS[name] for name in names]
         sizes = [p.size for p in self.parts]
+        ends = np.cumsum(sizes)
+        self.places = {
+            p.name: slice(int(end) - p.size, int(end))
+            for p, end in zip(self.parts, ends, strict=True)
+        }
         self._low = np.repeat([p.low for p in self.parts], sizes).astype(np.float32)
         self._high = np.repeat([p.high for p in self.parts], sizes).astype(np.float32)
 

@@ -14,6 +14,11 @@ Array = NDArray[np.float64]
 
 # A landing farther from its target than this counts as this far, m.
 MOST_MISS = 50.0
+# No crash is told to be worse than distance and speed of the planned start together, nor to exceed
+# a limit by more e-folds.
+MOST_SEVERITY, MOST_EXCESS = 2.0, 3.0
+# Speeds down and along the ground, tilt and rate: those of `Lanes.told` that have such a limit.
+_LIMITED = 4
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,12 @@ class DescentWeights:
         Cost of a kilogram.
     miss
         Cost of a metre between a safe touchdown and the target, up to 50 m.
+    severity
+        Cost of a crash at the distance and the speed of the planned start, half of it for each;
+        nearer and slower ones cost less, none more.
+    excess
+        Cost of a touchdown that exceeds a limit e-fold, summed over speeds, tilt and rate; a crash
+        that is no touchdown counts as the worst.
     shaping
         Of the potential; 0 leaves it out. See `Rewards`.
     discount
@@ -38,6 +49,8 @@ class DescentWeights:
     crash: float = -1.0
     propellant: float = 0.001
     miss: float = 0.01
+    severity: float = 0.0
+    excess: float = 0.0
     shaping: float = 1.0
     discount: float = 0.99
 
@@ -58,7 +71,10 @@ class DescentWeights:
             value = getattr(self, field.name)
             if not np.isfinite(value):
                 raise InputError(f"weights.{field.name}", value, "a finite number")
-            if field.name in ("propellant", "miss", "shaping") and value < 0.0:
+            if (
+                field.name in ("propellant", "miss", "severity", "excess", "shaping")
+                and value < 0.0
+            ):
                 raise InputError(f"weights.{field.name}", value, "0 or more: it is a cost")
         if not 0.0 < self.discount <= 1.0:
             raise InputError("weights.discount", self.discount, "above 0, at most 1")
@@ -74,13 +90,13 @@ class DescentWeights:
 class Rewards:
     """The terms of every step.
 
-    ``touchdown``, ``propellant`` and ``miss`` are what counts. ``shaping`` is the discount times
-    the potential after the step less that before it, and the potential is 0 once a flight has
-    ended: over an episode its discounted sum is minus the potential of the start, whatever is
-    done, so it changes no policy's place among others (Ng, Harada and Russell, "Policy invariance
-    under reward transformations", ICML 1999). The potential falls with distance and speed, each
-    over that of the planned start. A flight that is broken off by the time limit has not ended:
-    its last potential counts.
+    ``touchdown``, ``propellant``, ``miss``, ``severity`` and ``excess`` are what counts.
+    ``shaping`` is the discount times the potential after the step less that before it, and the
+    potential is 0 once a flight has ended: over an episode its discounted sum is minus the
+    potential of the start, whatever is done, so it changes no policy's place among others (Ng,
+    Harada and Russell, "Policy invariance under reward transformations", ICML 1999). The potential
+    falls with distance and speed, each over that of the planned start. A flight that is broken off
+    by the time limit has not ended: its last potential counts.
 
     Parameters
     ----------
@@ -90,7 +106,7 @@ class Rewards:
         Whose flights.
     """
 
-    names = ("touchdown", "propellant", "miss", "shaping")
+    names = ("touchdown", "propellant", "miss", "severity", "excess", "shaping")
 
     def __init__(self, weights: DescentWeights, lanes: Lanes) -> None:
         weights.check(lanes.craft.dynamics.lander.propellant_mass)
@@ -101,12 +117,28 @@ class Rewards:
         self._mass = np.zeros(lanes.count)
         self._potential = np.zeros(lanes.count)
 
-    def potential(self) -> Array:
-        """Return the potential of every lane as it stands (n,), flown to an end or not."""
+    def _off(self) -> Array:
+        """Return distance and speed of every lane, each over the planned start's, summed (n,)."""
         y = self.lanes.y
         away = np.linalg.norm(y[:, :3] - self.lanes.target, axis=1) / self._far
         fast = np.linalg.norm(y[:, 3:6], axis=1) / self._fast
-        return np.asarray(-self.weights.shaping * (away + fast))
+        return np.asarray(away + fast)
+
+    def potential(self) -> Array:
+        """Return the potential of every lane as it stands (n,), flown to an end or not."""
+        return -self.weights.shaping * self._off()
+
+    def _excess(self) -> Array:
+        """Return by how many e-folds each touchdown exceeds its limits, summed (n,)."""
+        vehicle = self.lanes.craft.dynamics.lander
+        limits = np.array([
+            vehicle.vertical_speed_limit, vehicle.horizontal_speed_limit, vehicle.tilt_limit,
+            vehicle.rate_limit,
+        ])  # fmt: skip
+        times = np.abs(self.lanes.told[:, :_LIMITED]) / limits
+        folds = np.log(np.maximum(times, 1.0))
+        folds = np.where(np.isfinite(folds), np.minimum(folds, MOST_EXCESS), MOST_EXCESS)
+        return np.asarray(folds.sum(axis=1))
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Note how the lanes of `mask` begin."""
@@ -118,12 +150,14 @@ class Rewards:
         w, lanes = self.weights, self.lanes
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())
-        off = np.linalg.norm(lanes.y[:, :2] - lanes.target[:, :2], axis=1)
         safe = lanes.safe
+        severity = 0.5 * w.severity * np.minimum(self._off(), MOST_SEVERITY)
         told = {
             "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
             "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),
-            "miss": np.where(safe, -w.miss * np.minimum(off, MOST_MISS), 0.0),
+            "miss": np.where(safe, -w.miss * np.minimum(lanes.miss, MOST_MISS), 0.0),
+            "excess": np.where(over & ~safe, -w.excess * self._excess(), 0.0),
+            "severity": np.where(over & ~safe, -severity, 0.0),
             "shaping": w.discount * after - self._potential,
         }
         self._mass = np.where(moved, lanes.y[:, 13], self._mass)

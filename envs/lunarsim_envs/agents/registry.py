@@ -1,0 +1,109 @@
+"""Agents by name, by file or by ``module:Name``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.parts.registry import kinds
+from lunarsim_envs.agents.contract import Agent
+from lunarsim_envs.agents.laws import LawAgent, Polynomial
+from lunarsim_envs.agents.network import Network, NetworkAgent
+from lunarsim_envs.agents.own import own_agent
+from lunarsim_envs.agents.policies import PolicyAgent
+from lunarsim_envs.agents.simple import Hover, Random, Zero
+from lunarsim_envs.agents.stored import StoredAgent
+
+BUILT_IN: dict[str, Any] = {
+    "zero": Zero, "random": Random, "hover": Hover, "polynomial": Polynomial
+}  # fmt: skip
+# Trained networks that come with the package, by name.
+_SHIPPED = Path(__file__).parent / "trained"
+
+
+def shipped() -> dict[str, Path]:
+    """Return the files of trained agents that come with the package, by name."""
+    return {path.stem: path for path in sorted(_SHIPPED.glob("*.npz"))}
+
+
+def known_agents() -> dict[str, str]:
+    """Return the names of agents and what each is.
+
+    Examples
+    --------
+    >>> known_agents()["apollo"]
+    'guidance law'
+    """
+    names = dict.fromkeys(BUILT_IN, "built in")
+    names |= dict.fromkeys(shipped(), "trained network")
+    names |= dict.fromkeys(kinds("guidance"), "guidance law")
+    return names | dict.fromkeys(kinds("policy"), "policy")
+
+
+def label(given: str) -> str:
+    """Return what an agent is called in tables: its name, its file without folders and ending.
+
+    Examples
+    --------
+    >>> label("out/ppo/model.zip"), label("my_package.agents:Careful")
+    ('model', 'Careful')
+    """
+    if _is_file(given):
+        return Path(given).stem
+    return given.rpartition(":")[2]
+
+
+def _is_file(given: str) -> bool:
+    return Path(given).suffix in (".npz", ".zip")
+
+
+def check(given: str) -> None:
+    """Refuse what names no agent, as far as that can be told without an environment.
+
+    Raises
+    ------
+    InputError
+        Naming ``--agent``.
+    """
+    if _is_file(given):
+        if not Path(given).is_file():
+            raise InputError("--agent", given, "an existing file")
+    elif ":" not in given and given not in known_agents():
+        near = suggestion(given, known_agents())
+        raise InputError("--agent", given, f"{near} Or a file (.npz, .zip), or module:Name")
+
+
+def agent_of(given: str, env: gymnasium.Env[Any, Any]) -> Agent:
+    """Return the agent that a name, a file or ``module:Name`` stands for.
+
+    Parameters
+    ----------
+    given
+        A name of `known_agents`; a network (``.npz``) or a file of Stable-Baselines3 (``.zip``); or
+        a callable, see `own.own_agent`.
+    env
+        That it is to fly.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it cannot fly this environment.
+    """
+    check(given)
+    if _is_file(given):
+        path = Path(given)
+        if path.suffix == ".npz":
+            return NetworkAgent(env, Network.load(path), given)
+        return StoredAgent(env, path)
+    if ":" in given:
+        made: Agent = own_agent(env, given)
+        return made
+    if given in BUILT_IN:
+        built: Agent = BUILT_IN[given](env)
+        return built
+    if given in shipped():
+        return NetworkAgent(env, Network.load(shipped()[given]), given)
+    return LawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)

@@ -1,0 +1,96 @@
+"""Agents in files of Stable-Baselines3 and sb3-contrib; they need the extra ``rl`` to fly."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from lunarsim.errors import InputError
+
+# Where a policy's class stands tells which algorithm the file is of; all of one policy act alike.
+_ALGORITHMS = (
+    ("sb3_contrib.common.maskable", "sb3_contrib", "MaskablePPO"),
+    ("sb3_contrib.common.recurrent", "sb3_contrib", "RecurrentPPO"),
+    ("stable_baselines3.sac", "stable_baselines3", "SAC"),
+    ("stable_baselines3.td3", "stable_baselines3", "TD3"),
+    ("stable_baselines3.dqn", "stable_baselines3", "DQN"),
+    ("stable_baselines3.common", "stable_baselines3", "PPO"),
+)
+
+
+def _algorithm(path: Path) -> Any:
+    """Return the class that loads a file.
+
+    Raises
+    ------
+    InputError
+        If it is none of Stable-Baselines3's, of an algorithm that is not known here, or the
+        libraries are missing.
+    """
+    try:
+        with zipfile.ZipFile(path) as file:
+            policy = str(json.loads(file.read("data"))["policy_class"]["__module__"])
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError):
+        raise InputError("--agent", str(path), "a file that Stable-Baselines3 has saved") from None
+    for begins, package, name in _ALGORITHMS:
+        if policy.startswith(begins):
+            try:
+                return getattr(importlib.import_module(package), name)
+            except ImportError:
+                raise InputError(
+                    "--agent", str(path), f"{package}, which the extra `rl` installs"
+                ) from None
+    known = ", ".join(name for _, _, name in _ALGORITHMS)
+    raise InputError("--agent", str(path), f"one of {known}; its policy is of {policy}")
+
+
+class StoredAgent:
+    """An agent that Stable-Baselines3 has saved, without exploration.
+
+    Such a file may run code when it is loaded: load none that you do not trust.
+
+    Parameters
+    ----------
+    env
+        Whose observations and actions it must have been trained on.
+    path
+        Of the file, ``.zip``.
+
+    Raises
+    ------
+    InputError
+        If the file will not do, or is of other spaces.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], path: Path) -> None:
+        algorithm = _algorithm(path)
+        self._model = algorithm.load(path, device="cpu")
+        for what in ("observation_space", "action_space"):
+            own, others = getattr(env, what), getattr(self._model, what)
+            if type(own) is not type(others) or own.shape != others.shape:
+                raise InputError("--agent", str(path), f"one trained on {what} {own}, not {others}")
+        self._masked = algorithm.__name__ == "MaskablePPO"
+        self._memory: Any = None
+        self._first = True
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Forget the last flight."""
+        self._memory, self._first = None, True
+
+    def act(self, observation: Any, info: dict[str, Any]) -> Any:
+        """Return the likeliest action."""
+        if self._masked:
+            mask = np.asarray(info["action_mask"], dtype=bool)
+            return self._model.predict(observation, action_masks=mask, deterministic=True)[0]
+        action, self._memory = self._model.predict(
+            observation, state=self._memory, episode_start=np.array([self._first]),
+            deterministic=True,
+        )  # fmt: skip
+        self._first = False
+        return action

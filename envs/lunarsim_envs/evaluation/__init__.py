@@ -1,0 +1,1 @@
+"""Agents flown over the same episodes and compared."""

@@ -1,0 +1,1 @@
+"""What trains agents: native batches as Stable-Baselines3 takes them. Needs the extra ``rl``."""

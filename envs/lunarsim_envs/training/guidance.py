@@ -1,0 +1,225 @@
+"""Training of an agent of ``Guidance-v0`` that can be broken off and gone on with.
+
+What is gone on with is, bit for bit, what would have come without the break: the agent and its
+optimiser, the flights in the air and every generator are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+
+from lunarsim.errors import InputError
+from lunarsim.whole_files import write_text_whole
+from lunarsim_envs.agents.network import Network
+from lunarsim_envs.training.features import TwoScales
+from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+from lunarsim_envs.training.settings import Training, scales
+
+ENV = "lunarsim_envs:lunarsim/Guidance-v0"
+# Flights of a look at how far the agent is, and their seeds, which no training has.
+_LOOKED_AT, _LOOK_SEED = 300, 10**9
+
+
+def batch_of(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+    """Return so many lanes of what is trained on."""
+    return gymnasium.make_vec(
+        ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
+        weights=settings.weights, changes=settings.changes,
+    )  # fmt: skip
+
+
+def network_of(model: PPO) -> Network:
+    """Return the agent as NumPy flies it."""
+    flown = model.get_env().batch.unwrapped.descents
+    parts = tuple(part.name for part in flown.shown.parts)
+    policy = model.policy
+    layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "weight")]
+    layers.append(policy.action_net)
+    features = policy.features_extractor
+
+    def array(tensor: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
+        return tensor.detach().numpy().astype(np.float32)
+
+    return Network(
+        array(features.far), array(features.near), tuple(array(one.weight) for one in layers),
+        tuple(array(one.bias) for one in layers), "Guidance-v0", parts, 1.0 / flown.period,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Look:
+    """How far an agent is: shares of flights from seeds that no training has.
+
+    Attributes
+    ----------
+    on_target, safe
+        Safe within 10 m of the target, and safe.
+    propellant
+        Mean of those on target, kg; NaN of none.
+    """
+
+    on_target: float
+    safe: float
+    propellant: float
+
+
+def look(network: Network, settings: Training) -> Look:
+    """Fly an agent once from seeds that no training has."""
+    batch = batch_of(settings, _LOOKED_AT)
+    observation, _ = batch.reset(seed=_LOOK_SEED)
+    waiting = np.ones(_LOOKED_AT, np.bool_)
+    safe, on_target = np.zeros(_LOOKED_AT, np.bool_), np.zeros(_LOOKED_AT, np.bool_)
+    burnt = np.full(_LOOKED_AT, np.nan)
+    while waiting.any():
+        observation, _, ended, late, info = batch.step(network(observation))
+        new = (ended | late) & waiting
+        if new.any():
+            safe[new] = info["safe"][new]
+            on_target[new] = safe[new] & (info["miss_m"][new] <= 10.0)
+            burnt[new] = info["propellant_kg"][new]
+            waiting &= ~new
+    spent = float(burnt[on_target].mean()) if on_target.any() else float("nan")
+    return Look(float(on_target.mean()), float(safe.mean()), spent)
+
+
+class Run:
+    """A training in a folder of its own.
+
+    Parameters
+    ----------
+    settings
+        Of the training.
+    out
+        Folder: new, or of a training with the same settings, which is gone on with.
+
+    Attributes
+    ----------
+    done
+        Updates so far.
+    curve
+        A row every few updates; see `advance`.
+
+    Raises
+    ------
+    InputError
+        If the folder holds a training with other settings.
+    """
+
+    def __init__(self, settings: Training, out: Path) -> None:
+        self.settings, self.out = settings, out
+        self.done = 0
+        self.seconds = 0.0
+        self.curve: list[dict[str, float]] = []
+        out.mkdir(parents=True, exist_ok=True)
+        kept = out / "settings.json"
+        if kept.exists() and Training.load(kept) != settings:
+            raise InputError("--out", str(out), "a new folder, or one with the same settings")
+        if (out / "checkpoint" / "state.json").exists():
+            self._resume()
+        else:
+            settings.save(kept)
+            self.model = self._new()
+
+    def _new(self) -> PPO:
+        s = self.settings
+        batch = batch_of(s, s.lanes)
+        descents = batch.unwrapped.descents  # type: ignore[attr-defined]
+        env = LanesVecEnv(batch, s.starts(descents.lanes.craft.start))
+        env.seed(s.seed)
+        far, near = scales(tuple(part.name for part in descents.shown.parts))
+        model = PPO(
+            "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, n_epochs=s.epochs,
+            gamma=s.discount, gae_lambda=s.trace, seed=s.seed, device="cpu",
+            policy_kwargs={
+                "features_extractor_class": TwoScales,
+                "features_extractor_kwargs": {"far": far, "near": near},
+                "net_arch": [s.width, s.width], "log_std_init": s.spread,
+            },
+        )  # fmt: skip
+        # Flights that climb away teach nothing: it begins a little below hovering.
+        sinking = [0.0, 0.0, s.bears * descents.lanes.craft.dynamics.gravity]
+        with torch.no_grad():
+            model.policy.action_net.bias[:] = torch.as_tensor(descents.actions.action(sinking))
+        return model
+
+    def advance(self) -> None:
+        """Fly all lanes for a while and update the agent."""
+        begun, s = time.perf_counter(), self.settings
+        rate = s.learning_rate(self.done)
+        self.model.lr_schedule = lambda _: rate
+        self.model.learn(s.lanes * s.horizon, reset_num_timesteps=False)
+        self.done += 1
+        self.seconds += time.perf_counter() - begun
+
+    def look(self) -> Look:
+        """Look how far the agent is, and note it in the curve."""
+        seen = look(network_of(self.model), self.settings)
+        row = {"update": self.done, "steps": int(self.model.num_timesteps)}
+        row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
+        row |= {"safe": seen.safe, "propellant_kg": seen.propellant}
+        self.curve.append(row)
+        return seen
+
+    def checkpoint(self) -> None:
+        """Keep all that the training goes on from; the last one stays until this one is whole."""
+        new, there = self.out / "checkpoint.part", self.out / "checkpoint"
+        shutil.rmtree(new, ignore_errors=True)
+        new.mkdir()
+        self.model.save(new / "model.zip")
+        generators = {"torch": torch.get_rng_state().numpy(), "numpy": np.random.get_state()}  # noqa: NPY002
+        kept = {"batch": self.model.get_env().batch, "generators": generators}
+        (new / "flights.pickle").write_bytes(pickle.dumps(kept))
+        state = {"done": self.done, "seconds": self.seconds, "curve": self.curve}
+        write_text_whole(new / "state.json", json.dumps(state, indent=1))
+        shutil.rmtree(there, ignore_errors=True)
+        new.rename(there)
+        network_of(self.model).save(self.out / "agent.npz")
+
+    def _resume(self) -> None:
+        """Go on from the last checkpoint."""
+        there = self.out / "checkpoint"
+        kept = pickle.loads((there / "flights.pickle").read_bytes())
+        self.model = PPO.load(
+            there / "model.zip", env=LanesVecEnv(kept["batch"]), device="cpu", force_reset=False
+        )
+        torch.set_rng_state(torch.from_numpy(kept["generators"]["torch"]))
+        np.random.set_state(kept["generators"]["numpy"])  # noqa: NPY002
+        state = json.loads((there / "state.json").read_text(encoding="utf-8"))
+        self.done, self.seconds, self.curve = state["done"], state["seconds"], state["curve"]
+
+
+def train(
+    settings: Training, out: Path, looks: int, tell: Callable[[Run, Look], None]
+) -> Run:  # fmt: skip
+    """Train to the end, with a look and a checkpoint every so many updates.
+
+    Parameters
+    ----------
+    settings, out
+        See `Run`.
+    looks
+        Updates between two.
+    tell
+        Is called after each look.
+    """
+    torch.set_num_threads(1)
+    run = Run(settings, out)
+    while run.done < settings.updates:
+        run.advance()
+        if run.done % looks == 0 or run.done == settings.updates:
+            seen = run.look()
+            run.checkpoint()
+            tell(run, seen)
+    return run

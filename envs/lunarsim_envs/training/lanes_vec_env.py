@@ -1,0 +1,100 @@
+"""A native batch as Stable-Baselines3 takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+
+class LanesVecEnv(VecEnv):  # type: ignore[misc]
+    """Lanes of a native batch; nothing here goes through lanes one by one.
+
+    Parameters
+    ----------
+    batch
+        A ``Guidance-v0`` or ``Control-v0`` batch with ``autoreset_mode="SameStep"``.
+    starts
+        Options of a reset, each for an equal share of the lanes, in their order; left out: all
+        lanes start as the scenario says.
+
+    Raises
+    ------
+    ValueError
+        If it resets its lanes otherwise.
+    """
+
+    def __init__(
+        self, batch: gymnasium.vector.VectorEnv[Any, Any, Any],
+        starts: Sequence[dict[str, Any]] = (),
+    ) -> None:  # fmt: skip
+        mode = batch.metadata.get("autoreset_mode")
+        if mode is not gymnasium.vector.AutoresetMode.SAME_STEP:
+            raise ValueError(f"autoreset_mode = {mode}: must be 'SameStep'")
+        self.batch, self.starts = batch, tuple(starts)
+        self.render_mode = None
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+        self._actions: NDArray[np.float32] | None = None
+
+    def reset(self) -> Any:
+        """Begin new flights in all lanes: with the seeds of `seed`, where it was called."""
+        seeds: Any = None if self._seeds[0] is None else list(self._seeds)
+        observation, _ = self.batch.reset(seed=seeds)
+        self._reset_seeds()
+        self._reset_options()
+        for k, start in enumerate(self.starts):
+            mine = np.arange(self.num_envs) * len(self.starts) // self.num_envs == k
+            if mine.any():
+                observation, _ = self.batch.reset(options=start | {"reset_mask": mine})
+        return observation
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Note the actions (n, size)."""
+        self._actions = actions
+
+    def step_wait(self) -> Any:
+        """Fly on; only lanes whose flight has ended have something to tell beside."""
+        observation, reward, terminated, truncated, info = self.batch.step(self._actions)
+        over = terminated | truncated
+        told: list[dict[str, Any]] = [{}] * self.num_envs
+        for lane in np.flatnonzero(over):
+            told[lane] = {
+                "terminal_observation": info["final_obs"][lane],
+                "TimeLimit.truncated": bool(truncated[lane]),
+                "safe": bool(info["safe"][lane]),
+                "miss_m": float(info["miss_m"][lane]),
+            }
+        return observation, reward.astype(np.float32), over, told
+
+    def close(self) -> None:
+        """Close the batch."""
+        self.batch.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute of the batch, once for each lane."""
+        value = getattr(self.batch, attr_name, None if attr_name == "render_mode" else ...)
+        if value is ...:
+            raise AttributeError(attr_name)
+        return [value] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: lanes have nothing of their own."""
+        raise NotImplementedError("lanes of a batch share all that they are")
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        """Refuse: lanes have nothing of their own."""
+        raise NotImplementedError("lanes of a batch share all that they are")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Return false, once for each lane."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Return none: a batch draws nothing."""
+        return [None] * self.num_envs

@@ -1,0 +1,104 @@
+"""The command of environments and agents: `lunarsim evaluate`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from lunarsim.cli_common import (
+    PATH,
+    SEED,
+    FloatRange,
+    IntRange,
+    kept_if_interrupted,
+    progress_bar,
+    wide_console,
+)
+from lunarsim.errors import InputError, check_folder
+
+
+@click.command()
+@click.argument("env")
+@click.option(
+    "--agent", "agents", multiple=True, required=True, metavar="NAME|FILE|module:Name",
+    help="Who flies; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--scenario", type=PATH, default=None, show_default="the environment's own",
+    help="A TOML file, or a name of `scenario list`.",
+)  # fmt: skip
+@click.option(
+    "--set", "values", multiple=True, metavar="KEY=VALUE",
+    help="Another value of a key of the scenario; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent."
+)  # fmt: skip
+@SEED
+@click.option(
+    "--jobs", type=IntRange(min=1), default=os.cpu_count() or 1,
+    show_default="number of cores", help="Processes; the results do not depend on it.",
+)  # fmt: skip
+@click.option(
+    "--within", type=FloatRange(min=0.0, min_open=True), default=10.0, show_default=True,
+    help="Of the target, m: how near a safe landing is on target.",
+)  # fmt: skip
+@click.option(
+    "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."
+)  # fmt: skip
+def evaluate(
+    env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
+    episodes: int, seed: int, jobs: int, within: float, out: Path | None,
+) -> None:  # fmt: skip
+    """Fly agents over the same episodes of an environment ENV and compare them.
+
+    ENV is Retarget-v0, Guidance-v0, Control-v0, or one of your own: module:namespace/Name-v0. An
+    agent is
+
+    \b
+      zero, random, hover, polynomial     what is built in
+      apollo, e-guidance, ...             `lunarsim parts guidance`; Guidance-v0
+      safest, nearest-safe, ...           `lunarsim parts policy`; Retarget-v0
+      FILE.npz                            a network, flown by NumPy alone
+      FILE.zip                            of Stable-Baselines3, which must be installed
+      module:Name                         any callable: observation, info -> action
+
+    A file of Stable-Baselines3 may run code when it is loaded: give none that you do not trust.
+    Episode i of every agent has the same world, start and noise. A score is a return less its
+    shaping, which tells nothing of how well a flight went. The table gives shares with 95 %
+    Wilson intervals, means with bootstrap intervals, and differences on the same episodes, tested
+    and corrected for their number.
+    """  # noqa: D301
+    from lunarsim_envs.evaluation.request import study
+    from lunarsim_envs.evaluation.results import differences, figures, with_target, write
+    from lunarsim_envs.evaluation.running import WorkersDieError, check_agents, fly
+    from lunarsim_envs.evaluation.told import agents_table, differences_table
+
+    if within == float("inf"):
+        raise InputError("--within", within, "a finite number of metres")
+    if out is not None:
+        check_folder(out)
+    asked = study(env, scenario, values, seed)
+    check_agents(asked, agents)
+    console = wide_console(170)
+    with (
+        kept_if_interrupted("nothing was written"),
+        progress_bar(asked.env, episodes * len(agents)) as advance,
+    ):
+        try:
+            rows = with_target(fly(asked, agents, episodes, jobs, advance), within)
+        except WorkersDieError as error:
+            raise click.ClickException(str(error)) from None
+    found, between = figures(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
+    if out is not None:
+        told = {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
+        write(out, rows, told, found, between)
+        if asked.scenario is not None:
+            asked.scenario.save(out / "scenario.toml")
+    console.print(agents_table(found, within))
+    if between:
+        console.print(differences_table(between))
+    if out is not None:
+        console.print(f"results in {out}", soft_wrap=True)

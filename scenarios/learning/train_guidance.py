@@ -1,0 +1,85 @@
+"""Trains an agent to fly the descent itself: proximal policy optimisation on `Guidance-v0`.
+
+python scenarios/learning/train_guidance.py --out out/ppo
+python scenarios/learning/train_guidance.py --out out/ppo     # again after a break: goes on
+lunarsim evaluate Guidance-v0 --agent out/ppo/agent.npz --agent apollo
+
+It needs the extra `rl`: pip install "lunarsim[rl]", with PyTorch for processors without CUDA from
+https://download.pytorch.org/whl/cpu. Left in the folder: settings.json, agent.npz (flown without
+PyTorch), curve.json, curve.png and checkpoint/.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from lunarsim_envs.training.settings import Training
+
+# Who is flown beside the agent at the end, on seeds that no training has.
+BESIDE = ("zero", "hover", "random", "apollo")
+
+
+def compare(out: Path, settings: Training, episodes: int, console: Console) -> None:
+    """Print the agent beside what needs no training, over the same unseen flights."""
+    from lunarsim_envs.descent.core import level
+    from lunarsim_envs.evaluation.episodes import Study
+    from lunarsim_envs.evaluation.results import differences, figures, with_target
+    from lunarsim_envs.evaluation.running import fly
+    from lunarsim_envs.evaluation.told import agents_table, differences_table
+
+    scenario = level().changed(
+        start={
+            "position_sigma_m": settings.position_sigma,
+            "velocity_sigma_m_s": settings.velocity_sigma,
+        }
+    )
+    study = Study("lunarsim_envs:lunarsim/Guidance-v0", scenario, {}, seed=2)
+    agents = (str(out / "agent.npz"), *BESIDE)
+    rows = with_target(fly(study, agents, episodes, jobs=1), 10.0)
+    console.print(agents_table(figures(rows, study.seed), 10.0))
+    pair = [row for row in rows if row["agent"] in ("agent", "apollo")]
+    console.print(differences_table(differences(pair, study.seed)))
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder; see above.")
+@click.option("--steps", type=click.IntRange(min=1), default=Training.steps, show_default=True,
+              help="Of the environment, all lanes together.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--looks", type=click.IntRange(min=1), default=50, show_default=True,
+              help="Updates between two looks, each with a checkpoint.")  # fmt: skip
+@click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
+              help="Flights at the end beside what needs no training.")  # fmt: skip
+def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
+    """Train an agent of Guidance-v0, and set it beside agents that need no training."""
+    console = Console(width=150, soft_wrap=True)
+    try:
+        from lunarsim_envs.training.curve import draw_curve
+        from lunarsim_envs.training.guidance import Look, Run, train
+    except ModuleNotFoundError as error:
+        raise click.UsageError(f"{error.name} is missing: the extra `rl` installs it") from None
+
+    def tell(run: Run, seen: Look) -> None:
+        spent = "-" if math.isnan(seen.propellant) else f"{seen.propellant:.1f} kg"
+        console.print(
+            f"update {run.done} of {run.settings.updates}, {run.model.num_timesteps / 1e6:.1f} M "
+            f"steps, {run.seconds / 60:.1f} min: safe {seen.safe:.3f}, within 10 m "
+            f"{seen.on_target:.3f}, propellant {spent}"
+        )
+
+    settings = replace(Training(), steps=steps, seed=seed)
+    run = train(settings, out, looks, tell)
+    (out / "curve.json").write_text(json.dumps(run.curve, indent=1), encoding="utf-8")
+    draw_curve(run.curve, out / "curve.png")
+    compare(out, settings, episodes, console)
+    console.print(f"agent, settings, curve and checkpoint in {out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,281 @@
+"""Agents by name, file and callable: what each does, and what each refuses."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+
+import gymnasium
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.apollo import ApolloLaw
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.simulation import Simulation
+from lunarsim_envs.agents import registry, stored
+from lunarsim_envs.agents.network import Network
+from lunarsim_envs.agents.registry import agent_of, known_agents, label
+from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
+from lunarsim_envs.retarget import RetargetEnv
+from tests.envs.test_descent import LOW
+
+CALM = {"start.position_sigma_m": 5.0, "start.velocity_sigma_m_s": 0.5}
+
+
+@pytest.fixture(scope="module")
+def env():
+    return GuidanceEnv(changes=LOW)
+
+
+def flown(env, agent, seed):
+    """Return the last info, the return and the number of actions of one flight."""
+    agent.begin(np.random.default_rng(seed))
+    observation, info = env.reset(seed=seed)
+    over, total, steps = False, 0.0, 0
+    while not over:
+        observation, reward, ended, late, info = env.step(agent.act(observation, info))
+        over, total, steps = ended or late, total + reward, steps + 1
+    return info, total, steps
+
+
+def test_every_name_says_what_it_is():
+    known = known_agents()
+    assert {"zero", "random", "hover", "polynomial", "apollo", "safest"} <= set(known)
+    assert label("out/here.npz") == "here" and label("a.b:C") == "C" and label("zero") == "zero"
+
+
+def test_zero_and_hover_are_the_actions_of_their_names(env):
+    hover = agent_of("hover", env)
+    wanted = env.descents.actions.physical(hover.act(None, {}))[0]
+    assert wanted == pytest.approx([0.0, 0.0, 1.622], abs=1e-6)
+    assert not agent_of("zero", env).act(None, {}).any()
+    control = ControlEnv(changes=LOW)
+    thrust = control.descents.actions.physical(agent_of("hover", control).act(None, {}))[0]
+    assert thrust == pytest.approx([1500.0 * 1.622, 0.0, 0.0, 0.0], abs=1e-3)
+    assert agent_of("zero", RetargetEnv()).act(None, {}) == 0
+    with pytest.raises(InputError, match="hover flies Guidance-v0 and Control-v0"):
+        agent_of("hover", RetargetEnv())
+
+
+def test_random_draws_from_the_flights_own_generator(env):
+    agent = agent_of("random", env)
+    told = []
+    for seed in (1, 1, 2):
+        agent.begin(np.random.default_rng(seed))
+        told.append(np.array([agent.act(None, {}) for _ in range(200)]))
+    assert np.array_equal(told[0], told[1]) and not np.array_equal(told[0], told[2])
+    assert told[0].dtype == np.float32
+    assert np.abs(told[0]).max() <= 1.0 and told[0].min() < -0.95 and told[0].max() > 0.95
+    retarget = agent_of("random", RetargetEnv())
+    mask = np.zeros(21, np.int8)
+    mask[[0, 3, 20]] = 1
+    assert {int(retarget.act(None, {"action_mask": mask})) for _ in range(60)} == {0, 3, 20}
+
+
+@pytest.mark.parametrize(
+    ("kind", "off"), [("apollo", 0.5), ("modified-apollo", 0.5), ("zem-zev", 10.0)]
+)
+def test_a_guidance_law_lands_on_its_target(kind, off):
+    env = GuidanceEnv(changes=CALM)
+    info, _, steps = flown(env, agent_of(kind, env), 3)
+    assert info["safe"] and info["miss_m"] < off
+    assert 30.0 < info["propellant_kg"] < 70.0
+    assert info["time_s"] == pytest.approx(0.2 * steps, abs=0.2)
+
+
+def test_a_law_is_asked_with_what_is_observed():
+    """Against the law itself, from the true state about the target."""
+    env = GuidanceEnv(changes=CALM)
+    agent = agent_of("apollo", env)
+    agent.begin(np.random.default_rng(0))
+    observation, info = env.reset(seed=5)
+    y, target = env.descents.lanes.y[0], env.descents.lanes.target[0]
+    agent.act(observation, info)
+    approach = env.descents.scenario.approach.make()
+    lander = env.descents.scenario.vehicle.make()
+    here = Estimate(0.0, y[:3] - target, y[3:6], y[6:10], y[10:13], y[13], np.zeros((9, 9)))
+    end = approach.end(np.zeros(3), lander)
+    cost = ApolloLaw().cost(here, approach.end(np.zeros((1, 3)), lander), lander, 1.622,
+                            approach.limits)  # fmt: skip
+    law = ApolloLaw().build(_Briefed(), env.descents.scenario.control.make().response_time + 0.1)
+    wanted = law.command(here, end, 0.0, float(cost.time_to_go[0]))
+    told = env.descents.actions.physical(agent_of("apollo", env).act(observation, info))[0]
+    assert told == pytest.approx(wanted, abs=1e-4)
+
+
+class _Briefed:
+    weight = 1.622
+
+
+def test_a_law_forgets_the_last_flight(env):
+    agent = agent_of("apollo", env)
+    first = flown(env, agent, 11)[1:]
+    flown(env, agent, 12)
+    assert flown(env, agent, 11)[1:] == first
+
+
+def test_a_policy_decides_as_in_the_simulation(small_scenario):
+    env = RetargetEnv(scenario=small_scenario)
+    agent = agent_of("nearest-safe", env)
+    env.reset(seed=4)
+    seed = int(gymnasium.utils.seeding.np_random(4)[0].integers(2**62))
+    simulation = Simulation(small_scenario, seed, "nearest-safe")
+    simulation.run()
+    info, *_ = flown(env, agent, 4)
+    assert np.array_equal(env.simulation.state.position, simulation.state.position)
+    assert info["safe"] == simulation.verdict.safe
+    wet = small_scenario.vehicle.make().wet_mass
+    assert info["propellant_kg"] == pytest.approx(wet - simulation.state.mass)
+
+
+def test_policies_that_must_be_told_the_truth_are_refused():
+    with pytest.raises(InputError, match="has to be told the truth"):
+        agent_of("truth-oracle", RetargetEnv())
+
+
+# --- networks ------------------------------------------------------------------------------------
+
+
+def network(parts=("position", "velocity", "attitude", "rate", "thrust", "propellant"), **changes):
+    rng = np.random.default_rng(7)
+    shapes = [(5, 30), (4, 5), (3, 4)]
+    layers = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
+    biases = [rng.normal(size=shape[0]).astype(np.float32) for shape in shapes]
+    held = {
+        "far": np.full(15, 50.0, np.float32), "near": np.full(15, 2.0, np.float32),
+        "weights": tuple(layers), "biases": tuple(biases), "level": "Guidance-v0",
+        "parts": tuple(parts), "rate": 5.0,
+    }  # fmt: skip
+    return Network(**(held | changes))
+
+
+def plainly(net, observation):
+    """Return the action, number by number."""
+    values = [float(x) / float(f) for x, f in zip(observation, net.far, strict=True)]
+    values += [np.arcsinh(float(x) / float(n)) for x, n in zip(observation, net.near, strict=True)]
+    for depth, (weight, bias) in enumerate(zip(net.weights, net.biases, strict=True)):
+        told = [sum(float(w) * v for w, v in zip(row, values, strict=True)) + float(b)
+                for row, b in zip(weight, bias, strict=True)]  # fmt: skip
+        values = told if depth == len(net.weights) - 1 else [np.tanh(v) for v in told]
+    return [min(max(v, -1.0), 1.0) for v in values]
+
+
+def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
+    net = network()
+    seen = np.random.default_rng(1).normal(0.0, 20.0, (6, 15)).astype(np.float32)
+    for row in seen:
+        assert net(row) == pytest.approx(plainly(net, row), abs=1e-4)
+    assert net(seen) == pytest.approx(np.array([net(row) for row in seen]), abs=1e-5)
+    net.save(tmp_path / "a.npz")
+    again = agent_of(str(tmp_path / "a.npz"), env)
+    assert np.array_equal(again.act(seen[0], {}), net(seen[0]))
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as held:  # not one pickled object
+        assert all(held[name].dtype != object for name in held.files)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"level": "Control-v0"}, "flies Control-v0"), ({"rate": 10.0}, "10 actions a second"),
+        ({"parts": ("position",)}, "observations of position"),
+        ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions of 4"),
+        ({"far": np.ones(14, np.float32)}, "scales are missing"),
+        ({"weights": tuple(w * np.nan for w in network().weights)}, "not finite"),
+        ({"weights": network().weights[1:], "biases": network().biases[1:]}, "a layer of shape"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_network_that_does_not_fit_is_refused(env, tmp_path, changes, says):
+    network(**changes).save(tmp_path / "b.npz")
+    with pytest.raises(InputError, match=says):
+        agent_of(str(tmp_path / "b.npz"), env)
+
+
+def test_a_file_with_pickled_objects_is_refused(env, tmp_path):
+    np.savez(tmp_path / "c.npz", format=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match="a network written by"):
+        agent_of(str(tmp_path / "c.npz"), env)
+
+
+# --- callables and files of others ---------------------------------------------------------------
+
+OWN = """
+import numpy as np
+
+def still(observation):
+    return np.zeros(3, np.float32)
+
+def told(observation, info):
+    return np.full(3, info["at"], np.float32)
+
+class Counting:
+    def __init__(self, env):
+        self.actions, self.begun = env.unwrapped.descents.actions, 0
+    def begin(self, rng):
+        self.begun += 1
+    def __call__(self, observation):
+        return self.actions.action([0.0, 0.0, self.begun])
+
+class Whole:
+    def __init__(self, env): pass
+    def begin(self, rng): self.draw = rng.random()
+    def act(self, observation, info): return self.draw
+
+ready = Whole(None)
+number = 5
+"""
+
+
+def test_a_callable_of_ones_own_flies(env, tmp_path, monkeypatch):
+    (tmp_path / "own_agents_here.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+
+    def named(name):
+        return agent_of(f"own_agents_here:{name}", env)
+
+    assert not named("still").act(None, {}).any()
+    assert named("told").act(None, {"at": 0.5}).tolist() == [0.5, 0.5, 0.5]
+    counting = named("Counting")
+    counting.begin(np.random.default_rng(0))
+    counting.begin(np.random.default_rng(0))
+    assert env.descents.actions.physical(counting.act(None, {}))[0, 2] == pytest.approx(2.0)
+    for name in ("Whole", "ready"):
+        whole = named(name)
+        whole.begin(np.random.default_rng(3))
+        assert whole.act(None, {}) == np.random.default_rng(3).random()
+    with pytest.raises(InputError, match="a function, a class, or an object"):
+        named("number")
+
+
+def _saved(path, module):
+    data = {"policy_class": {"__module__": module}}
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("data", json.dumps(data))
+
+
+def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
+    asked = []
+
+    def imported(name):
+        asked.append(name)
+        raise ImportError(name)
+
+    monkeypatch.setattr(stored.importlib, "import_module", imported)
+    for module, package in (
+        ("stable_baselines3.common.policies", "stable_baselines3"),
+        ("stable_baselines3.sac.policies", "stable_baselines3"),
+        ("sb3_contrib.common.maskable.policies", "sb3_contrib"),
+    ):  # fmt: skip
+        _saved(tmp_path / "m.zip", module)
+        with pytest.raises(InputError, match=f"{package}, which the extra `rl` installs"):
+            agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW))
+        assert asked[-1] == package
+    _saved(tmp_path / "m.zip", "somebody.else")
+    with pytest.raises(InputError, match=r"its policy is of somebody\.else"):
+        agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW))
+    with zipfile.ZipFile(tmp_path / "n.zip", "w") as file:
+        file.writestr("data", io.BytesIO(b"[]").getvalue())
+    with pytest.raises(InputError, match="Stable-Baselines3 has saved"):
+        registry.agent_of(str(tmp_path / "n.zip"), GuidanceEnv(changes=LOW))

@@ -1,0 +1,113 @@
+"""Training of Guidance-v0: needs the extra `rl`, and is slow for PyTorch's sake."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim_envs.agents.registry import agent_of
+from lunarsim_envs.descent.env import GuidanceEnv
+from lunarsim_envs.training.settings import Training, scales
+from tests.envs.test_descent import IDS, batch
+
+SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
+
+
+def test_settings_that_will_not_do_are_refused():
+    for changes, says in (
+        ({"steps": 0}, "steps = 0"), ({"discount": float("nan")}, "discount"),
+        ({"lanes": 8}, "at least 16"), ({"nearest": 0.0}, "above 0"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=says):
+            replace(Training(), **changes)
+    Training().weights.check(400.0)
+
+
+def test_starts_go_from_near_the_target_to_the_whole_way():
+    planned = np.array([-600.0, 0.0, 500.0, 28.0, 0.0, -18.0, 30.0, 10.0])
+    starts = Training().starts(planned)
+    heights = [start["position_m"][2] for start in starts]
+    assert len(starts) == 16 and heights[0] == pytest.approx(20.0)
+    assert heights[:12] == sorted(heights[:12]) and heights[11:] == [500.0] * 5
+    assert starts[0]["velocity_m_s"][0] == pytest.approx(28.0 * 0.2)
+    assert starts[0]["position_sigma_m"] == pytest.approx(1.2)
+    assert starts[15]["velocity_sigma_m_s"] == 10.0
+
+
+def test_every_number_of_an_observation_has_its_scales():
+    far, near = scales(("velocity", "position"))
+    assert far == [40.0] * 3 + [600.0] * 3 and near == [1.0] * 3 + [3.0] * 3
+    assert [Training(steps=100, lanes=16, horizon=2).learning_rate(k) for k in (0, 3)] == (
+        pytest.approx([1e-3, 1e-4])
+    )
+
+
+@pytest.mark.slow
+def test_a_training_goes_on_bit_for_bit(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.guidance import Run, network_of
+
+    whole = Run(SMALL, tmp_path / "whole")
+    for _ in range(4):
+        whole.advance()
+    first = Run(SMALL, tmp_path / "parts")
+    for _ in range(2):
+        first.advance()
+    first.checkpoint()
+    second = Run(SMALL, tmp_path / "parts")
+    assert second.done == 2
+    for _ in range(2):
+        second.advance()
+    one, other = network_of(whole.model), network_of(second.model)
+    for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
+        assert np.array_equal(a, b)
+    assert not np.array_equal(one.weights[0], network_of(first.model).weights[0])
+    with pytest.raises(InputError, match="with the same settings"):
+        Run(replace(SMALL, seed=1), tmp_path / "parts")
+    # What NumPy flies, and what the file of Stable-Baselines3 does, is the agent that was trained.
+    second.checkpoint()
+    env = GuidanceEnv(changes=SMALL.changes)
+    seen, _ = env.reset(seed=1)
+    wanted = second.model.predict(seen, deterministic=True)[0]
+    for name in ("agent.npz", "checkpoint/model.zip"):
+        agent = agent_of(str(tmp_path / "parts" / name), env)
+        agent.begin(np.random.default_rng(0))
+        assert agent.act(seen, {}) == pytest.approx(wanted, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from stable_baselines3.common.env_checker import check_env
+
+    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+
+    near = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
+    env = LanesVecEnv(batch(IDS[0], 8, autoreset_mode="SameStep"), [near, {}])
+    env.seed(5)
+    first = env.reset()
+    assert (first[:4, 2] == 40.0).all() and (first[4:, 2] < 36.0).all()
+    env.seed(5)
+    assert np.array_equal(env.reset(), first)
+    ends = 0
+    for _ in range(120):
+        env.step_async(np.tile(np.float32([0.1, 0.0, -0.6]), (8, 1)))
+        seen, reward, over, told = env.step_wait()
+        assert reward.dtype == np.float32 and len(told) == 8
+        for lane in np.flatnonzero(over):
+            ends += 1
+            assert told[lane]["terminal_observation"][2] < seen[lane, 2]
+            assert seen[lane, 2] == 40.0 if lane < 4 else seen[lane, 2] < 36.0
+        assert not any(told[lane] for lane in np.flatnonzero(~over))
+    assert ends > 8
+    with pytest.raises(ValueError, match="must be 'SameStep'"):
+        LanesVecEnv(batch(IDS[0], 8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in IDS:
+            check_env(gymnasium.make(f"lunarsim_envs:{name}").unwrapped)
