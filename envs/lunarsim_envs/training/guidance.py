@@ -50,7 +50,7 @@ def network_of(model: PPO) -> Network:
     features = policy.features_extractor
 
     def array(tensor: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
-        return tensor.detach().numpy().astype(np.float32)
+        return np.asarray(tensor.detach().numpy(), np.float32)
 
     return Network(
         array(features.far), array(features.near), tuple(array(one.weight) for one in layers),
@@ -166,7 +166,7 @@ class Run:
     def look(self) -> Look:
         """Look how far the agent is, and note it in the curve."""
         seen = look(network_of(self.model), self.settings)
-        row = {"update": self.done, "steps": int(self.model.num_timesteps)}
+        row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
         row |= {"safe": seen.safe, "propellant_kg": seen.propellant}
         self.curve.append(row)
