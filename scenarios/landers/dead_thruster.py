@@ -54,9 +54,9 @@ def main(seeds: int) -> None:
             ])  # fmt: skip
             seen = rows[np.isfinite(rows[:, 2]), 2]
             when = f", noticed {len(seen)}, at {np.median(seen):.1f} s" if len(seen) else ""
+            how = "with" if watch else "without"
             console.print(
-                f"{control}, {'with' if watch else 'without'} the watch: {int(rows[:, 0].sum())} of "
-                f"{len(rows)} safe, tilt {np.nanmedian(rows[:, 1]):.1f} deg (median), "
+                f"{control}, {how} the watch: {int(rows[:, 0].sum())} of {len(rows)} safe, tilt {np.nanmedian(rows[:, 1]):.1f} deg (median), "
                 f"{np.nanmax(rows[:, 1]):.1f} (most){when}"
             )
 
