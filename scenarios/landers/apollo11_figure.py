@@ -62,7 +62,7 @@ def _ground(panel: Any, run: Any) -> None:
     """Draw the ground under the lander, 10 times as high as it is."""
     about, positions = run.sim.world.surroundings, run.flight.positions[::20]
     ground = about.elevation(about.way(positions))
-    panel.fill_between(
-        run.flight.trajectory["time"][::20], -1.0, 10.0 * ground / 1e3, color="0.6", alpha=0.6,
-        label="ground below (P65), x 10", linewidth=0.0,
+    panel.plot(
+        run.flight.trajectory["time"][::20], 10.0 * ground / 1e3, color="0.55", linewidth=1.0,
+        label="ground below (P65), x 10",
     )  # fmt: skip

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+import pytest
 from click.testing import CliRunner
 
 
@@ -22,3 +24,15 @@ def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
     assert optimal["approach"] < 1.02 * optimal["optimum"] < 0.95 * apollo["approach"]
     assert optimal["plans"] > 15
     assert optimal["fallbacks"] == apollo["plans"] == 0
+
+
+def test_round_and_flat_are_set_side_by_side(script):
+    study = script("guidance", "round_and_flat")
+    done = CliRunner().invoke(study.main, ["--flights", "1"])
+    assert done.exit_code == 0, done.output
+    assert "55418.29" in done.output
+    assert "1 flights from 600 m" in done.output
+    # The same fall on both is the same where the sphere has no curvature to speak of.
+    r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
+    fell = study.fallen(None, r, v)
+    assert fell == pytest.approx(r + 30.0 * v - [0.0, 0.0, 0.5 * 1.622 * 900.0], abs=1e-6)

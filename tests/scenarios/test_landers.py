@@ -32,3 +32,12 @@ def test_the_lunar_module_can_be_loaded():
     # 550 ft lb a thruster, four of a sense about pitch and roll.
     assert abs(lander.torque_max[0] / 4.0 - 745.7) < 3.0
     assert lander.engine.gap_from == 28024.0
+
+
+def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
+    study = script("landers", "dead_thruster")
+    blind, seeing = (study.fly("phase-plane", 1, 1, watch) for watch in (False, True))
+    assert blind[2] != blind[2]
+    assert 5.0 < seeing[2] < 38.0
+    assert seeing[0]
+    assert seeing[1] < blind[1]
