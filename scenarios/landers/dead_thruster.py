@@ -55,9 +55,10 @@ def main(seeds: int) -> None:
             seen = rows[np.isfinite(rows[:, 2]), 2]
             when = f", noticed {len(seen)}, at {np.median(seen):.1f} s" if len(seen) else ""
             how = "with" if watch else "without"
+            safe, tilt = int(rows[:, 0].sum()), rows[:, 1]
             console.print(
-                f"{control}, {how} the watch: {int(rows[:, 0].sum())} of {len(rows)} safe, tilt {np.nanmedian(rows[:, 1]):.1f} deg (median), "
-                f"{np.nanmax(rows[:, 1]):.1f} (most){when}"
+                f"{control}, {how} the watch: {safe} of {len(rows)} safe, "
+                f"tilt {np.nanmedian(tilt):.1f} deg (median), {np.nanmax(tilt):.1f} (most){when}"
             )
 
 

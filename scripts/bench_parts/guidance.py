@@ -102,6 +102,7 @@ def guidance() -> None:
         spent = np.percentile(figures[:, 0], [50, 95])
         worst = np.percentile(figures[:, 1:], 95, axis=0)
         print(
-            f"  {kind:22s} {took:14.1f} {times[0]:12.1f} {times[1]:10.1f} {times[2]:8.1f} {len(rows):12d} "
+            f"  {kind:22s} {took:14.1f} {times[0]:12.1f} {times[1]:10.1f} {times[2]:8.1f} "
+            f"{len(rows):12d} "
             f"{spent[0]:14.1f} {spent[1]:7.1f} {worst[0]:16.3f} {worst[1]:14.3f}"
         )
