@@ -19,7 +19,7 @@ from lunarsim_envs.agents.network import Network
 from lunarsim_envs.agents.registry import agent_of, known_agents, label
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
 from lunarsim_envs.retarget import RetargetEnv
-from tests.envs.test_descent import LOW
+from tests.low_descents import LOW
 
 CALM = {"start.position_sigma_m": 5.0, "start.velocity_sigma_m_s": 0.5}
 
@@ -106,7 +106,7 @@ def test_a_law_is_asked_with_what_is_observed():
 
 
 class _Briefed:
-    weight = 1.622
+    weight, field = 1.622, None
 
 
 def test_a_law_forgets_the_last_flight(env):

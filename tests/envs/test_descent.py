@@ -18,20 +18,7 @@ from lunarsim_envs.descent.baseline import PolynomialAgent
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.descent.observations import DEFAULT, PARTS, Part, register
 from lunarsim_envs.descent.rewards import MOST_MISS, DescentWeights, Rewards
-
-IDS = ("lunarsim/Guidance-v0", "lunarsim/Control-v0")
-LOW = {
-    "start.position_m": [-20.0, 5.0, 25.0], "start.velocity_m_s": [3.0, 0.0, -4.0],
-    "start.position_sigma_m": 2.0, "start.velocity_sigma_m_s": 0.5, "terrain.size_m": 120.0,
-    "simulation.max_time_s": 20.0,
-}  # fmt: skip
-
-
-def batch(name, count, **arguments):
-    return gymnasium.make_vec(
-        f"lunarsim_envs:{name}", num_envs=count, vectorization_mode="vector_entry_point",
-        changes=LOW, **arguments,
-    )  # fmt: skip
+from tests.low_descents import IDS, LOW, batch
 
 
 def descent(observation, actions):
@@ -374,6 +361,8 @@ def test_a_picture_shows_where_the_lander_is_and_how_it_ended():
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.render()
     observation, _ = env.reset(seed=4)
+    # The view is the plane of start and target, the start to the right.
+    along = observation[:2] / np.hypot(*observation[:2])
 
     def body(picture):
         """Middle of the lander's body: columns, and rows from above."""
@@ -390,7 +379,7 @@ def test_a_picture_shows_where_the_lander_is_and_how_it_ended():
     assert info["safe"] and info["cost"] == 0.0
     # It ends on the ground in the middle of the view, the target's mark under it.
     col, row = body(last)
-    off = observation[:2] @ env._picture._along
+    off = observation[:2] @ along
     assert col == pytest.approx(220.0 + 0.5 * off * 440.0 / 24.0, abs=4.0)
     assert row > body(first)[1] + 100
     green = (last[380:, 440:] == (0, 200, 130)).all(axis=2)

@@ -18,7 +18,7 @@ from lunarsim_envs.evaluation.episodes import fly_episodes
 from lunarsim_envs.evaluation.request import study
 from lunarsim_envs.evaluation.results import differences, figures, with_target
 from lunarsim_envs.evaluation.running import fly
-from tests.envs.test_descent import LOW
+from tests.low_descents import LOW
 
 SETS = [f"{key}={value}" for key, value in LOW.items()]
 

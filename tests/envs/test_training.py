@@ -13,7 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.descent.env import GuidanceEnv
 from lunarsim_envs.training.settings import Training, scales
-from tests.envs.test_descent import IDS, batch
+from tests.low_descents import IDS, batch
 
 SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
 

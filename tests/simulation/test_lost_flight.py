@@ -79,7 +79,8 @@ def test_lost_before_a_map_it_lands_where_the_mission_said(instruments, tmp_path
     assert names(flight).count("diverts-barred") == 1
     assert "diverts-allowed" not in names(flight)
     shift = simulation.computer.navigation.site_to_local
-    assert flight.sites[-1, :2] == pytest.approx(shift.to_local(flight.target)[:2])
+    # What is learnt of the site during the vertical descent does not move it.
+    assert flight.sites[-1, :2] == pytest.approx(shift.to_local(flight.target)[:2], abs=0.5)
 
     again = Flight.load(flight.save(tmp_path / "flight"))
     assert (again.lost, again.first_lost) == (True, flight.first_lost)
