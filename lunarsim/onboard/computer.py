@@ -27,7 +27,7 @@ from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.steady import SteadyPlace
 from lunarsim.onboard.guidance.strain import Strain
-from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
+from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
@@ -84,11 +84,7 @@ class OnboardComputer:
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
         self.guidance = software.guidance.build(briefing, lag)
-        self.vertical: DescentLaw = (
-            VerticalDescent.behind(lag, briefing.weight)
-            if software.descent is None
-            else software.descent.build(briefing, lag)
-        )
+        self.vertical = descent_law(software.descent, briefing, lag)
         self.braking = software.braking
         self._brake: Any = None
         if self.braking is not None:

@@ -12,7 +12,7 @@ from lunarsim.frames import attitude_from_thrust
 from lunarsim.messages.briefing import Briefing, Software, StartEstimate
 from lunarsim.models.gravity import UniformGravity
 from lunarsim.onboard.guidance.contract import PlansArrival
-from lunarsim.onboard.guidance.vertical import DescentLaw, VerticalDescent
+from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts import resolve, settings_of
 from lunarsim.scenario import Scenario
@@ -96,11 +96,7 @@ class LawAgent:
         briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
         lag = software.control.response_time + self._lander.thrust_lag
         self._law = self._part.build(briefing, lag)
-        self._down: DescentLaw = (
-            VerticalDescent.behind(lag, briefing.weight)
-            if software.descent is None
-            else software.descent.build(briefing, lag)
-        )
+        self._down = descent_law(software.descent, briefing, lag)
         self._arrival = briefing.time_to_go
         self._time, self._vertical, self._begun = 0.0, False, True
 

@@ -10,6 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from lunarsim.errors import InputError
+
+_SHARED = "a change of the batch itself: its lanes share all that they are"
+
 
 class LanesVecEnv(VecEnv):  # type: ignore[misc]
     """Lanes of a native batch; nothing here goes through lanes one by one.
@@ -82,14 +86,14 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: lanes have nothing of their own."""
-        raise NotImplementedError("lanes of a batch share all that they are")
+        """Refuse, with an `InputError`: lanes have nothing of their own."""
+        raise InputError("set_attr", attr_name, _SHARED)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Refuse: lanes have nothing of their own."""
-        raise NotImplementedError("lanes of a batch share all that they are")
+        """Refuse, with an `InputError`: lanes have nothing of their own."""
+        raise InputError("env_method", method_name, _SHARED)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Return false, once for each lane."""

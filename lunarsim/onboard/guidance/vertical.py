@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,3 +110,21 @@ class VerticalDescent:
         if excess == 0.0 or -planned * stopping <= height:
             return planned
         return min(-height / stopping, self.slowest * planned)
+
+
+def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
+    """Return the law of the last phase: a scenario's own, or straight down at a constant speed.
+
+    Parameters
+    ----------
+    part
+        Of `[descent]`; None where a scenario has none.
+    briefing
+        Of the flight, for the part; the weight of a kilogram at the target, N.
+    lag
+        Of attitude and engine, s.
+    """
+    if part is None:
+        return VerticalDescent.behind(lag, briefing.weight)
+    law: DescentLaw = part.build(briefing, lag)
+    return law
