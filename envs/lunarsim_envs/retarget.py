@@ -24,13 +24,11 @@ SITES = 20  # candidate sites that an agent may choose from
 
 def default_scenario() -> Scenario:
     """Return gently rolling highland relief with 7 % rock cover."""
-    sensors = {"imu": "imu", "fix": "navigation-fix", "flash": "flash-lidar"}
     return Scenario.from_dict(
         {
             "name": "golombek",
             "rocks": {"cover": 0.07},
             "target": {"scatter_m": [45.0, 45.0]},
-            "sensors": {name: {"kind": kind} for name, kind in sensors.items()},
         }
     )
 

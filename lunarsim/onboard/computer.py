@@ -41,6 +41,7 @@ from lunarsim.onboard.policies.contract import (
     Observation,
     RetargetingPolicy,
 )
+from lunarsim.onboard.policies.expected_miss import expected_miss
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -68,6 +69,8 @@ class OnboardComputer:
         Decisions that changed the site: time (s), old site, decision.
     mapped
         Names of the mappers that took something in during this cycle.
+    expected_miss
+        Of the site when a policy was last shown it, 1 sigma an axis, m; NaN until then.
     """
 
     def __init__(self, briefing: Briefing, policy: RetargetingPolicy | None = None) -> None:
@@ -104,6 +107,8 @@ class OnboardComputer:
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
         self.mapped: set[str] = set()
+        self._mapped_at = 0.0
+        self.expected_miss = float("nan")
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
         self._pulses = 0.0
@@ -111,7 +116,7 @@ class OnboardComputer:
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
-        self._aim: tuple[FloatMap, FloatMap] | None = None
+        self._aim: tuple[FloatMap, float, FloatMap] | None = None
         self._events = self._told = 0
         self._arrivals = Arrivals(briefing.step, self._note)
         self._barred, self._mapped_lost = False, False
@@ -204,11 +209,11 @@ class OnboardComputer:
         if mapper is None:
             raise RuntimeError("this lander has no mapper: there is nothing to decide on")
         hazard_map = mapper.hazard_map()
+        self.expected_miss = miss = float(self._miss_of(np.array([self.time_to_go]))[0])
         # A map may come again with its ground moved alone.
-        if self._aim is None or self._aim[0] is not hazard_map.p_safe:
-            aim = hazard_map.dispersed(self.decisions.touchdown_sigma)
-            self._aim = (hazard_map.p_safe, aim)
-        aim = self._aim[1]
+        if self._aim is None or self._aim[0] is not hazard_map.p_safe or self._aim[1] != miss:
+            self._aim = (hazard_map.p_safe, miss, hazard_map.dispersed(miss))
+        aim = self._aim[2]
         scoreboard = mapper.scoreboard(self.site)
         self.candidates = candidate_sites(
             hazard_map,
@@ -217,6 +222,7 @@ class OnboardComputer:
             self._designable,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
+            miss_of=self._miss_of if self.navigation.adrift else None,
             mapper=self.decisions_map,
             scoreboard=scoreboard,
         )
@@ -236,7 +242,18 @@ class OnboardComputer:
             site_eligible=bool(hazard_map.eligible_at(self.site[:2])),
             site_value=float(hazard_map.value_at(self.site[:2])),
             scoreboard=scoreboard,
+            expected_miss=miss,
         )
+
+    def _miss_of(self, time_to_go: Array) -> Array:
+        """Return the expected miss of sites that take so long to reach (n,), s, an axis, m."""
+        until = np.where(np.isfinite(time_to_go), time_to_go, self.time_to_go)
+        since = self.time - self._mapped_at
+        descent = self.approach.vertical_altitude / self.approach.vertical_speed
+        return expected_miss(
+            self.decisions.touchdown_sigma, self.estimate, self.navigation.adrift,
+            since + until + descent,
+        )  # fmt: skip
 
     # --- a cycle --------------------------------------------------------------------------
 
@@ -283,6 +300,8 @@ class OnboardComputer:
             measurements.items, key=lambda item: not isinstance(item[1], InertialSamples)
         ):
             self._take(sensor, measurement)
+        if self.decisions_map in self.mapped:
+            self._mapped_at = self.time
         self._carry_on()
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():

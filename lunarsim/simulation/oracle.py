@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 # Sites tried for reachability, nearest first.
 _TRIES = 64
+# Room in deviations of the expected miss: 0.95 of all misses are less.
+_ROOM = 2.5
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class TruthOracle:
     Attributes
     ----------
     room
-        Distance to the nearest unsafe cell that is enough, m.
+        Distance to the nearest unsafe cell that is enough, m; more where the lander drifts.
     """
 
     room: float = quantity(1.0, "m", ge=0, help="to the nearest unsafe cell that is enough")
@@ -62,11 +64,12 @@ class TruthOracle:
         grid = truth.safety.grid
         clearance = truth.clearance
         here = observation.site - error
+        room = max(self.room, _ROOM * observation.expected_miss)
         row, col = (int(v) for v in grid.cell(here[:2]))
-        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= self.room:
+        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= room:
             return Decision.keep("truly safe")
         # Where no site has that much room, the roomiest will have to do.
-        enough = min(self.room, 0.8 * float(clearance.max()))
+        enough = min(room, 0.8 * float(clearance.max()))
         cells = np.argwhere(clearance >= max(enough, 1e-9))
         if len(cells) == 0:
             return Decision.keep("no truly safe site")

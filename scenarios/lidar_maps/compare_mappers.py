@@ -1,5 +1,7 @@
 """Both LiDAR maps flown to touchdown over five worlds.
 
+Maps are compared, not navigation: on all worlds but the hazard field, where it is looked for on a
+map, the lander is told its place by the truth and a stated budget of errors (`navigation-fix`).
 Flight i of a world has the same ground, start and noise on every map; `safest` lands where the map
 gives the highest probability, `scoreboard` where the quadtree's own ranking does. One flight of
 each index carries all mappers: their maps are judged by exact safety at its first and its last

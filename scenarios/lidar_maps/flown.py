@@ -32,12 +32,21 @@ from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth import Truth
 
 SCENARIOS = Path(__file__).resolve().parents[1]
+# Maps are compared, not navigation: the lander is told its place, by the truth and a stated budget.
+PLACED: dict[str, Any] = {
+    "sensors": {
+        "altimeter": None,
+        "velocimeter": None,
+        "stars": None,
+        "fix": {"kind": "navigation-fix"},
+    }
+}
 # File and what is changed in it.
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
-    "HiRISE, c = 0.2": ("hirise.toml", {}),
-    "HiRISE, c = 0.5": ("hirise.toml", {"terrain": {"relief_scale": 0.5}}),
-    "cratered highland": ("highland.toml", {}),
-    "Apollo 15": ("apollo15.toml", {}),
+    "HiRISE, c = 0.2": ("hirise.toml", PLACED),
+    "HiRISE, c = 0.5": ("hirise.toml", {**PLACED, "terrain": {"relief_scale": 0.5}}),
+    "cratered highland": ("highland.toml", PLACED),
+    "Apollo 15": ("apollo15.toml", PLACED),
     "hazard field": ("morpheus.toml", {}),
 }
 # Mapper and policy; the first flies with all mappers.

@@ -2,9 +2,10 @@
 
 Flies a scenario whose navigation has an error state. At five fixed shares of the planned descent
 the errors of position, velocity and attitude are set against their covariance (NEES), and the
-innovations of every kind of measurement against theirs (NIS), between one of these epochs and the
-next. With `--start` given twice or more each flight is flown from each error of position at the
-start, over the same ground.
+innovations of every kind of measurement against theirs (NIS): of the last ones before each of these
+epochs, and of all since the epoch before. The second are many and so tell finer, but are not
+independent: bounds are for those that are. With `--start` given twice or more each flight is flown
+from each error of position at the start, over the same ground.
 
 python scenarios/navigation/consistency.py --flights 50 --jobs 2
 python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
@@ -71,9 +72,9 @@ class Flown:
     ----------
     error, covariance
         At the epochs (e, 9), (e, 9, 9).
-    innovations
-        Before each epoch, from the one before on, and by kind of measurement: normalised squares
-        added up.
+    latest, innovations
+        Before each epoch by kind of measurement, normalised squares added up: of the last cycle
+        that measured it, and of all cycles from the epoch before on.
     whole
         The same of the whole flight.
     refused, doubted
@@ -88,6 +89,7 @@ class Flown:
 
     error: np.ndarray
     covariance: np.ndarray
+    latest: list[dict[str, Consistency]]
     innovations: list[dict[str, Consistency]]
     whole: dict[str, Consistency]
     refused: dict[str, int]
@@ -115,19 +117,26 @@ def fly(task: Task) -> Flown:
         raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]
-    errors, covariances, before = [], [], []
+    errors, covariances, before, latest = [], [], [], []
+    last: dict[str, Consistency] = {}
     start = float(np.linalg.norm(error_of(simulation)[:3]))
     while not simulation.done:
+        already = totals(navigation)
         simulation.step()
+        new = since(already, totals(navigation))
+        last |= {kind: c for kind, c in new.items() if c.degrees}
         if due and not simulation.done and simulation.time >= due[0] - 1e-9:
             due.pop(0)
             errors.append(error_of(simulation))
             covariances.append(simulation.estimate.covariance)
             before.append(totals(navigation))
+            latest.append(last)
+            last = {}
     names = [name for _, name, _ in simulation.computer.telemetry]
     return Flown(
         np.array(errors).reshape(-1, 9),
         np.array(covariances).reshape(-1, 9, 9),
+        latest,
         [since(a, b) for a, b in pairwise(({}, *before))],
         totals(navigation),
         {k: w.refused for k, w in navigation.watches.items()},
@@ -196,18 +205,26 @@ def nees_table(flights: list[Flown]) -> Table:
     return table
 
 
-def nis_table(flights: list[Flown]) -> Table:
-    """Return NIS over its degrees of freedom, by kind of measurement and epoch."""
-    table = Table(title=f"NIS over degrees of freedom, of what was taken in before each epoch; "
-                        f"!: not within {100 * LEVEL:g} % bounds")  # fmt: skip
+def nis_table(flights: list[Flown], which: str, title: str) -> Table:
+    """Return NIS over its degrees of freedom, by kind of measurement and epoch.
+
+    Parameters
+    ----------
+    which
+        Attribute of `Flown`: "latest" or "innovations".
+    """
+    table = Table(
+        title=f"NIS over degrees of freedom, {title}; !: not within {100 * LEVEL:g} % bounds"
+    )
     for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at the last",
                     "refused"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "measurement" else "right")
-    for kind in sorted({kind for f in flights for at in f.innovations for kind in at}):
+    by_epoch = [[getattr(f, which)[k] for f in flights if len(f.innovations) > k]
+                for k in range(len(EPOCHS))]  # fmt: skip
+    for kind in sorted({kind for at in by_epoch for one in at for kind in one}):
         cells, bounds = [], ""
-        for k in range(len(EPOCHS)):
-            found = [f.innovations[k][kind] for f in flights
-                     if len(f.innovations) > k and kind in f.innovations[k]]  # fmt: skip
+        for at in by_epoch:
+            found = [one[kind] for one in at if kind in one]
             total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
             if total.degrees == 0:
                 cells.append("")
@@ -255,13 +272,13 @@ def plain(flight: Flown) -> dict[str, Any]:
             for error, covariance in zip(flight.error, flight.covariance, strict=True)
         ]
         nees[part] = sum(squares) / (len(keep) * len(squares)) if squares else None
-    nis = [
-        {kind: [c.total, c.degrees] for kind, c in at.items() if c.degrees}
-        for at in flight.innovations
-    ]
+    nis, last = (
+        [{kind: [c.total, c.degrees] for kind, c in at.items() if c.degrees} for at in epochs]
+        for epochs in (flight.innovations, flight.latest)
+    )
     whole = {kind: c.ratio for kind, c in flight.whole.items() if c.degrees}
     return {
-        "nees": nees, "nis": whole, "nis_at": nis, "error": flight.error.tolist(),
+        "nees": nees, "nis": whole, "nis_at": nis, "nis_last": last, "error": flight.error.tolist(),
         "sigma": [np.sqrt(np.diag(c)).tolist() for c in flight.covariance],
         "start_error": flight.start_error, "map_error": flight.map_error,
         "lost": flight.lost[0], "safe": bool(flight.safe),
@@ -340,7 +357,8 @@ def main(
     for name, flown in by_start.items():
         console.print(f"Error at the start: {name}")
         console.print(nees_table(flown))
-        console.print(nis_table(flown))
+        console.print(nis_table(flown, "latest", "of the last measurement before each epoch"))
+        console.print(nis_table(flown, "innovations", "of all since the epoch before"))
     console.print(safe_table(by_start))
     if out is not None:
         written = {name: [plain(f) for f in flown] for name, flown in by_start.items()}

@@ -130,6 +130,8 @@ class Found:
         Of the place then, east, north and up (3,), m.
     forecast
         Whether the map promised it.
+    off
+        By how much the lander was off at the start, over the ground, m.
     """
 
     time: float | None
@@ -137,6 +139,7 @@ class Found:
     error: np.ndarray
     sigma: np.ndarray
     forecast: bool
+    off: float
 
 
 @dataclass
@@ -188,6 +191,7 @@ def search(task: Task) -> Found:
     places = PlaceSearch(MapFeatures(prior))
     forecast = can_lock(prior, (float(xy[0]), float(xy[1])), SWEPT, SIGMA).can_lock
     lander = Lander(world, target, rng)
+    off = float(np.hypot(*lander.shift[:2]))
     for count in range(round(task.seconds * RATE)):
         believed, true = lander.scan(count)
         places.add(believed)
@@ -201,8 +205,8 @@ def search(task: Task) -> Found:
         if certain(match):
             error = match.shift - np.nanmean(true - believed, axis=0)
             sigma = np.sqrt(np.diag(match.covariance))
-            return Found(count / RATE, count + 1, error, sigma, forecast)
-    return Found(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast)
+            return Found(count / RATE, count + 1, error, sigma, forecast, off)
+    return Found(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast, off)
 
 
 def certain(match: Match) -> bool:
@@ -213,8 +217,10 @@ def certain(match: Match) -> bool:
 def row_of(case: Case, found: list[Found]) -> list[str]:
     """Return the cells of a row."""
     locked = [f for f in found if f.time is not None]
+    away = [f.off for f in found if f.time is None]
+    missed = f"{min(away):.0f} to {max(away):.0f}" if away else ""
     if not locked:
-        return [str(case), f"0 of {len(found)}", "", "", "0", "", f"{forecasts(found)}"]
+        return [str(case), f"0 of {len(found)}", "", "", "0", "", forecasts(found), missed]
     time = [f.time for f in locked if f.time is not None]
     aside = np.array([np.abs(f.error[:2]).max() for f in locked])
     over = np.array([np.abs(f.error[:2] / f.sigma[:2]).max() for f in locked])
@@ -223,7 +229,7 @@ def row_of(case: Case, found: list[Found]) -> list[str]:
         str(case), f"{len(locked)} of {len(found)}",
         f"{np.median(time):.1f} / {max(time):.1f}",
         f"{np.median([f.scans for f in locked]):.0f}", f"{wrong}",
-        f"{np.median(aside):.2f} m, {over.max():.1f}", forecasts(found),
+        f"{np.median(aside):.2f} m, {over.max():.1f}", forecasts(found), missed,
     ]  # fmt: skip
 
 
@@ -241,7 +247,7 @@ def forecasts(found: list[Found]) -> str:
 @seed_and_jobs
 def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
     """Search for the place of sweeps on maps, and print how it went."""
-    console = Console(width=150)
+    console = Console(width=180)
     rows = [n for n, case in enumerate(CASES) if only in str(case)]
     if not rows:
         raise click.UsageError(f"--only: none of {', '.join(map(str, CASES))}")
@@ -249,7 +255,8 @@ def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None
     found = gathered(search, tasks, jobs, console, "searches")
     table = Table(title=f"Searches of {seconds:g} s")
     for heading in ("map", "locked", "after, median / max (s)", "scans", "wrong",
-                    "error, median; greatest over sigma", "promised"):  # fmt: skip
+                    "error, median; greatest over sigma", "promised",
+                    "not locked: off at the start (m)"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "map" else "right")
     for n in rows:
         mine = [f for t, f in zip(tasks, found, strict=False) if t.case == n]

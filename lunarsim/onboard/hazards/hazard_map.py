@@ -12,6 +12,7 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 
+Array = NDArray[np.float64]
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
 
@@ -143,3 +144,40 @@ class HazardMap:
             p, sigma / self.grid.posting, mode="constant", cval=0.0, truncate=3.0
         )
         return np.where(self.observed, smooth, np.float32(0.0)).astype(np.float32)
+
+    def dispersed_at(self, xy: Array, sigma: Array) -> Array:
+        """Return `dispersed` at points (n, 2) alone, each with an error of its own (n,), m.
+
+        Raises
+        ------
+        InputError
+            If an error is not finite or negative.
+        """
+        sigma = np.asarray(sigma, np.float64)
+        if not (np.isfinite(sigma).all() and (sigma >= 0.0).all()):
+            raise InputError("sigma", sigma.tolist(), "0 or positive lengths in metres")
+        p = np.where(self.observed, self.p_safe, np.float32(0.0))
+        out = np.zeros(len(xy))
+        rows, cols = self.grid.cell(xy)
+        for n, (row, col) in enumerate(zip(rows, cols, strict=True)):
+            if self.observed[row, col]:
+                out[n] = _weighted(p, int(row), int(col), sigma[n] / self.grid.posting)
+        return out
+
+
+def _weighted(p: FloatMap, row: int, col: int, sigma: float) -> float:
+    """Return the mean of p about a cell, weighted by a Gaussian of `sigma` cells, cut off at 3.
+
+    Cells beyond the map count as 0.
+    """
+    reach = int(3.0 * sigma + 0.5)
+    if reach == 0:
+        return float(p[row, col])
+    away = np.arange(-reach, reach + 1)
+    weight = np.exp(-0.5 * (away / sigma) ** 2)
+    weight /= weight.sum()
+    south, west = max(row - reach, 0), max(col - reach, 0)
+    window = p[south : row + reach + 1, west : col + reach + 1]
+    a = weight[south - row + reach :][: window.shape[0]]
+    b = weight[west - col + reach :][: window.shape[1]]
+    return float(a @ window @ b)

@@ -126,6 +126,14 @@ class Navigation(ABC):
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the estimate at `time` with the mass (kg) that the computer keeps."""
 
+    @property
+    def adrift(self) -> bool:
+        """Whether nothing holds the lander to the ground that it has mapped.
+
+        What its velocity errs by then adds up until touchdown.
+        """
+        return True
+
     def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
         """Return a measurement and where it was taken, less what its sensor is known to err by.
 

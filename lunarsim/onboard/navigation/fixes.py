@@ -60,6 +60,11 @@ class FixNavigation(Navigation):
         )
 
     @property
+    def adrift(self) -> bool:
+        """Fixes do not drift."""
+        return False
+
+    @property
     def site_to_local(self) -> Shift:
         """Fixes are of the site frame, and so is the local frame."""
         return Shift()

@@ -145,6 +145,11 @@ class Navigator(Navigation):
         """Whether the lander has been found on the map at least once."""
         return self.matcher is not None and self.matcher.found
 
+    @property
+    def adrift(self) -> bool:
+        """Whether neither a map nor rocks in view hold the lander."""
+        return not self.locked and (self.rocks is None or self.rocks.count == 0)
+
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it, local frame."""
         found = self.inertial.estimate(self.covariance, time, mass)

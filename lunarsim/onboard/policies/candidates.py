@@ -53,6 +53,7 @@ def candidate_sites(
     *,
     count: int,
     separation: float,
+    miss_of: Callable[[Array], Array] | None = None,
     mapper: str = "",
     scoreboard: Scoreboard | None = None,
 ) -> Candidates:
@@ -73,6 +74,10 @@ def candidate_sites(
         Returns what it costs to fly to sites (n, 3).
     count, separation
         Number of sites and least distance between them, m.
+    miss_of
+        Returns the expected miss of sites, an axis (n,), m, by the time that it takes to reach them
+        (n,), s: a lander that drifts over its map misses a site by the more, the longer it flies
+        to it. Left out: that for which `aim` was made, for all.
     mapper
         Its name, for the sources: "MAPPER: safest", "MAPPER: nearest at 0.99", "MAPPER: ranked".
     scoreboard
@@ -90,15 +95,19 @@ def candidate_sites(
         position = np.concatenate((position, scoreboard.position[good]))
         score = np.concatenate((score, scoreboard.score[good]))
         source += [f"{mapper}: ranked"] * int(good.sum())
-    row, col = grid.cell(position[:, :2])
-    p_safe = aim[row, col].astype(np.float64)
+    cost = cost_of(position)
+    if miss_of is None:
+        row, col = grid.cell(position[:, :2])
+        p_safe = aim[row, col].astype(np.float64)
+    else:
+        p_safe = hazard_map.dispersed_at(position[:, :2], miss_of(cost.time_to_go))
     order = np.argsort(-p_safe, kind="stable")
     position = position[order]
     return Candidates(
         position,
         p_safe[order],
         np.hypot(*(position[:, :2] - site[:2]).T),
-        cost_of(position).propellant,
+        cost.propellant[order],
         hazard_map.value_at(position[:, :2]),
         score[order],
         tuple(source[i] for i in order),

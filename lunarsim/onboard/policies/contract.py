@@ -110,6 +110,8 @@ class Observation:
         Whether the mission lets the lander land at the site, and how much it wants to, in [0, 1].
     scoreboard
         Sites that the mapper has ranked itself; None if it ranks none.
+    expected_miss
+        Of the site on the map, 1 sigma an axis, m.
 
     Raises
     ------
@@ -129,6 +131,7 @@ class Observation:
     site_eligible: bool = True
     site_value: float = 1.0
     scoreboard: Scoreboard | None = None
+    expected_miss: float = 0.0
 
     def __post_init__(self) -> None:
         if np.isnan(self.site_propellant):

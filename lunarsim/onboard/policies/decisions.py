@@ -23,7 +23,8 @@ class Decisions:
     candidates, separation
         Number of sites and least distance between them, m.
     touchdown_sigma
-        Expected miss on the map, an axis, m.
+        Expected miss on the map, an axis, m, of a lander that does not drift over it; see
+        `expected_miss`.
     """
 
     map: str = quantity("", help="name of the mapper that decides; left out: the first")
@@ -32,7 +33,9 @@ class Decisions:
     interval: float = quantity(1.0, "s", gt=0, help="between two decisions")
     candidates: int = quantity(16, ge=1, le=256, help="sites to choose from")
     separation: float = quantity(3.0, "m", gt=0, help="least distance between them")
-    touchdown_sigma: float = quantity(0.3, "m", ge=0, help="expected miss on the map, an axis")
+    touchdown_sigma: float = quantity(
+        0.3, "m", ge=0, help="expected miss on the map, an axis, without drift"
+    )
 
     def __post_init__(self) -> None:
         if self.last_altitude >= self.first_altitude:

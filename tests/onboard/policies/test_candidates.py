@@ -54,7 +54,8 @@ def test_candidates_hold_the_nearest_safe_cell():
     assert (32, 30) in set(zip(row.tolist(), col.tolist(), strict=True))
     assert np.allclose(c.distance, np.hypot(c.position[:, 0], c.position[:, 1]))
     empty = HazardMap.unobserved(grid)
-    assert np.array_equal(asked[0], c.position)
+    assert len(asked[0]) == len(c)
+    assert np.array_equal(c.propellant, cost_of(c.position).propellant)
     assert c.reachable.all()
     nothing = candidate_sites(empty, empty.p_safe, np.zeros(3), cost_of, count=4, separation=3.0)
     assert len(nothing) == 0
@@ -104,3 +105,27 @@ def test_no_candidate_lies_where_the_mission_forbids_and_each_tells_its_source()
         assert np.array_equal(c.position[i], ranked[int(c.score[i]) - 5])
     others = [i for i in range(len(c)) if i not in mine]
     assert np.isnan(c.score[others]).all()
+
+
+def test_a_site_that_takes_longer_to_reach_is_missed_by_more():
+    """Each candidate's p is that of the map spread by its own miss."""
+    rng = np.random.default_rng(9)
+    grid = Grid.centred((0.0, 0.0), 80.0, 1.0)
+    p = rng.uniform(0.0, 1.0, grid.shape).astype(np.float32)
+    seen = rng.random(grid.shape) < 0.9
+    hazard_map = HazardMap(grid, np.where(seen, p, np.float32(0.0)), seen)
+    rate = 0.08
+
+    def cost_of(sites):
+        return divert_cost(estimate(), Approach().end(sites, LANDER), LANDER, G)
+
+    found = candidate_sites(
+        hazard_map, hazard_map.dispersed(1.0), np.zeros(3), cost_of,
+        count=12, separation=3.0, miss_of=lambda seconds: rate * seconds,
+    )  # fmt: skip
+    miss = rate * cost_of(found.position).time_to_go
+    assert np.ptp(miss) > 0.1
+    row, col = grid.cell(found.position[:, :2])
+    plain = [hazard_map.dispersed(s)[r, c] for s, r, c in zip(miss, row, col, strict=True)]
+    assert found.p_safe == pytest.approx(plain, abs=1e-6)
+    assert (np.diff(found.p_safe) <= 0.0).all()

@@ -1,0 +1,93 @@
+"""By how much a lander misses a site on its own map, and who is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies.expected_miss import expected_miss
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import TINY_FLIGHT
+
+
+def estimate(speed: tuple[float, float, float]) -> Estimate:
+    covariance = np.eye(9)
+    covariance[3:6, 3:6] = np.diag(np.square(speed))
+    return Estimate(
+        0.0, np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0, covariance
+    )
+
+
+def test_what_the_velocity_errs_by_adds_up_until_touchdown():
+    miss = expected_miss(0.3, estimate((0.03, 0.05, 9.0)), True, [0.0, 20.0, 40.0, -1.0])
+    rate = np.sqrt(0.5 * (0.03**2 + 0.05**2))
+    assert miss == pytest.approx(np.hypot(0.3, rate * np.array([0.0, 20.0, 40.0, 0.0])))
+    held = expected_miss(0.3, estimate((0.03, 0.05, 9.0)), False, [0.0, 20.0])
+    assert held.tolist() == [0.3, 0.3]
+
+
+def test_what_is_told_is_what_the_drift_comes_to():
+    """Drawn drifts, constant over the time, have the standard deviation told."""
+    rng = np.random.default_rng(3)
+    drawn = rng.standard_normal((20_000, 2)) * [0.03, 0.05] * 25.0
+    drawn += 0.3 * rng.standard_normal(drawn.shape)
+    told = expected_miss(0.3, estimate((0.03, 0.05, 1.0)), True, 25.0)[0]
+    assert np.sqrt(np.mean(drawn**2)) == pytest.approx(told, rel=0.02)
+
+
+def test_a_map_spread_at_points_is_the_map_spread():
+    rng = np.random.default_rng(5)
+    grid = Grid(3.0, -7.0, 0.4, 50, 70)
+    seen = rng.random(grid.shape) < 0.8
+    p = np.where(seen, rng.random(grid.shape), 0.0).astype(np.float32)
+    hazard_map = HazardMap(grid, p, seen)
+    # Corners and borders too.
+    row = np.r_[0, 49, 0, 49, rng.integers(0, 50, 40)]
+    col = np.r_[0, 0, 69, 69, rng.integers(0, 70, 40)]
+    xy = grid.centre_of(row, col)
+    for sigma in (0.0, 0.05, 0.3, 1.7, 6.0):
+        got = hazard_map.dispersed_at(xy, np.full(len(xy), sigma))
+        assert got == pytest.approx(hazard_map.dispersed(sigma)[row, col], abs=2e-6)
+    for wrong in (np.nan, -0.1, np.inf):
+        with pytest.raises(InputError, match="sigma"):
+            hazard_map.dispersed_at(xy[:2], np.array([0.1, wrong]))
+
+
+def first_mapped(changes):
+    """Return a flight in the cycle of its first scan, and what its policy is shown then."""
+    simulation = Simulation(Scenario.from_dict(TINY_FLIGHT).changed(**changes), flight_seed(4, 0))
+    while not simulation.computer.mapped:
+        simulation.step()
+    return simulation, simulation.computer.observe()
+
+
+def test_a_lander_held_by_fixes_expects_what_is_stated_and_another_its_drift():
+    _, held = first_mapped({})
+    assert held.expected_miss == 0.3
+    own = {
+        "fix": None,
+        "altimeter": {"kind": "radar-altimeter"},
+        "velocimeter": {"kind": "velocimeter"},
+        "stars": {"kind": "star-tracker"},
+    }
+    simulation, adrift = first_mapped({"sensors": own})
+    computer = simulation.computer
+    # The map is of this cycle: all the time is still to come.
+    seconds = adrift.time_to_go + computer.approach.vertical_altitude / 2.0
+    rate = np.sqrt(0.5 * np.trace(adrift.estimate.covariance[3:5, 3:5]))
+    assert adrift.expected_miss == pytest.approx(np.hypot(0.3, rate * seconds), rel=1e-9)
+    assert adrift.expected_miss > 0.5
+    # What was mapped gets older.
+    for _ in range(20):
+        simulation.step()
+    assert not computer.mapped
+    later = computer.observe()
+    rate = np.sqrt(0.5 * np.trace(later.estimate.covariance[3:5, 3:5]))
+    until = later.time_to_go + computer.approach.vertical_altitude / 2.0
+    assert later.expected_miss > np.hypot(0.3, rate * until)
