@@ -277,9 +277,9 @@ def test_navigation_left_out_goes_by_what_the_lander_carries(tables, kind):
 
 
 def test_navigation_goes_by_what_the_lander_carries_after_a_change():
-    hirise = Scenario.load(SCENARIOS / "hirise.toml")
-    assert hirise.changed(sensors={"fix": None}).navigation.kind == "inertial"
-    assert hirise.changed(rocks={"cover": 0.1}).navigation.kind == "fixes"
+    hard = Scenario.load(SCENARIOS / "hard.toml")
+    assert hard.changed(sensors={"fix": None}).navigation.kind == "inertial"
+    assert hard.changed(rocks={"cover": 0.1}).navigation.kind == "fixes"
     assert (
         Scenario.from_dict({})
         .changed(sensors={"fix": FIX, "stars": None, "altimeter": None, "velocimeter": None})
@@ -290,7 +290,14 @@ def test_navigation_goes_by_what_the_lander_carries_after_a_change():
     own = Scenario.from_dict({"navigation": {"relief_deg": 8.0}})
     assert own.changed(rocks={"cover": 0.1}).navigation.relief_deg == 8.0
     with pytest.raises(InputError, match="navigation-fix"):
-        hirise.changed(sensors={"fix": None}, navigation={"kind": "fixes"})
+        hard.changed(sensors={"fix": None}, navigation={"kind": "fixes"})
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_scenarios_navigate_by_what_the_lander_carries(path):
+    """Only the one that states by how much its lander errs is told its place."""
+    kind = Scenario.load(path).navigation.kind
+    assert (kind == "fixes") == (path.stem == "hard")
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 _FARTHEST = 20_000.0
 # A mount differs from a rotation by rounding alone.
 _TURNS = 1e-3
+# A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
+# slopes its squares no longer hold, and what is found then moves them farther.
+_AFRESH = 0.05
 
 
 def key_block() -> dict[str, Array]:
@@ -33,12 +36,40 @@ def key_block() -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class _Key:
-    """A scan kept to compare later ones with: whose, its squares, and how it was seen then."""
+    """A scan kept to compare later ones with.
+
+    Attributes
+    ----------
+    sensor, seen
+        Whose, and how it was seen, as far as is known now.
+    grid, surface
+        Its squares as they were averaged last.
+    off
+        By how much it has been moved since, m.
+    """
 
     sensor: str
     grid: Grid
     surface: Surface
     seen: SeenScan
+    off: float = 0.0
+
+    def moved(self, change: Array) -> _Key:
+        """Return it with errors (11,) added, its squares carried on by their slopes."""
+        surface, middle = self.surface, self.seen.position
+        if len(surface):
+            middle = surface.position.mean(axis=0)
+            position = surface.position.copy()
+            position[:, 2] += self.seen.jacobian(position, surface.normal) @ change
+            surface = replace(surface, position=position)
+        off = self.off + float(np.abs(self.seen.point_jacobian(middle) @ change).max())
+        return replace(self, surface=surface, seen=self.seen.moved(change), off=off)
+
+    def afresh(self) -> _Key:
+        """Return it averaged afresh, if its squares no longer hold."""
+        if self.off <= _AFRESH * self.grid.posting:
+            return self
+        return replace(self, surface=self.seen.surface(self.grid), off=0.0)
 
 
 class ScanOdometry:
@@ -85,7 +116,8 @@ class ScanOdometry:
         self._share = 0.0
         if self._key is None or self._key.sensor != sensor:
             return False
-        key, least, state = self._key, self.settings.least_squares, self.shared.state
+        self._key = key = self._key.afresh()
+        least, state = self.settings.least_squares, self.shared.state
         seen = self.shared.seen(sensor, scan)
         new = seen.surface(key.grid)
         i, j = _common(key.surface, new)
@@ -111,22 +143,14 @@ class ScanOdometry:
         return found.taken
 
     def _corrected(self, error: Array) -> None:
-        """Move the scan kept with its pose; drop it where its squares would no longer hold."""
+        """Move the scan kept with its pose."""
         if self._key is None:
             return
-        key, state = self._key, self.shared.state
-        own = error[self.shared.scanner(key.sensor)]
+        state = self.shared.state
+        own = error[self.shared.scanner(self._key.sensor)]
         change = np.zeros(11)
         change[:6], change[6 : 6 + len(own)] = error[state.block(KEY)], own
-        middle = key.surface.position.mean(axis=0) if len(key.surface) else key.seen.position
-        if np.abs(key.seen.point_jacobian(middle) @ change).max() > 0.5 * key.grid.posting:
-            self._key, self._share = None, 0.0
-            return
-        position = key.surface.position.copy()
-        position[:, 2] += key.seen.jacobian(key.surface.position, key.surface.normal) @ change
-        self._key = replace(
-            key, surface=replace(key.surface, position=position), seen=key.seen.moved(change)
-        )
+        self._key = self._key.moved(change)
 
 
 def plausible(scan: LidarScan) -> LidarScan:

@@ -128,4 +128,6 @@ def test_a_site_that_takes_longer_to_reach_is_missed_by_more():
     row, col = grid.cell(found.position[:, :2])
     plain = [hazard_map.dispersed(s)[r, c] for s, r, c in zip(miss, row, col, strict=True)]
     assert found.p_safe == pytest.approx(plain, abs=1e-6)
+    assert np.ptp(found.propellant) > 0.1
+    assert np.array_equal(found.propellant, cost_of(found.position).propellant)
     assert (np.diff(found.p_safe) <= 0.0).all()

@@ -7,12 +7,18 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies.contract import Candidates, Observation
 from lunarsim.onboard.policies.expected_miss import expected_miss
 from lunarsim.rng import flight_seed
+from lunarsim.safety import SafetyMap
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.oracle import TruthOracle
+from lunarsim.world.truth import Truth
 from tests.worlds import TINY_FLIGHT
 
 
@@ -83,6 +89,14 @@ def test_a_lander_held_by_fixes_expects_what_is_stated_and_another_its_drift():
     rate = np.sqrt(0.5 * np.trace(adrift.estimate.covariance[3:5, 3:5]))
     assert adrift.expected_miss == pytest.approx(np.hypot(0.3, rate * seconds), rel=1e-9)
     assert adrift.expected_miss > 0.5
+    # Each candidate is judged by its own time.
+    sites = adrift.candidates.position
+    times = computer.cost_of(sites).time_to_go
+    seconds = np.where(np.isfinite(times), times, adrift.time_to_go)
+    seconds += computer.approach.vertical_altitude / 2.0
+    own = adrift.hazard_map.dispersed_at(sites[:, :2], np.hypot(0.3, rate * seconds))
+    assert adrift.candidates.p_safe == pytest.approx(own, abs=1e-9)
+    assert np.ptp(seconds) > 0.2
     # What was mapped gets older.
     for _ in range(20):
         simulation.step()
@@ -91,3 +105,30 @@ def test_a_lander_held_by_fixes_expects_what_is_stated_and_another_its_drift():
     rate = np.sqrt(0.5 * np.trace(later.estimate.covariance[3:5, 3:5]))
     until = later.time_to_go + computer.approach.vertical_altitude / 2.0
     assert later.expected_miss > np.hypot(0.3, rate * until)
+
+
+@pytest.mark.parametrize(("miss", "row"), [(0.1, 6), (0.9, 14), (40.0, 26)])
+def test_the_oracle_asks_for_room_for_the_miss(miss, row):
+    """Bands of safe ground, 3, 7 and 15 m wide: the nearest with room enough, else the roomiest."""
+    grid = Grid.centred((0.0, 0.0), 90.0, 1.0)
+    middle = grid.rows // 2
+    safe = np.zeros(grid.shape, bool)
+    for north, half in ((6, 1), (14, 3), (27, 7)):
+        safe[middle + north - half : middle + north + half + 1] = True
+    none = np.zeros(grid.shape, np.float32)
+    truth = Truth(SafetyMap(grid, none, none, safe, np.ones(grid.shape, bool)), none, Lander())
+    observation = Observation(
+        time=1.0, estimate=estimate((0.0, 0.0, 0.0)), hazard_map=HazardMap.unobserved(grid),
+        candidates=Candidates(np.zeros((0, 3)), *(np.zeros(0),) * 3),
+        site=np.append(grid.centre_of(middle, middle), 0.0), site_p_safe=0.5, site_propellant=1.0,
+        time_to_go=20.0, propellant=100.0, expected_miss=miss,
+    )  # fmt: skip
+
+    def cost_of(sites):
+        n = len(sites)
+        return DivertCost(np.ones(n), np.full(n, 20.0), np.ones(n), np.zeros(n))
+
+    site = TruthOracle().decide_by_truth(observation, truth, np.zeros(3), cost_of).site
+    clearance = truth.clearance[tuple(int(v) for v in grid.cell(site[:2]))]
+    assert clearance >= min(max(1.0, 2.5 * miss), 0.8 * truth.clearance.max())
+    assert abs(site[1] - observation.site[1] - row) <= 1.0
