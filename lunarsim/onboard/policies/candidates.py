@@ -75,9 +75,8 @@ def candidate_sites(
     count, separation
         Number of sites and least distance between them, m.
     miss_of
-        Returns the expected miss of sites, an axis (n,), m, by the time that it takes to reach them
-        (n,), s: a lander that drifts over its map misses a site by the more, the longer it flies
-        to it. Left out: that for which `aim` was made, for all.
+        Returns the expected miss of sites (n,), m, by the time that it takes to reach them (n,), s,
+        see `expected_miss`. Left out: that for which `aim` was made, for all.
     mapper
         Its name, for the sources: "MAPPER: safest", "MAPPER: nearest at 0.99", "MAPPER: ranked".
     scoreboard
@@ -88,30 +87,22 @@ def candidate_sites(
         aim = np.where(hazard_map.eligible, aim, np.float32(0.0))
     distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
     cells, source = _proposed(aim, distance, grid.posting, count, separation, mapper)
-    position = _on_ground(hazard_map, cells, site)
-    score = np.full(len(cells), np.nan)
+    position, score = _on_ground(hazard_map, cells, site), np.full(len(cells), np.nan)
     if scoreboard is not None:
-        good = hazard_map.eligible_at(scoreboard.position[:, :2])
-        position = np.concatenate((position, scoreboard.position[good]))
-        score = np.concatenate((score, scoreboard.score[good]))
-        source += [f"{mapper}: ranked"] * int(good.sum())
+        ranked, own = _ranked(hazard_map, scoreboard)
+        position, score = np.concatenate((position, ranked)), np.concatenate((score, own))
+        source += [f"{mapper}: ranked"] * len(own)
     cost = cost_of(position)
-    if miss_of is None:
-        row, col = grid.cell(position[:, :2])
-        p_safe = aim[row, col].astype(np.float64)
-    else:
+    p_safe = aim[grid.cell(position[:, :2])].astype(np.float64)
+    if miss_of is not None:
         p_safe = hazard_map.dispersed_at(position[:, :2], miss_of(cost.time_to_go))
     order = np.argsort(-p_safe, kind="stable")
     position = position[order]
+    away = np.hypot(*(position[:, :2] - site[:2]).T)
     return Candidates(
-        position,
-        p_safe[order],
-        np.hypot(*(position[:, :2] - site[:2]).T),
-        cost.propellant[order],
-        hazard_map.value_at(position[:, :2]),
-        score[order],
-        tuple(source[i] for i in order),
-    )
+        position, p_safe[order], away, cost.propellant[order],
+        hazard_map.value_at(position[:, :2]), score[order], tuple(source[i] for i in order),
+    )  # fmt: skip
 
 
 def _proposed(
@@ -128,6 +119,12 @@ def _proposed(
                 cells = np.concatenate((cells, np.array([nearest], dtype=np.int64)))
                 source.append(f"{mapper}: nearest at {level}")
     return cells, source
+
+
+def _ranked(hazard_map: HazardMap, scoreboard: Scoreboard) -> tuple[Array, Array]:
+    """Return ranked sites that the mission lets the lander land on (n, 3), and their scores."""
+    good = hazard_map.eligible_at(scoreboard.position[:, :2])
+    return scoreboard.position[good], scoreboard.score[good]
 
 
 def _on_ground(hazard_map: HazardMap, cells: NDArray[np.int64], site: Array) -> Array:
