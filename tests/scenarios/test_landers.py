@@ -41,3 +41,19 @@ def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
     assert 5.0 < seeing[2] < 38.0
     assert seeing[0]
     assert seeing[1] < blind[1]
+
+
+def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeypatch):
+    study = script("landers", "slosh")
+    still, swinging = (
+        study.fly(study.Task("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
+    )
+    assert still.slosh_deg == 0.0
+    assert 1.0 < swinging.slosh_deg < 30.0
+    assert swinging.thruster_kg != still.thruster_kg
+    assert swinging.firings > 100
+    monkeypatch.setattr(study, "CONTROLS", ("quaternion-feedback",))
+    monkeypatch.setattr(study, "CASES", {"none": {}})
+    done = CliRunner().invoke(study.main, ["--flights", "1"])
+    assert done.exit_code == 0, done.output
+    assert "| `quaternion-feedback` | none | 1 of 1 |" in done.output
