@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
+from lunarsim.models.slosh import Slosh
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -66,6 +67,8 @@ class JetLander(Lander):
         Their figures.
     com_dry, com_full
         Centre of mass with tanks empty and full (3,), body axes, m; linear in the propellant left.
+    slosh
+        Tanks in which the propellant swings.
     torque_max
         What the thrusters give about each axis alone (3,), N m: follows from their layout.
     """
@@ -78,6 +81,7 @@ class JetLander(Lander):
     com_full: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m", help="centre of mass, tanks full, from the body's origin"
     )
+    slosh: Slosh = quantity(Slosh(), help="tanks in which the propellant swings")
     torque_max: tuple[float, float, float] = field(init=False, default=(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -98,6 +102,34 @@ class JetLander(Lander):
             raise InputError(
                 "vehicle.engine.gap_to_n", gap.gap_to,
                 f"a gap within the throttle range of {self.thrust_min} to {self.thrust_max} N",
+            )  # fmt: skip
+
+        for fill in np.linspace(0.02, 1.0, 50) if self.slosh.tanks else ():
+            self._check_slosh(float(fill))
+
+    def _check_slosh(self, fill: float) -> None:
+        """Refuse tanks whose swinging liquid is more than the lander has there."""
+        mass = self.dry_mass + fill * self.propellant_mass
+        swinging, _, bobs = self.slosh.pendulums(fill, self.propellant_mass)
+        com = self.com(mass)
+        points = bobs - com
+        rest = mass - swinging.sum()
+        middle = -(swinging @ points) / rest
+        whole = np.diag(self.inertia(mass))
+        still = whole - sum(
+            (
+                m * (p @ p * np.eye(3) - np.outer(p, p))
+                for m, p in zip(swinging, points, strict=True)
+            ),
+            rest * (middle @ middle * np.eye(3) - np.outer(middle, middle)),
+        )
+        least = float(np.linalg.eigvalsh(still)[0])
+        if not least > 0.0:
+            raise InputError(
+                "vehicle.slosh.tanks_m", self.slosh.tanks,
+                f"tanks nearer to the centre of mass {tuple(float(v) for v in com)} m: with "
+                f"{100.0 * fill:.0f} % of the propellant the liquid that swings in them has more "
+                "moment of inertia than the lander",
             )  # fmt: skip
 
     def com(self, mass: float) -> Array:

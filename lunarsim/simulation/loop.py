@@ -292,6 +292,8 @@ class Simulation:
         told: dict[str, Any] = {} if rest is None else rest.told()
         if actuators is None:
             return told
+        if actuators.liquid is not None:
+            told["slosh_most_deg"] = np.rad2deg(actuators.liquid.most)
         return told | {
             "thruster_propellant_kg": actuators.spent,
             "thruster_on_time_s": actuators.on_time,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.vehicle.dynamics import Dynamics, rig_of
 from lunarsim.vehicle.faults import Faults
+from lunarsim.vehicle.slosh import Liquid
 from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ class Actuators:
         Propellant of the thrusters burnt, kg.
     on_time, firings
         Of each thruster (n,): s, and how often its valve opened.
+    liquid
+        What swings in the tanks; None: nothing does.
     """
 
     def __init__(self, lander: JetLander, step: float, faults: Faults | None = None) -> None:
@@ -56,6 +59,7 @@ class Actuators:
         self.spent = 0.0
         self.on_time = np.zeros(n)
         self.firings = np.zeros(n, dtype=np.int64)
+        self.liquid = Liquid(lander) if lander.slosh.tanks else None
 
     def order(self, on_times: Array, gimbal: Array) -> None:
         """Take over on-times of the thrusters (n,), s, and the wanted swing (2,), rad."""
@@ -97,7 +101,11 @@ class Actuators:
         self.gimbal = self.gimbal + np.clip(self._target - self.gimbal, -limit, limit)
         flow = self.lander.thrusters.flow * float(share.sum())
         rig = dynamics.on_moon(self.rig(share @ self._forces, flow))
-        moved = dynamics.advance_rigged(state, throttle, share @ self._torques, rig)
+        torque = share @ self._torques
+        if self.liquid is None:
+            moved = dynamics.advance_rigged(state, throttle, torque, rig)
+        else:
+            moved = self.liquid.advance(dynamics, state, throttle, torque, rig)
         self.spent += flow * self.step
         self.on_time += share * self.step
         self._open_for += np.minimum(self._left, self.step)

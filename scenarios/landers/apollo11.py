@@ -31,6 +31,8 @@ LOCK_ON, P64, P66, LANDING = 288.0, 507.0, 617.0, 755.0
 # Propellant of the whole descent stage, kg, descent orbit insertion included, and what that took:
 # 23.3 m/s at 303 s of 15,065 kg.
 REPORTED, INSERTION = 7_899.0, 118.0
+# The digitised chart beside the record: burnt by lock-on, and in all; it does not say from when on.
+CHART_LOCK_ON, CHART = 4_260.0, 7_570.0
 
 
 def targets() -> dict[str, tuple[float, float, float]]:
@@ -202,4 +204,7 @@ def told_of(flight: Flight, moon: CentralGravity, com_height: float, full: float
     }
     for name, time in (("recovery", recovery), ("approach", approach), ("last", last)):
         out |= {f"{name}_s": time, f"{name}_altitude_m": at(flight, track.altitude, time)}
+    marks = [0.0, approach, last, flight.duration]
+    burnt = np.diff([at(flight, spent, time) for time in marks])
+    out |= dict(zip(("braking_kg", "approach_kg", "last_kg"), map(float, burnt), strict=True))
     return out

@@ -1,6 +1,10 @@
 """What it is worth to notice a thruster that does not push: flights with and without the watch.
 
+The watch was tuned on thrusters 0, 1, 4 and 5 and seeds 1 to 3; `--held-out` flies the others, and
+`--nominal` flights in which none fails, for its false alarms.
+
 python scenarios/landers/dead_thruster.py
+python scenarios/landers/dead_thruster.py --held-out --first-seed 101 --seeds 2 --nominal 50
 """
 
 from __future__ import annotations
@@ -9,6 +13,7 @@ import click
 import numpy as np
 from rich.console import Console
 
+from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.control.jets import JetLoop
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -22,11 +27,16 @@ SMALL = {
     "tasking": {},
 }
 FROM = 5.0  # when the thruster dies, s
+TUNED_ON = (0, 1, 4, 5)
 
 
-def fly(control: str, shut: int, seed: int, watch: bool) -> tuple[bool, float, float]:
-    """Return whether a flight landed safe, its tilt there, deg, and when it noticed, s."""
-    faults = {"jets_shut": [shut], "jets_from_s": FROM}
+def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, float, float, int]:
+    """Return what became of a flight in which a thruster is shut, or none.
+
+    Whether it landed safe, its tilt there, deg, when it noticed, s, and how many of those that do
+    push it gave up.
+    """
+    faults = {"jets_shut": [] if shut is None else [shut], "jets_from_s": FROM}
     scenario = Scenario.from_dict({**SMALL, "control": {"kind": control}, "faults": faults})
     sim = Simulation(scenario, seed, "no-divert")
     loop = sim.computer.attitude_loop
@@ -38,28 +48,50 @@ def fly(control: str, shut: int, seed: int, watch: bool) -> tuple[bool, float, f
     noticed = next((e["time"] for e in told if e["thruster"] == shut), np.nan)
     touchdown = flight.verdict.touchdown
     tilt = np.nan if touchdown is None else float(np.rad2deg(touchdown.tilt))
-    return flight.verdict.safe, tilt, noticed
+    wrong = sum(e["thruster"] != shut for e in told)
+    return flight.verdict.safe, tilt, noticed, wrong
+
+
+def nominal(console: Console, control: str, flights: int, first: int) -> None:
+    """Fly with all thrusters, and print how often the watch gave one up."""
+    rows = [fly(control, None, first + n, watch=True) for n in range(flights)]
+    alarms = Proportion(sum(row[3] > 0 for row in rows), flights)
+    safe = sum(row[0] for row in rows)
+    console.print(
+        f"{control}, nothing dead: {safe} of {flights} safe, "
+        f"false alarms in {alarms.count}: {alarms}"
+    )
 
 
 @click.command()
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Of each.")
-def main(seeds: int) -> None:
+@click.option("--first-seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--held-out", is_flag=True, help="The thrusters that the watch was not tuned on.")
+@click.option("--nominal", "whole", type=click.IntRange(min=0), default=0, show_default=True,
+              help="Flights of each control besides in which none fails.")  # fmt: skip
+def main(seeds: int, first_seed: int, held_out: bool, whole: int) -> None:
     """Fly landers with a dead thruster with and without the watch, and print what becomes."""
-    console = Console(width=120)
+    console = Console(width=160)
+    shut_ones = [n for n in range(16) if (n in TUNED_ON) != held_out]
     for control in ("phase-plane", "quaternion-feedback"):
         for watch in (False, True):
             rows = np.array([
                 fly(control, shut, seed, watch)
-                for shut in (0, 1, 4, 5) for seed in range(1, seeds + 1)
+                for shut in shut_ones for seed in range(first_seed, first_seed + seeds)
             ])  # fmt: skip
             seen = rows[np.isfinite(rows[:, 2]), 2]
-            when = f", noticed {len(seen)}, at {np.median(seen):.1f} s" if len(seen) else ""
+            when = (
+                f", noticed {len(seen)}, {np.median(seen) - FROM:.1f} s after (median; most "
+                f"{seen.max() - FROM:.1f}), others given up {rows[:, 3].sum():.0f}"
+            ) if len(seen) else ""  # fmt: skip
             how = "with" if watch else "without"
             safe, tilt = int(rows[:, 0].sum()), rows[:, 1]
             console.print(
                 f"{control}, {how} the watch: {safe} of {len(rows)} safe, "
                 f"tilt {np.nanmedian(tilt):.1f} deg (median), {np.nanmax(tilt):.1f} (most){when}"
             )
+        if whole:
+            nominal(console, control, whole, first_seed)
 
 
 if __name__ == "__main__":

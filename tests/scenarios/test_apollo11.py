@@ -109,9 +109,13 @@ def test_both_runs_land_beside_the_record(study, tmp_path):
         assert run["p64_altitude_m"] < 80.0
         assert run["p64_pitch_deg"] < 5.0
         assert 380.0 < run["recovery_s"] < 410.0
-        assert run["miss_m"] < 60.0
         assert run["times_real_time"] > 5.0
+        phases = run["braking_kg"] + run["approach_kg"] + run["last_kg"]
+        assert phases == pytest.approx(run["propellant_kg"], abs=40.0)  # thrusters' in it
     assert runs[0]["propellant_kg"] == pytest.approx(7_300.0, abs=30.0)
+    assert [run["miss_m"] < 60.0 for run in runs] == [True, True, False]
+    assert 250.0 < runs[2]["miss_m"] < 460.0
+    assert runs[2]["duration_s"] > runs[1]["duration_s"] + 15.0
     assert (tmp_path / "descent.png").exists()
 
 

@@ -38,6 +38,60 @@ def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
     study = script("landers", "dead_thruster")
     blind, seeing = (study.fly("phase-plane", 1, 1, watch) for watch in (False, True))
     assert blind[2] != blind[2]
+    assert seeing[3] == 0
+    out = CliRunner().invoke(study.main, ["--help"]).output
+    assert "--held-out" in out
+    shut = []
+    study.fly = lambda control, thruster, seed, watch: (
+        shut.append((thruster, seed)) or (True, 1.0, 9.0, int(thruster is None))
+    )
+    done = CliRunner().invoke(
+        study.main, ["--held-out", "--first-seed", "7", "--seeds", "1", "--nominal", "4"]
+    )
+    assert done.exit_code == 0, done.output
+    assert {one for one, _ in shut} == {None} | set(range(16)) - {0, 1, 4, 5}
+    assert {seed for _, seed in shut} == {7, 8, 9, 10}
+    assert "false alarms in 4" in done.output
+    assert "noticed 12, 4.0 s after (median; most 4.0), others given up 0" in done.output
     assert 5.0 < seeing[2] < 38.0
     assert seeing[0]
     assert seeing[1] < blind[1]
+
+
+def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeypatch):
+    study = script("landers", "slosh")
+    still, swinging = (
+        study.fly(study.Task("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
+    )
+    assert still.slosh_deg == 0.0
+    assert 1.0 < swinging.slosh_deg < 30.0
+    assert swinging.thruster_kg != still.thruster_kg
+    assert swinging.firings > 100
+    monkeypatch.setattr(study, "CONTROLS", ("quaternion-feedback",))
+    monkeypatch.setattr(study, "CASES", {"none": {}})
+    done = CliRunner().invoke(study.main, ["--flights", "1"])
+    assert done.exit_code == 0, done.output
+    assert "| `quaternion-feedback` | none | 1 of 1 |" in done.output
+
+
+def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(script, monkeypatch):
+    study = script("landers", "thrusters_and_map")
+    world = {**study.WORLD, "terrain": {**study.WORLD["terrain"], "size_m": 160.0}}
+    sensors = {**world["sensors"], "flash": {"kind": "flash-lidar", "rows": 48, "cols": 48}}
+    monkeypatch.setattr(study, "WORLD", {**world, "sensors": sensors})
+    ideal, jets = (study.fly(study.Task(way, 0, 3)) for way in ("ideal", "phase-plane"))
+    assert ideal.figures["thruster_kg"] == 0.0
+    assert jets.figures["thruster_kg"] > 0.2
+    assert jets.figures["rate_deg_s"] > ideal.figures["rate_deg_s"]
+    for one in (ideal, jets):
+        assert 0.005 < one.figures["height_m"] < 1.0
+        assert abs(one.figures["mean_m"]) < one.figures["height_m"]
+        assert 0.0 < one.figures["position_m"] < 2.0
+        assert 0.0 < one.figures["attitude_mrad"] < 5.0
+    monkeypatch.setattr(study, "fly", lambda task: {"ideal": ideal, "phase-plane": jets}[task.way])
+    monkeypatch.setattr(study, "WAYS", dict.fromkeys(("ideal", "phase-plane")))
+    monkeypatch.setattr(study, "gathered", lambda fly, tasks, *_: [study.fly(t) for t in tasks])
+    done = CliRunner().invoke(study.main, ["--flights", "2"])
+    assert done.exit_code == 0, done.output
+    gained = jets.figures["thruster_kg"]
+    assert f"| thrusters kg | 0.000 | {gained:.3f} | {gained:+.3f} [" in done.output

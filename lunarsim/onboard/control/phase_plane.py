@@ -54,6 +54,14 @@ class PhasePlane:
         """
         return min(self.dead_band / self.rate_band, 1.0)
 
+    def turning_time(self, angle: float) -> float:
+        """Return how long a turn by an angle (rad) takes at the greatest rate, s.
+
+        A position loop that leans to and fro faster than this has the attitude saturated, and
+        swings itself up.
+        """
+        return angle / self.slew_limit
+
     def rate_change(self, error: Array, rate: Array, authority: Array, least: Array) -> Array:
         """Return by how much the rate is to be changed about each axis now (3,), rad/s.
 

@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 _SAMPLES = 24  # Simpson intervals along a path: fuel to better than 0.1 %
 _TIMES = 14  # first looked at, with fewer samples
 _ROUGH = 8
-# Nothing admissible was seen to take longer than this over the time at the present speed.
+# Seldom is anything admissible slower than this over the time at the present speed: it is looked
+# for there only where nothing faster will do.
 _SLOWNESS = 8.0
 
 
@@ -96,8 +97,14 @@ def admissible_times(
     held = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
     slowest = (held + speed + float(np.linalg.norm(end.velocity))) / gravity
     first = np.maximum(fastest, 1.0)
-    last = np.minimum(slowest, _SLOWNESS * np.maximum(gap / max(speed, 5.0), first))
-    return first, np.maximum(last, first)
+    return first, np.maximum(slowest, first)
+
+
+def _likely_last(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
+    """Return the times up to which a path is looked for first (n,), s."""
+    gap = np.linalg.norm(targets - estimate.position, axis=1)
+    speed = float(np.linalg.norm(estimate.velocity))
+    return np.asarray(np.minimum(last, _SLOWNESS * np.maximum(gap / max(speed, 5.0), first)))
 
 
 def divert_cost(
@@ -141,22 +148,32 @@ def divert_cost(
     first, last = admissible_times(estimate, end, targets, lander, gravity)
     if least_times is not None:
         first = np.maximum(first, least_times)
+    figures = _figures(estimate, lander, gravity, limits)
+    asked = np.array([end.velocity, end.acceleration], dtype=np.float64)
+    likely = _likely_last(estimate, targets, first, last)
+    found = _searched(estimate, targets, asked, first, likely, shape, figures)
+    slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (likely < last))
+    if len(slow):
+        found[slow] = _searched(
+            estimate, targets[slow], asked, np.maximum(first, likely)[slow], last[slow], shape,
+            figures,
+        )  # fmt: skip
+    return _cost_of(found, estimate, lander, limits.reserve)
+
+
+def _searched(
+    estimate: Estimate, targets: Array, asked: Array, first: Array, last: Array, shape: PathShape,
+    figures: Array,
+) -> Array:  # fmt: skip
+    """Return what the best path between two times to each target takes (n, 4); see the kernel."""
     found = np.empty((len(targets), 4))
     with threads_for(1.0 * len(targets)):
         k.survey(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
-            targets,
-            np.array([end.velocity, end.acceleration], dtype=np.float64),
-            first,
-            last,
-            _TIMES,
-            _table(shape, _ROUGH),
-            _table(shape, _SAMPLES),
-            np.array(shape.powers),
-            _figures(estimate, lander, gravity, limits),
-            found,
-        )
-    return _cost_of(found, estimate, lander, limits.reserve)
+            np.ascontiguousarray(targets), asked, first, last, _TIMES, _table(shape, _ROUGH),
+            _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
+        )  # fmt: skip
+    return found
 
 
 def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:

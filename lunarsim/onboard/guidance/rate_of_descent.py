@@ -50,6 +50,8 @@ class RateOfDescent:
     hold_speed
         While the speed over ground is above it he wants to keep his height, m/s; None: he comes
         down whatever it is.
+    beyond
+        He wants to come down so far beyond the site, along the way flown when he takes over, m.
     """
 
     time_constant: float = quantity(1.5, "s", gt=0, help="of the vertical channel")
@@ -64,6 +66,10 @@ class RateOfDescent:
     max_lean: float = quantity(15.0, "deg", gt=0, lt=60, help="of the thrust")
     hold_speed: float | None = quantity(
         None, "m/s", gt=0, help="over ground, above it he keeps his height; left out: never"
+    )
+
+    beyond: float = quantity(
+        0.0, "m", ge=0, help="he comes down so far beyond the site, along the way flown at first"
     )
 
     def __post_init__(self) -> None:
@@ -92,6 +98,7 @@ class RateOfDescentLaw:
         self.clicks = 0
         self._next_click = self._next_look = -np.inf
         self._sideways = np.zeros(2)
+        self._beyond = np.zeros(2)
 
     @property
     def lean(self) -> float:
@@ -104,6 +111,8 @@ class RateOfDescentLaw:
         height = float(estimate.position[2] - end.position[2])
         if self.wanted is None:
             self.wanted = -float(estimate.velocity[2])  # P66 takes over the rate that it finds
+            way = estimate.velocity[:2]
+            self._beyond = s.beyond * way / max(float(np.hypot(*way)), 1e-6)
         slowest = abs(float(end.velocity[2]))
         aim = min(max(height / s.descent_time, slowest), max(s.fastest, slowest))
         if s.hold_speed is not None and np.hypot(*estimate.velocity[:2]) > s.hold_speed:
@@ -123,7 +132,7 @@ class RateOfDescentLaw:
         s = self.settings
         low = estimate.position[2] - end.position[2] < s.still_height
         share = 0.0 if low else 1.0 / s.speed_time
-        wanted = share * (end.position[:2] - estimate.position[:2])
+        wanted = share * (end.position[:2] + self._beyond - estimate.position[:2])
         push = (wanted - estimate.velocity[:2]) / s.lean_time
         size, most = float(np.hypot(*push)), self.gravity * np.tan(s.max_lean)
         self._sideways = np.asarray(push * (most / size) if size > most else push)

@@ -125,6 +125,8 @@ def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
         Of attitude and engine, s.
     """
     if part is None:
-        return VerticalDescent.behind(lag, briefing.weight)
+        turning = getattr(briefing.software.control, "turning_time", None)
+        lean = 0.0 if turning is None else turning(VerticalDescent.lean)
+        return VerticalDescent.behind(lag + lean, briefing.weight)
     law: DescentLaw = part.build(briefing, lag)
     return law

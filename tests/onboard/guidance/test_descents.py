@@ -111,6 +111,19 @@ def test_the_pilot_lands_at_the_site_click_by_click():
     assert np.hypot(*sideways[0]) <= G * np.tan(law.lean) + 1e-9
 
 
+def test_the_pilot_flies_on_beyond_the_site_the_way_that_he_came():
+    settings = RateOfDescent(beyond=50.0, speed_time=8.0, max_lean=np.deg2rad(15.0))
+    law = settings.build(BRIEFING, 0.0)
+    end = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.0]))
+    still = law.command(estimate([0.0, 0.0, 60.0], [-6.25, 0.0, -1.0]), end, 0.0)
+    # 50 m ahead in 8 s is the speed that it has: nothing to take out.
+    assert still[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    back = law.command(estimate([-50.0, 0.0, 60.0], [-1.0, 0.0, -1.0]), end, 1.0)
+    assert back[0] == pytest.approx(1.0 / settings.lean_time)
+    plain = RateOfDescent(speed_time=8.0).build(BRIEFING, 0.0)
+    assert plain.command(estimate([0.0, 0.0, 60.0], [-6.25, 0.0, -1.0]), end, 0.0)[0] > 0.1
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_commands_are_finite_whatever_the_state(seed):
     rng = np.random.default_rng(seed)

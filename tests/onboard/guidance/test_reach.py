@@ -60,6 +60,26 @@ def test_reach_and_cost_are_those_of_brute_force(shape):
     judge(*compared(shape, 20, 10, 3))
 
 
+def test_a_site_beside_a_fast_low_lander_is_reached_slowly():
+    """90 m up at 16 m/s: only paths of over a minute keep the glideslope to a site that is near."""
+    r, v = np.array([0.0, 0.0, 90.0]), np.array([4.1, 15.4, -1.8])
+    sites = np.array([[x, y, 12.0] for x in (-60.0, 0.0, 60.0) for y in (-80.0, -40.0, 0.0, 60.0)])
+    here = Estimate(0.0, r, v, np.array([0, 0, 0, 1.0]), np.zeros(3), 1396.0, np.eye(9))
+    ours = divert_cost(here, PhaseEnd(sites, DOWN), LANDER, G)
+    brute = np.array([
+        plain.reachable(
+            r, v, site, DOWN, np.zeros(3), G, 1396.0, LANDER.exhaust_velocity,
+            LANDER.thrust_min + MARGIN, LANDER.thrust_max - MARGIN, np.tan(LIMITS.max_tilt),
+            np.tan(LIMITS.glideslope), LANDER.dry_mass + LIMITS.reserve, APOLLO.powers,
+        )
+        for site in sites
+    ])  # fmt: skip
+    assert np.isfinite(brute).all()
+    assert ours.propellant == pytest.approx(brute, rel=0.01)
+    gap = np.linalg.norm(sites - r, axis=1)
+    assert (ours.time_to_go > 8.0 * gap / np.linalg.norm(v)).sum() >= 4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [APOLLO, E_GUIDANCE])
 def test_reach_over_a_thousand_states(shape):

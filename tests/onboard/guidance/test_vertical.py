@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from lunarsim.onboard.control.attitude import ProportionalDerivative
+from lunarsim.onboard.control.phase_plane import PhasePlane
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.guidance.vertical import VerticalDescent, descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622
@@ -84,3 +88,16 @@ def test_it_waits_where_half_of_what_it_can_lean_would_not_do(sideways, slower):
 def test_the_engine_never_idles():
     command = VerticalDescent(G).command(estimate([0.0, 0.0, 10.0], [0.0, 0.0, 9.0]), GROUND, 0.0)
     assert command[2] == pytest.approx(0.3 * G)
+
+
+def test_the_position_loop_leaves_a_slow_attitude_time_to_turn():
+    """Frequency times all of the lag is 0.33; 12 deg at 5 deg/s are 2.4 s of it."""
+
+    def frequency(control, lag):
+        briefing = SimpleNamespace(software=SimpleNamespace(control=control), weight=G)
+        return descent_law(None, briefing, lag).frequency
+
+    assert frequency(ProportionalDerivative(), 0.45) == 0.6
+    assert frequency(ProportionalDerivative(), 1.0) == pytest.approx(0.33)
+    slow = PhasePlane(slew_limit=np.deg2rad(5.0))
+    assert frequency(slow, 0.6) == pytest.approx(0.33 / 3.0)

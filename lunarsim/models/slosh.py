@@ -1,0 +1,101 @@
+"""Liquid that swings in its tanks, as one pendulum a tank.
+
+Small waves of the first lateral mode in an upright cylinder with a flat floor push on it like a
+pendulum beside liquid at rest (Abramson, NASA SP-106, 1966, chapter 6; Dodge, The New Dynamic
+Behavior of Liquids in Moving Containers, 2000, chapter 3). With e = 1.8412, the first zero of J1',
+a tank of radius R filled to h holds a pendulum of
+
+    share of the liquid   2 R tanh(e h / R) / (e (e^2 - 1) h)
+    length                R / (e tanh(e h / R))
+    bob above the floor   h - 2 R tanh(e h / 2 R) / e
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.parts.quantity import check_bounds, quantity
+
+Array = NDArray[np.float64]
+Points = tuple[tuple[float, float, float], ...]
+
+FIRST_MODE = 1.841183781340659  # first zero of the derivative of J1
+# A tank that is emptier than this holds nothing that swings.
+LEAST_FILL = 1e-3
+
+
+@dataclass(frozen=True)
+class Slosh:
+    """Upright cylindrical tanks in which the propellant swings; without tanks it does not.
+
+    Attributes
+    ----------
+    tanks
+        Middle of each tank's floor (n, 3), body axes, m; none: no slosh.
+    shares
+        Of the propellant in each (n,); left out: the same in all.
+    radius
+        Of each tank, m.
+    height
+        Of the liquid in each with full tanks, m; it sinks in proportion to the propellant left.
+    damping
+        Of the swing, as a share of the critical one. A smooth wall gives some 0.001 to 0.01,
+        baffles more (NASA SP-106, chapter 4).
+
+    Raises
+    ------
+    InputError
+        If shares and tanks differ in number, or shares do not add up to 1.
+    """
+
+    tanks: Points = quantity((), "m", help="middle of each tank's floor; left out: no slosh")
+    shares: tuple[float, ...] = quantity(
+        (), ge=0, le=1, help="of the propellant in each tank; left out: the same in all"
+    )
+    radius: float = quantity(0.3, "m", gt=0, help="of each tank")
+    height: float = quantity(0.3, "m", gt=0, help="of the liquid in full tanks")
+    damping: float = quantity(0.005, ge=0, lt=1, help="of the swing, share of the critical one")
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "slosh")
+        for place in self.tanks:
+            if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
+                raise InputError("slosh.tanks", place, "three finite numbers")
+        if self.shares and len(self.shares) != len(self.tanks):
+            raise InputError("slosh.shares", len(self.shares), f"{len(self.tanks)}: one a tank")
+        if self.shares and abs(sum(self.shares) - 1.0) > 1e-6:
+            raise InputError("slosh.shares", self.shares, "shares that add up to 1")
+
+    def table(self, propellant: float) -> Array:
+        """Return the tanks for kernels (n, 7).
+
+        Floor (3), m; radius, m; liquid in it when full, kg, and its height, m; damping.
+        """
+        n = len(self.tanks)
+        shares = np.array(self.shares) if self.shares else np.full(n, 1.0 / max(n, 1))
+        rest = np.tile([self.radius, 0.0, self.height, self.damping], (n, 1))
+        rest[:, 1] = shares * propellant
+        return np.ascontiguousarray(np.hstack((np.reshape(self.tanks, (n, 3)), rest)))
+
+    def pendulums(self, fill: float, propellant: float) -> tuple[Array, Array, Array]:
+        """Return masses (n,), kg, lengths (n,), m, and bobs at rest (n, 3), body axes, m.
+
+        Parameters
+        ----------
+        fill
+            Share of the propellant that is left, more than 0.
+        propellant
+            With full tanks, kg.
+        """
+        rows = self.table(propellant)
+        depth = fill * self.height / self.radius
+        steep = np.tanh(FIRST_MODE * depth)
+        share = 2.0 * steep / (FIRST_MODE * (FIRST_MODE**2 - 1.0) * depth)
+        bobs = rows[:, :3].copy()
+        bobs[:, 2] += self.radius * (depth - 2.0 * np.tanh(0.5 * FIRST_MODE * depth) / FIRST_MODE)
+        length = np.full(len(rows), self.radius / (FIRST_MODE * steep))
+        return share * fill * rows[:, 4], length, bobs

@@ -1,0 +1,150 @@
+"""What propellant that swings in its tanks does to the attitude: the same flights with and without.
+
+Four tanks about the middle of the default lander with thrusters. Tilt against what is commanded,
+body rates, firings and propellant of the thrusters over the descent, and what touches down.
+
+python scenarios/landers/slosh.py --flights 10
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.frames import quat_angle
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.simulation.recorder import Tap
+
+SMALL = {
+    "terrain": {"kind": "fractal", "size_m": 120.0, "posting_m": 1.0, "rms_slope_deg": 3.0},
+    "rocks": {"cover": 0.02},
+    "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix", "position_bias_m": 0.5}},
+    "mappers": {},
+    "tasking": {},
+}
+# Of 100 kg each when full, 0.3 m deep, with the liquid's middle at the lander's.
+TANKS = [[0.5, 0.0, -0.15], [0.0, 0.5, -0.15], [-0.5, 0.0, -0.15], [0.0, -0.5, -0.15]]
+# The first turn is over, and how much of the end is looked at by itself, s.
+BEGIN, END = 5.0, 4.0
+CONTROLS = ("phase-plane", "quaternion-feedback")
+CASES: dict[str, dict[str, object]] = {
+    "none": {},
+    "baffled, 0.05": {"tanks_m": TANKS, "damping": 0.05},
+    "smooth, 0.005": {"tanks_m": TANKS, "damping": 0.005},
+    "undamped": {"tanks_m": TANKS, "damping": 0.0},
+    "one wide tank, 0.005": {
+        "tanks_m": [[0.0, 0.0, -0.15]], "radius_m": 0.6, "damping": 0.005
+    },
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Task:
+    """One flight."""
+
+    control: str
+    case: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What became of it; attitude error and rate are rms, of the whole flight and of its end."""
+
+    control: str
+    case: str
+    seed: int
+    safe: bool
+    error_deg: float
+    rate_deg_s: float
+    end_error_deg: float
+    end_rate_deg_s: float
+    thruster_kg: float
+    firings: int
+    slosh_deg: float
+    side_m_s: float
+
+
+def fly(task: Task) -> Flown:
+    """Return the figures of a flight from 5 s on, when the first turn is over."""
+    vehicle = {"kind": "jet-lander", "slosh": CASES[task.case]}
+    scenario = Scenario.from_dict({**SMALL, "vehicle": vehicle, "control": {"kind": task.control}})
+    tap = Tap()
+    flight = Simulation(scenario, task.seed, "no-divert", tap=tap).run()
+    t = flight.trajectory
+    n = min(len(t["time"]), len(tap.exchanges))
+    rate = np.stack([t[f"rate_{axis}"] for axis in "xyz"], axis=1)[-n:]
+    actual = np.stack([t[f"attitude_{axis}"] for axis in "xyzw"], axis=1)[-n:]
+    wanted = np.array([command.attitude for _, command, _ in tap.exchanges])[-n:]
+    time = np.asarray(t["time"])[-n:]
+    error = np.rad2deg(quat_angle(actual, wanted))
+    speed = np.rad2deg(np.linalg.norm(rate, axis=1))
+    spans = (time > BEGIN, time > time[-1] - END)
+    (all_error, all_rate), (end_error, end_rate) = (
+        [float(np.sqrt(np.mean(x[span] ** 2))) for x in (error, speed)] for span in spans
+    )
+    last, touchdown = flight.events[-1], flight.verdict.touchdown
+    return Flown(
+        task.control, task.case, task.seed, flight.verdict.safe, all_error, all_rate, end_error,
+        end_rate, float(last["thruster_propellant_kg"]), int(np.sum(last["thruster_firings"])),
+        float(np.max(last.get("slosh_most_deg", 0.0))),
+        np.nan if touchdown is None else float(touchdown.horizontal_speed),
+    )  # fmt: skip
+
+
+def report(console: Console, flown: list[Flown]) -> None:
+    """Print a line for each control and each kind of tank, medians over the flights."""
+    console.print(
+        "| control | tanks | landed safe | error deg, rms | rate deg/s, rms | same, last 4 s | "
+        "thrusters kg | firings | swing deg, most | side m/s |"
+    )
+    console.print("|" + " --- |" * 10)
+    for control in CONTROLS:
+        for case in CASES:
+            some = [one for one in flown if (one.control, one.case) == (control, case)]
+            if not some:
+                continue
+
+            def middle(name: str, of: list[Flown] = some) -> float:
+                return float(np.nanmedian([getattr(one, name) for one in of]))
+
+            most = max(one.slosh_deg for one in some)
+            console.print(
+                f"| `{control}` | {case} | {sum(o.safe for o in some)} of {len(some)} | "
+                f"{middle('error_deg'):.2f} | {middle('rate_deg_s'):.2f} | "
+                f"{middle('end_error_deg'):.2f}, {middle('end_rate_deg_s'):.2f} | "
+                f"{middle('thruster_kg'):.2f} | {middle('firings'):.0f} | {most:.1f} | "
+                f"{middle('side_m_s'):.2f} |"
+            )
+
+
+@click.command()
+@click.option("--flights", type=click.IntRange(min=1), default=10, show_default=True, help="Each.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the first."
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
+def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
+    """Fly the same descents with and without liquid that swings, and print what it does."""
+    console = Console(width=180, soft_wrap=True)
+    tasks = [
+        Task(control, case, seed + n)
+        for control in CONTROLS for case in CASES for n in range(flights)
+    ]  # fmt: skip
+    flown = gathered(fly, tasks, jobs, console, "flights")
+    report(console, flown)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps([asdict(one) for one in flown], indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""What thrusters change in the hazard map, against an attitude that obeys: the same flights.
+
+The shadow EKF paper turns its lander along the great circle to what is asked for, at a limited rate
+(section IV.A.3). Here the same descents, over the same ground and with the same noise, are flown so
+and with on-off thrusters. The lander finds its way by its own instruments and maps by LiDAR; what
+the map is worth, and where the lander comes down, are set side by side.
+
+python scenarios/landers/thrusters_and_map.py --flights 20
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+
+from lunarsim.campaign.pool import gathered
+from lunarsim.evaluation.comparisons import mean_difference
+from lunarsim.evaluation.map_quality import local_ground, map_quality
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.frames import quat_angle
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.recorder import Tap
+from lunarsim.vehicle import State
+
+WORLD = {
+    "terrain": {"kind": "fractal", "size_m": 300.0, "posting_m": 1.0, "rms_slope_deg": 4.0},
+    "rocks": {"cover": 0.08, "min_diameter_m": 0.4},
+    "expected_rocks": {"cover": 0.08},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "altimeter": {"kind": "radar-altimeter"},
+        "velocimeter": {"kind": "velocimeter"},
+        "stars": {"kind": "star-tracker"},
+        "flash": {"kind": "flash-lidar"},
+    },
+    "navigation": {"kind": "inertial"},
+}
+# The first is what the others are set against.
+WAYS: dict[str, dict[str, object]] = {
+    "ideal": {"control": {"kind": "ideal"}},
+    "phase-plane": {"control": {"kind": "phase-plane"}, "vehicle": {"kind": "jet-lander"}},
+    "quaternion-feedback": {
+        "control": {"kind": "quaternion-feedback"}, "vehicle": {"kind": "jet-lander"}
+    },
+}  # fmt: skip
+FIGURES = {
+    "position_m": "position off at scans, about its mean, rms m",
+    "attitude_mrad": "attitude off at scans, rms mrad",
+    "rate_deg_s": "body rate at scans, rms deg/s",
+    "height_m": "map's height off, rms m",
+    "mean_m": "map's height off, mean m",
+    "precision": "precision",
+    "recall": "recall",
+    "miss_m": "touchdown from the site m",
+    "tilt_deg": "tilt at touchdown deg",
+    "thruster_kg": "thrusters kg",
+    "engine_kg": "all propellant kg",
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One flight."""
+
+    way: str
+    flight: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What came of it; NaN where there is nothing to measure."""
+
+    way: str
+    flight: int
+    safe: bool
+    failed: str
+    figures: dict[str, float]
+
+
+def fly(task: Task) -> Flown:
+    """Fly once, and measure."""
+    scenario = Scenario.from_dict({**WORLD, **WAYS[task.way]})
+    tap = Tap()
+    simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest", tap=tap)
+    seen: list[tuple[State, Estimate]] = []
+    while not simulation.done:
+        now = simulation.state, simulation.estimate
+        simulation.step()
+        if any(isinstance(item, LidarScan) for _, item in tap.exchanges.pop()[0].items):
+            seen.append(now)
+    flight = simulation.flight()
+    place = np.array([e.position - s.position for s, e in seen])
+    figures = {
+        "position_m": _rms(np.linalg.norm(place - place.mean(axis=0), axis=1)),
+        "attitude_mrad": 1e3
+        * _rms(np.array([quat_angle(e.attitude, s.attitude) for s, e in seen])),
+        "rate_deg_s": float(np.rad2deg(_rms(np.array([np.linalg.norm(s.rate) for s, _ in seen])))),
+    } | _map_figures(simulation, flight)
+    touchdown, last = flight.verdict.touchdown, flight.events[-1]
+    if touchdown is not None:
+        site = flight.sites[-1] - flight.map_error
+        figures["miss_m"] = float(np.linalg.norm((touchdown.position - site)[:2]))
+        figures["tilt_deg"] = float(np.rad2deg(touchdown.tilt))
+    figures["thruster_kg"] = float(last.get("thruster_propellant_kg", 0.0))
+    figures["engine_kg"] = flight.propellant_used
+    whole = {name: figures.get(name, float("nan")) for name in FIGURES}
+    verdict = flight.verdict
+    return Flown(task.way, task.flight, verdict.safe, ", ".join(verdict.failed), whole)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _map_figures(simulation: Simulation, flight: Flight) -> dict[str, float]:
+    """Return how far the last map's heights are off the true ground, and what it calls safe."""
+    found, error = flight.hazard_map, flight.map_error
+    if found is None or found.elevation is None:
+        return {}
+    ground = local_ground(simulation.world.terrain, found.grid, error)
+    known = found.observed & np.isfinite(found.elevation) & np.isfinite(ground)
+    off = (found.elevation - ground)[known].astype(np.float64)
+    quality = map_quality(found, simulation.truth, error)
+    return {
+        "height_m": _rms(off), "mean_m": float(off.mean()), "precision": quality.precision,
+        "recall": quality.recall,
+    }  # fmt: skip
+
+
+def report(console: Console, flown: list[Flown], seed: int) -> None:
+    """Print means, and mean differences to the first way over the same flights with intervals."""
+    ways = list(dict.fromkeys(one.way for one in flown))
+    of = {way: [one for one in flown if one.way == way] for way in ways}
+    console.print("| | " + " | ".join(ways) + " | " + " | ".join(
+        f"{way} less {ways[0]} [95 %]" for way in ways[1:]) + " |")  # fmt: skip
+    console.print("|" + " --- |" * (2 * len(ways)))
+    landed = [str(Proportion(sum(o.safe for o in of[w]), len(of[w]))) for w in ways]
+    console.print("| landed safe | " + " | ".join(landed) + " |" + " |" * (len(ways) - 1))
+    rng = np.random.default_rng(seed)
+    for name, words in FIGURES.items():
+        values = {w: np.array([o.figures[name] for o in of[w]]) for w in ways}
+        cells = [f"{np.nanmean(values[w]):.3f}" for w in ways]
+        for way in ways[1:]:
+            d = mean_difference(values[ways[0]], values[way], (ways[0], way), rng)
+            cells.append(f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]")
+        console.print(f"| {words} | " + " | ".join(cells) + " |")
+    why = {w: [o.failed for o in of[w] if o.failed] for w in ways}
+    console.print(f"failed: {why}")
+
+
+@click.command()
+@click.option("--flights", type=click.IntRange(min=2), default=20, show_default=True, help="Each.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
+def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
+    """Fly the same descents with an ideal attitude and with thrusters, and compare the maps."""
+    console = Console(width=220, soft_wrap=True)
+    tasks = [Task(way, n, seed) for way in WAYS for n in range(flights)]
+    flown = gathered(fly, tasks, jobs, console, "flights")
+    report(console, flown, seed)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps([asdict(one) for one in flown], indent=1))
+
+
+if __name__ == "__main__":
+    main()
