@@ -23,6 +23,8 @@ def perfect(scenario: Scenario) -> Scenario:
         sensors={
             "imu": None,
             "altimeter": None,
+            "velocimeter": None,
+            "stars": None,
             "camera": None,
             "fix": {
                 "kind": "navigation-fix", "position_bias_m": 0.0, "position_drift_m": 0.0,
