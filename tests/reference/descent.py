@@ -95,3 +95,15 @@ class Lander:
         y[6:10] /= np.linalg.norm(y[6:10])
         self.y = y
         return y
+
+
+def wanted_velocity(position, target, lander, gravity):
+    """Return the velocity that shaping asks for at a position, m/s, number by number."""
+    away = [position[k] - target[k] for k in range(3)]
+    away[2] = max(away[2] - lander.com_height, 0.0)
+    far = math.sqrt(sum(one * one for one in away))
+    brakes = 0.38 * (lander.thrust_max / (lander.dry_mass + lander.propellant_mass) - gravity)
+    time = 4.0 + math.sqrt(far / (2.0 * brakes))
+    below = 4.0 * 0.4 * lander.vertical_speed_limit
+    sooner = 1.0 + 1.5 * 4.0 / time
+    return [-away[0] * sooner / time, -away[1] * sooner / time, -(away[2] + below) / time]

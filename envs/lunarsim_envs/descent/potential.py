@@ -12,15 +12,17 @@ Array = NDArray[np.float64]
 # Share of what full thrust can brake by, against the weight and with full tanks, that the wanted
 # velocity needs; a share of the limit of the speed downward, with which it reaches the ground.
 _BRAKES, _LANDS = 0.38, 0.4
-# Near the target the wanted speed is the distance over this time, s.
-_LAST = 4.0
+# Near the target the wanted speed is the distance over this time, s; along the ground it is so
+# much faster, by when the lander is over the target before it is down.
+_LAST, _SOONER = 4.0, 1.5
 
 
 def wanted_velocity(lanes: Lanes) -> Array:
-    """Return the velocity that leads straight to the target, braking evenly (n, 3), ENU, m/s.
+    """Return the velocity that leads to the target, braking evenly (n, 3), ENU, m/s.
 
-    Straight at the target at the speed r / (T + sqrt(r / 2 a)): the root of 2 a r far off, which
-    braking at `a` keeps to, and r / T near by. With it the speed downward of the touchdown.
+    The way that is left over T + sqrt(r / 2 a), r the distance: from far off the root of 2 a r,
+    which braking at `a` keeps to, near by r / T. Downward it is meant for a point a little below
+    the ground, which is reached at a speed that the legs take.
     A field of velocities to reward is of Gaudet, Linares and Furfaro, "Deep reinforcement learning
     for six degree-of-freedom planetary landing", Advances in Space Research 65, 2020.
     """
@@ -29,10 +31,10 @@ def wanted_velocity(lanes: Lanes) -> Array:
     brakes = _BRAKES * (lander.thrust_max / lander.wet_mass - dynamics.gravity)
     away = lanes.y[:, :3] - lanes.target
     away[:, 2] = np.maximum(away[:, 2] - lander.com_height, 0.0)
-    far = np.linalg.norm(away, axis=1)
-    wanted = -away / (_LAST + np.sqrt(far / (2.0 * brakes)))[:, None]
-    wanted[:, 2] -= _LANDS * lander.vertical_speed_limit
-    return np.asarray(wanted)
+    time = _LAST + np.sqrt(np.linalg.norm(away, axis=1) / (2.0 * brakes))
+    away[:, 2] += _LAST * _LANDS * lander.vertical_speed_limit
+    away[:, :2] *= (1.0 + _SOONER * _LAST / time)[:, None]
+    return np.asarray(-away / time[:, None])
 
 
 def off(lanes: Lanes) -> Array:
