@@ -46,7 +46,7 @@ class Variation:
     load: float = quantity(0.0, "kg", ge=0, le=1e4, help="over or under the dry mass, half range")
     specific_impulse: float = quantity(0.0, "s", ge=0, le=100, help="half range")
     thrust: float = quantity(0.0, ge=0, le=0.5, help="share, half range")
-    thrust_lag: float = quantity(0.0, "s", ge=0, le=2, help="half range; never below 0")
+    thrust_lag: float = quantity(0.0, "s", ge=0, le=2, help="half range")
     thrust_offset: float = quantity(
         0.0, "m", ge=0, le=0.5, help="of the engine's line from the centre of mass, half range"
     )
@@ -66,7 +66,7 @@ class Variation:
 
     @property
     def ranges(self) -> Array:
-        """What kernels draw from: see `_descent_kernels` of the environments (12,), SI."""
+        """What kernels draw from (12,), SI; see `draw` of the environments' kernels."""
         return np.array([
             self.load, self.specific_impulse, self.thrust, self.thrust_lag, self.thrust_offset,
             self.thrust_offset, self.failure_by, self.engine_failure, self.torque_failure,

@@ -221,7 +221,7 @@ class GuidanceEnv(DescentEnv):
     metre between a safe touchdown and the target, up to 50 m), ``severity`` and
     ``excess`` (nothing, unless they are given weights: of a crash by its distance and speed, and by
     how far it exceeds the limits of a touchdown), ``shaping`` (of a potential that falls with how
-    far the velocity is off one that leads straight to the target, braking evenly; its discounted
+    far the velocity is off one that leads to the target, braking evenly; its discounted
     sum is the same for all flights from one start, where the learner's discount is that of the
     weights). Every crash returns less than any safe landing, shaping aside; weights with which it
     may not are refused.
