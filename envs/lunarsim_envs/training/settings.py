@@ -57,7 +57,7 @@ class Training:
         `DescentWeights`; the discount of shaping is `discount`.
     """
 
-    steps: int = 30_000_000
+    steps: int = 15_000_000
     seed: int = 0
     lanes: int = 512
     horizon: int = 128
