@@ -17,6 +17,7 @@ from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
+from lunarsim.vehicle.variation import Variation
 from lunarsim.world.light import Light
 from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.survey import PriorSurvey
@@ -40,6 +41,7 @@ OPTIONAL: dict[str, type] = {
     "prior_map": PriorSurvey,
     "faults": Faults,
     "legs": Legs,
+    "variation": Variation,
     "braking": Braking,
     "window": Window,
 }

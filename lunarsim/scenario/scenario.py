@@ -69,6 +69,7 @@ class Scenario:
     vehicle: ChosenPart
     faults: Any | None
     legs: Any | None
+    variation: Any | None
     start: Any
     start_knowledge: Any | None
     target: Any

@@ -102,6 +102,10 @@ class Simulation:
         truth: Truth | None = None,
         tap: Tap | None = None,
     ) -> None:
+        if scenario.variation is not None:
+            raise InputError(
+                "variation", "given", "left out: Guidance-v0 and Control-v0 alone draw landers"
+            )
         self.scenario = scenario
         self.streams = Streams(seed)
         self.policy = make_policy(scenario, policy)

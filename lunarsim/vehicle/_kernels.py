@@ -118,25 +118,25 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
 def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
     """Advance bodies (15, N) by one classical Runge-Kutta step in place.
 
-    `asked` (N,) and `torque` (3, N) are what each is commanded; `work` is scratch (5, 15, N); for
-    the others see `advance_body`.
+    `asked` (N,) and `torque` (3, N) are what each is commanded, `figures` (5, N) its own; `work` is
+    scratch (5, 15, N); for the others see `advance_body`.
     """
-    gravity, exhaust, lag, dry, wet = figures[0], figures[1], figures[2], figures[3], figures[4]
     i_dry, i_wet = inertia[0], inertia[1]
     bodies = y.shape[1]
-    if lag == 0.0:
-        for n in range(bodies):
+    for n in range(bodies):
+        if figures[2, n] == 0.0:
             y[14, n] = asked[n]
     for stage in range(4):
         at = y if stage == 0 else work[4]
         for n in range(bodies):
             rates(
-                at, work[stage], n, asked[n], torque[0, n], torque[1, n], torque[2, n], gravity,
-                exhaust, lag, dry, wet, i_dry, i_wet, rig,
+                at, work[stage], n, asked[n], torque[0, n], torque[1, n], torque[2, n],
+                figures[0, n], figures[1, n], figures[2, n], figures[3, n], figures[4, n], i_dry,
+                i_wet, rig,
             )  # fmt: skip
         if rig[17] > 0.0:
             for n in range(bodies):
-                curve(at, work[stage], n, gravity, rig)
+                curve(at, work[stage], n, figures[0, n], rig)
         if stage < 3:
             part = dt if stage == 2 else 0.5 * dt
             for s in range(15):
@@ -159,19 +159,18 @@ def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
 def advance_bodies(y, dt, asked, torque, figures, inertia, rig, work):
     """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N) in place.
 
-    What is asked of an engine without propellant becomes 0. For the others see `advance_body`;
-    `work` is scratch (5, 15, N).
+    What is asked of an engine without propellant becomes 0. `figures` (5, N) are each body's own;
+    for the others see `advance_body`; `work` is scratch (5, 15, N).
     """
-    dry = figures[3]
     # What thrusters have spent is summed up elsewhere: leave room for its rounding.
-    empty = dry - (1.0 - 1e-6) * rig[16]
+    room = (1.0 - 1e-6) * rig[16]
     for n in range(y.shape[1]):
-        if y[13, n] <= empty:
+        if y[13, n] <= figures[3, n] - room:
             asked[n] = 0.0
             y[14, n] = 0.0
     rk4_step(y, dt, asked, torque, figures, inertia, rig, work)
     for n in range(y.shape[1]):
-        y[13, n] = max(y[13, n], dry - rig[16] - dt * rig[3])
+        y[13, n] = max(y[13, n], figures[3, n] - rig[16] - dt * rig[3])
 
 
 @kernel()
@@ -186,7 +185,10 @@ def advance_body(y, dt, thrust, torque, figures, inertia, rig, work):
     turn = np.empty((3, 1))
     for k in range(3):
         turn[k, 0] = torque[k]
-    advance_bodies(y.reshape(15, 1), dt, asked, turn, figures, inertia, rig, work.reshape(5, 15, 1))
+    advance_bodies(
+        y.reshape(15, 1), dt, asked, turn, figures.reshape(5, 1), inertia, rig,
+        work.reshape(5, 15, 1),
+    )  # fmt: skip
 
 
 @kernel()

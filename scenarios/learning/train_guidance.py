@@ -52,7 +52,7 @@ def compare(out: Path, settings: Training, episodes: int, console: Console) -> N
 @click.option("--steps", type=click.IntRange(min=1), default=Training.steps, show_default=True,
               help="Of the environment, all lanes together.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--looks", type=click.IntRange(min=1), default=50, show_default=True,
+@click.option("--looks", type=click.IntRange(min=1), default=20, show_default=True,
               help="Updates between two looks, each with a checkpoint.")  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
               help="Flights at the end beside what needs no training.")  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import judge_touchdown, pad_contacts
+from lunarsim.vehicle.variation import DRAWN
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, Craft, Lanes
 from lunarsim_envs.descent.worlds import Worlds
@@ -28,6 +31,11 @@ TABLES = {
     "simulation": {"max_time_s": 12.0},
 }  # fmt: skip
 ROUGH = Scenario.from_dict(TABLES)
+VARIED = ROUGH.changed(variation={
+    "load_kg": 80.0, "specific_impulse_s": 15.0, "thrust": 0.05, "thrust_lag_s": 0.05,
+    "thrust_offset_m": 0.01, "engine_failure": 0.5, "torque_failure": 0.6, "weakest": 0.8,
+    "failure_by_s": 3.0,
+})  # fmt: skip
 RATES = {True: 5.0, False: 50.0}
 
 
@@ -36,8 +44,8 @@ def worlds():
     return Worlds.of(ROUGH, 2, 5)
 
 
-def lanes_of(worlds, count, guided, first_key=11):
-    lanes = Lanes(count, Craft.of(ROUGH), worlds, guided=guided, rate=RATES[guided])
+def lanes_of(worlds, count, guided, first_key=11, scenario=ROUGH):
+    lanes = Lanes(count, Craft.of(scenario), worlds, guided=guided, rate=RATES[guided])
     every = np.ones(count, bool)
     lanes.seed(every, np.arange(first_key, first_key + count, dtype=np.uint64) * np.uint64(977))
     lanes.begin(every)
@@ -73,11 +81,18 @@ def end_of(path, lander, ground, gravity):
     return y, None
 
 
-def against_plain(worlds, guided, count):
+def against_plain(worlds, guided, count, scenario=ROUGH):
     """Fly lanes and each of them plainly, to their ends; return how they ended."""
-    lanes = lanes_of(worlds, count, guided)
+    lanes = lanes_of(worlds, count, guided, scenario=scenario)
     c, d = lanes.craft, lanes.craft.dynamics
-    ones = [plain.Lander(y, d, c.gains, c.heading, c.max_tilt) for y in lanes.y]
+    drawn = [plain.ALIKE] * count
+    if c.variation is not None:
+        drawn = [plain.varied((11 + i) * 977, 0, c.variation) for i in range(count)]
+    ones = [
+        plain.Lander(y, d, c.gains, c.heading, c.max_tilt, own)
+        for y, own in zip(lanes.y, drawn, strict=True)
+    ]
+    heavy = [replace(d.lander, dry_mass=d.lander.dry_mass + own["load_kg"]) for own in drawn]
     rng = np.random.default_rng(3)
     while (lanes.ended == FLYING).any():
         flying = np.flatnonzero(lanes.ended == FLYING)
@@ -88,7 +103,7 @@ def against_plain(worlds, guided, count):
                 ones[i].guided(actions[i], lanes.steps) if guided
                 else ones[i].driven(actions[i, 0], actions[i, 1:], lanes.steps)
             )  # fmt: skip
-            y, verdict = end_of(path, d.lander, ground_of(lanes, i), d.gravity)
+            y, verdict = end_of(path, heavy[i], ground_of(lanes, i), d.gravity)
             assert lanes.y[i] == pytest.approx(y, rel=1e-9, abs=1e-9)
             assert (verdict is not None) == (lanes.ended[i] == LANDED)
             if verdict is not None:
@@ -102,6 +117,13 @@ def against_plain(worlds, guided, count):
 def test_descents_are_those_flown_plainly(worlds, guided):
     lanes = against_plain(worlds, guided, 3)
     assert (lanes.ended == LANDED).any()
+
+
+@pytest.mark.parametrize("guided", [True, False])
+def test_descents_of_landers_that_are_drawn_are_those_flown_plainly(worlds, guided):
+    lanes = against_plain(worlds, guided, 4, VARIED)
+    assert (lanes.ended == LANDED).any()
+    assert (lanes.figures[:, 4] != 1500.0).all()
 
 
 @pytest.mark.slow
@@ -126,6 +148,39 @@ def test_starts_are_those_drawn_plainly(worlds):
             assert lanes.y[i, 3:6] == pytest.approx(velocity, abs=1e-12)
             assert lanes.y[i, 13:] == pytest.approx([1500.0, 1500.0 * 1.622])
         lanes.begin(np.ones(40, bool))
+
+
+def test_landers_are_those_drawn_plainly(worlds):
+    """With every range open, flight after flight; another flight of the same start."""
+    keys = {"sensing_delay_s": 1.0, "actuation_delay_s": 0.5}
+    table = {key: value for key, value in VARIED.to_dict()["variation"].items() if value}
+    lanes = lanes_of(worlds, 60, True, scenario=ROUGH.changed(variation=table | keys))
+    alike = lanes_of(worlds, 60, True)
+    varied, every = lanes.craft.variation, np.ones(60, bool)
+    seen = []
+    for flight in range(2):
+        for i in range(60):
+            wanted = plain.varied((11 + i) * 977, flight, varied)
+            assert dict(zip(DRAWN, lanes.drawn[i], strict=True)) == pytest.approx(wanted, rel=1e-12)
+            own = lanes.figures[i]
+            assert own[1] == pytest.approx(9.80665 * (311.0 + wanted["specific_impulse_s"]))
+            assert own[2] == pytest.approx(0.1 + wanted["thrust_lag_s"])
+            assert own[3:] == pytest.approx([1100.0 + wanted["load_kg"], lanes.y[i, 13]])
+        assert np.array_equal(lanes.y[:, :13], alike.y[:, :13])
+        seen.append(lanes.drawn.copy())
+        lanes.begin(every)
+        alike.begin(every)
+    drawn = np.vstack(seen)
+    assert not (seen[0] == seen[1])[:, :6].any()
+    # As often, and as evenly, as it says.
+    assert abs((drawn[:, k.ENGINE] < 1.0).mean() - 0.5) < 0.15
+    weak = drawn[:, k.TORQUE : k.TORQUE + 3] < 1.0
+    assert abs(weak.any(axis=1).mean() - 0.6) < 0.15 and weak.sum(axis=1).max() == 1
+    assert weak.any(axis=0).all()
+    most = [80.0, 15.0, 0.05, 0.05, 0.01, 0.01]
+    spread = drawn[:, :6] / most
+    assert (np.abs(spread) <= 1.0).all() and np.abs(spread.mean(axis=0)).max() < 0.2
+    assert spread.std(axis=0) == pytest.approx(np.full(6, 3.0**-0.5), abs=0.1)
 
 
 def test_draws_are_even_and_normal():

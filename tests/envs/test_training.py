@@ -26,6 +26,8 @@ def test_settings_that_will_not_do_are_refused():
         with pytest.raises(InputError, match=says):
             replace(Training(), **changes)
     Training().weights.check(400.0)
+    # Shaping leaves the best policy alone at the learner's own discount alone.
+    assert replace(Training(), discount=0.98).weights.discount == 0.98
 
 
 def test_starts_go_from_near_the_target_to_the_whole_way():
@@ -43,8 +45,30 @@ def test_every_number_of_an_observation_has_its_scales():
     far, near = scales(("velocity", "position"))
     assert far == [40.0] * 3 + [600.0] * 3 and near == [1.0] * 3 + [3.0] * 3
     assert [Training(steps=100, lanes=16, horizon=2).learning_rate(k) for k in (0, 3)] == (
-        pytest.approx([1e-3, 1e-4])
+        pytest.approx([Training.rate_first, Training.rate_last])
     )
+    spreads = [Training(steps=100, lanes=16, horizon=2).most_spread(k) for k in (0, 3, 9)]
+    assert spreads == pytest.approx([-1.5, -3.5, -3.5])
+
+
+@pytest.mark.slow
+def test_two_trainings_are_the_same_bits_and_actions_scatter_less(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.guidance import train
+
+    runs = [train(SMALL, tmp_path / name, 2, lambda run, seen: None) for name in ("one", "other")]
+    files = [(tmp_path / name / "agent.npz").read_bytes() for name in ("one", "other")]
+    assert files[0] == files[1]
+    first, second = ([row | {"seconds": 0.0} for row in run.curve] for run in runs)
+    assert len(first) == 2 and np.array_equal(
+        [list(row.values()) for row in first], [list(row.values()) for row in second],
+        equal_nan=True,
+    )  # fmt: skip
+    spread = runs[0].model.policy.log_std.detach().numpy()
+    assert (spread < SMALL.spread_last + 0.05).all()
+    # Another seed is another agent.
+    other = train(replace(SMALL, seed=1), tmp_path / "seed", 4, lambda run, seen: None)
+    assert (other.out / "agent.npz").read_bytes() != files[0]
 
 
 @pytest.mark.slow

@@ -36,6 +36,38 @@ def begun(key, flight, start, aim, worlds):
     return world, target, start[:3] + start[6] * off[:3], start[3:6] + start[7] * off[3:]
 
 
+def varied(key, flight, v):
+    """Return what a flight draws of a `Variation`, by name."""
+    key = int(key) ^ 0xD1342543DE82EF95
+    u = [uniform(key, 26 * flight + k) for k in range(14)]
+
+    def about(most, k):
+        return most * (2.0 * u[k] - 1.0)
+
+    def left(k):
+        return v.weakest + (1.0 - v.weakest) * u[k]
+
+    torque = [1.0, 1.0, 1.0]
+    if u[11] < v.torque_failure:
+        torque[int(3.0 * u[9])] = left(10)
+    return {
+        "load_kg": about(v.load, 0), "specific_impulse_s": about(v.specific_impulse, 1),
+        "thrust_share": about(v.thrust, 2), "thrust_lag_s": about(v.thrust_lag, 3),
+        "offset_x_m": about(v.thrust_offset, 4), "offset_y_m": about(v.thrust_offset, 5),
+        "fails_at_s": v.failure_by * u[6],
+        "engine_left": left(7) if u[8] < v.engine_failure else 1.0,
+        "torque_left_x": torque[0], "torque_left_y": torque[1], "torque_left_z": torque[2],
+        "sensing_delay_s": v.sensing_delay * u[12], "actuation_delay_s": v.actuation_delay * u[13],
+    }  # fmt: skip
+
+
+ALIKE = {
+    "load_kg": 0.0, "specific_impulse_s": 0.0, "thrust_share": 0.0, "thrust_lag_s": 0.0,
+    "offset_x_m": 0.0, "offset_y_m": 0.0, "fails_at_s": math.inf, "engine_left": 1.0,
+    "torque_left_x": 1.0, "torque_left_y": 1.0, "torque_left_z": 1.0,
+}  # fmt: skip
+
+
 class Lander:
     """One lander under an attitude loop on perfect gyroscopes, or under torques as given.
 
@@ -47,16 +79,19 @@ class Lander:
         Gravity and step, the lander's figures.
     gains, heading, max_tilt
         Of the attitude loop; azimuth of body x; largest tilt of the thrust.
+    drawn
+        What its flight has drawn; see `varied`.
     """
 
-    def __init__(self, y, dynamics, gains, heading, max_tilt):
+    def __init__(self, y, dynamics, gains, heading, max_tilt, drawn=ALIKE):
+        self.own, self.time = drawn, 0.0
         self.y, self.d, self.gains = y.copy(), dynamics, gains
         self.heading, self.max_tilt = heading, max_tilt
         self.rate = np.zeros(3)
 
     def guided(self, acceleration, steps):
         """Fly so many steps under a thrust acceleration; yield the state after each."""
-        v, mass = self.d.lander, self.y[13]
+        v, mass = self.d.lander, self.y[13] - self.own["load_kg"]
         most = v.thrust_max / mass
         up = min(max(acceleration[2], 1e-3), most)
         side = np.array(acceleration[:2])
@@ -82,11 +117,20 @@ class Lander:
             yield self._step(thrust, np.asarray(torque))
 
     def _step(self, thrust, torque):
-        v, dt, y = self.d.lander, self.d.step, self.y
+        v, dt, y, own = self.d.lander, self.d.step, self.y, self.own
+        failed = self.time >= own["fails_at_s"]
+        left = [own[f"torque_left_{axis}"] for axis in "xyz"]
+        torque = torque * np.array(left) if failed else torque
+        torque = torque + y[14] * np.array([own["offset_y_m"], -own["offset_x_m"], 0.0])
+        thrust = thrust * (1.0 + own["thrust_share"]) * (own["engine_left"] if failed else 1.0)
+        load = own["load_kg"]
         args = (
-            thrust, torque, self.d.gravity, v.exhaust_velocity, v.thrust_lag, v.dry_mass,
-            v.wet_mass, np.array(v.inertia_dry), np.array(v.inertia_full),
+            thrust, torque, self.d.gravity,
+            v.exhaust_velocity + 9.80665 * own["specific_impulse_s"],
+            v.thrust_lag + own["thrust_lag_s"], v.dry_mass + load, v.wet_mass + load,
+            np.array(v.inertia_dry), np.array(v.inertia_full),
         )  # fmt: skip
+        self.time += dt
         a = rate_of_change(y, *args)
         b = rate_of_change(y + 0.5 * dt * a, *args)
         c = rate_of_change(y + 0.5 * dt * b, *args)
@@ -95,3 +139,15 @@ class Lander:
         y[6:10] /= np.linalg.norm(y[6:10])
         self.y = y
         return y
+
+
+def wanted_velocity(position, target, lander, gravity):
+    """Return the velocity that shaping asks for at a position, m/s, number by number."""
+    away = [position[k] - target[k] for k in range(3)]
+    away[2] = max(away[2] - lander.com_height, 0.0)
+    far = math.sqrt(sum(one * one for one in away))
+    brakes = 0.38 * (lander.thrust_max / (lander.dry_mass + lander.propellant_mass) - gravity)
+    time = 4.0 + math.sqrt(far / (2.0 * brakes))
+    below = 4.0 * 0.4 * lander.vertical_speed_limit
+    sooner = 1.0 + 1.5 * 4.0 / time
+    return [-away[0] * sooner / time, -away[1] * sooner / time, -(away[2] + below) / time]

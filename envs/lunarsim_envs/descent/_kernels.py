@@ -95,13 +95,82 @@ def begin(
         ended[i] = FLYING
 
 
-class Vehicle(NamedTuple):
-    """A lander and how it is flown, SI; see `advance_bodies` and `judge` for the rest.
+# What of a flight's draws are where: see `variation.DRAWN`.
+LOAD, IMPULSE, THRUST, LAG, OFFSET, FAILS, ENGINE, TORQUE, SEES_LATE, ACTS_LATE = (
+    0, 1, 2, 3, 4, 6, 7, 8, 11, 12,
+)  # fmt: skip
+DRAWS = 13
+# Sets these draws apart from those of the start.
+VARIED = np.uint64(0xD1342543DE82EF95)
 
-    `control` (9,): least and greatest thrust, tilt, gains of the attitude loop, greatest torques.
+
+@kernel()
+def draw(key, flight, ranges, out):
+    """Draw what is a flight's own (13,) from the ranges of `Variation` (12,)."""
+    key = np.uint64(key) ^ VARIED
+    first = flight * 2 * DRAWS
+    for k in range(6):
+        out[k] = ranges[k] * (2.0 * uniform(key, first + k) - 1.0)
+    out[FAILS] = ranges[6] * uniform(key, first + 6)
+    left = ranges[9] + (1.0 - ranges[9]) * uniform(key, first + 7)
+    out[ENGINE] = left if uniform(key, first + 8) < ranges[7] else 1.0
+    weak = min(int(3.0 * uniform(key, first + 9)), 2)
+    left = ranges[9] + (1.0 - ranges[9]) * uniform(key, first + 10)
+    for k in range(3):
+        out[TORQUE + k] = 1.0
+    if uniform(key, first + 11) < ranges[8]:
+        out[TORQUE + weak] = left
+    for k in range(2):
+        out[SEES_LATE + k] = ranges[10 + k] * uniform(key, first + 12 + k)
+
+
+@kernel(shared=True)
+def vary(share, mask, keys, begun, ranges, standard, nominal, drawn, figures, y):
+    """Draw what is their own of the flights in the lanes of `mask` (n,), which have begun.
+
+    Parameters
+    ----------
+    mask, keys, begun
+        As `begin` takes them, after it.
+    ranges, standard
+        Of `Variation` (12,); standard gravity, m/s^2.
+    nominal
+        Gravity, exhaust velocity, lag, dry and wet mass of the lander (5,).
+    drawn, figures, y
+        Draws (n, 13); each lander's own figures (n, 5); states (n, 15), whose mass is set.
+    """
+    for i in range(share[0], len(y), share[1]):
+        if not mask[i]:
+            continue
+        draw(keys[i], begun[i] - 1, ranges, drawn[i])
+        own = drawn[i]
+        figures[i, 0] = nominal[0]
+        figures[i, 1] = nominal[1] + own[IMPULSE] * standard
+        figures[i, 2] = nominal[2] + own[LAG]
+        figures[i, 3] = nominal[3] + own[LOAD]
+        figures[i, 4] = nominal[4] + own[LOAD]
+        y[i, 13] = figures[i, 4]
+
+
+@kernel(shared=True)
+def scatter(share, mask, keys, counts, out):
+    """Write standard normal numbers into the rows of `out` (n, k) in `mask`, and count them."""
+    for i in range(share[0], len(out), share[1]):
+        if mask[i]:
+            for k in range(out.shape[1]):
+                out[i, k] = normal(np.uint64(keys[i]) ^ _FIRST, counts[i])
+                counts[i] += 2
+
+
+class Vehicle(NamedTuple):
+    """Landers and how they are flown, SI; see `advance_bodies` and `judge` for the rest.
+
+    `figures` (n, 5) and `drawn` (n, 13) are each lander's own, see `vary`; `control` (9,): least
+    and greatest thrust, tilt, gains of the attitude loop, greatest torques.
     """
 
     figures: np.ndarray
+    drawn: np.ndarray
     inertia: np.ndarray
     rig: np.ndarray
     control: np.ndarray
@@ -132,13 +201,18 @@ class Flights(NamedTuple):
 
 
 @kernel()
-def _ask(y, loop, action, guided, vehicle, attitude):
-    """Return the thrust that an action asks for, N; the attitude, or torques, go where they act."""
+def _ask(y, loop, action, guided, vehicle, load, attitude):
+    """Return the thrust that an action asks for, N; the attitude, or torques, go where they act.
+
+    A load that was drawn is not known: the thrust is that for the mass without it.
+    """
     control = vehicle.control
     if guided:
         for k in range(4):
             loop[k] = y[6 + k]
-        return steer(action, y[13], control[0], control[1], vehicle.heading, control[2], attitude)
+        return steer(
+            action, y[13] - load, control[0], control[1], vehicle.heading, control[2], attitude
+        )
     for k in range(3):
         loop[7 + k] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
     return min(max(action[0], control[0]), control[1])
@@ -150,7 +224,7 @@ def _end(i, y, vehicle, grounds, flights):
     w = flights.world[i]
     z, frame = grounds.z[w], grounds.frame
     if touches(y, vehicle.pads, vehicle.disc, z, frame):
-        figures = vehicle.figures
+        figures = vehicle.figures[i]
         flights.ended[i] = LANDED
         flights.failed[i] = judge(
             y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, vehicle.limits,
@@ -184,9 +258,9 @@ def _loaded(first, beyond, ended, y, lanes, block):
 
 
 @kernel()
-def _moments(mass, vehicle, out):
+def _moments(mass, figures, inertia, out):
     """Write the principal moments at a mass (3,), as the attitude loop knows them."""
-    dry, wet, inertia = vehicle.figures[3], vehicle.figures[4], vehicle.inertia
+    dry, wet = figures[3], figures[4]
     full = (mass - dry) / (wet - dry)
     for k in range(3):
         out[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
@@ -202,6 +276,21 @@ def _quaternion(block, n, out):
 def _stored(block, n, y):
     for s in range(15):
         y[s] = block[s, n]
+
+
+@kernel()
+def _given(loop, drawn, time, asked, thrust, torque, n):
+    """Return the thrust that comes of what is asked, N; write the torques (3, n), N m.
+
+    The engine's line off the centre of mass turns the lander by its thrust at the step's start.
+    """
+    failed = time >= drawn[FAILS]
+    for k in range(3):
+        torque[k, n] = loop[7 + k] * drawn[TORQUE + k] if failed else loop[7 + k]
+    torque[0, n] += drawn[OFFSET + 1] * thrust
+    torque[1, n] -= drawn[OFFSET] * thrust
+    asked *= 1.0 + drawn[THRUST]
+    return asked * drawn[ENGINE] if failed else asked
 
 
 @kernel(shared=True)
@@ -221,20 +310,25 @@ def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, g
         See there.
     """
     v = vehicle
-    figures, inertia, rig, gains, most = v.figures, v.inertia, v.rig, v.control[3:6], v.control[6:]
+    inertia, rig, gains, most = v.inertia, v.rig, v.control[3:6], v.control[6:]
     time, ended = flights.time, flights.ended
     reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1
     lanes = np.empty(width, np.int64)
     block, work = np.empty((15, width)), np.empty((5, 15, width))
     asked, torque = np.zeros(width), np.zeros((3, width))
+    gives, figures = np.zeros(width), np.ones((5, width))
     attitude, before, known = np.empty((width, 4)), np.empty((width, 4)), np.empty((width, 3))
     after, turn = np.empty(4), np.empty(3)
     for b in range(share[0], (len(y) + width - 1) // width, share[1]):
         count = _loaded(b * width, min((b + 1) * width, len(y)), ended, y, lanes, block)
+        for n in range(width if count > 0 else 0):
+            for k in range(5):
+                figures[k, n] = v.figures[lanes[n if n < count else 0], k]
         for n in range(count):
             i = lanes[n]
-            asked[n] = _ask(y[i], loop[i], actions[i], guided, v, attitude[n])
-            _moments(y[i, 13], v, known[n])
+            load = v.drawn[i, LOAD]
+            asked[n] = _ask(y[i], loop[i], actions[i], guided, v, load, attitude[n])
+            _moments(y[i, 13], v.figures[i], inertia, known[n])
         left = count
         for _ in range(steps):
             if left == 0:
@@ -244,9 +338,10 @@ def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, g
                 if guided:
                     demand(own, attitude[n], gains, known[n], most)
                     _quaternion(block, n, before[n])
-                for k in range(3):
-                    torque[k, n] = own[7 + k]
-            advance_bodies(block, dt, asked, torque, figures, inertia, rig, work)
+                gives[n] = _given(
+                    own, v.drawn[lanes[n]], time[lanes[n]], asked[n], block[14, n], torque, n
+                )
+            advance_bodies(block, dt, gives, torque, figures, inertia, rig, work)
             for n in range(count):
                 i = lanes[n]
                 if ended[i] != FLYING:

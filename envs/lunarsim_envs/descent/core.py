@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import with_values
+from lunarsim.vehicle.variation import DRAWN
 from lunarsim_envs.descent.actions import Actions
 from lunarsim_envs.descent.lanes import FLYING, LATE, Craft, Lanes
 from lunarsim_envs.descent.observations import DEFAULT, Shown
 from lunarsim_envs.descent.options import check_height, take
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
+from lunarsim_envs.descent.senses import Senses
 from lunarsim_envs.descent.worlds import Worlds
 
 Mask = NDArray[np.bool_]
@@ -64,6 +66,7 @@ class Settings(TypedDict, total=False):
     weights: DescentWeights | None
     worlds: int
     world_seed: int
+    privileged: bool
 
 
 class Descents:
@@ -75,7 +78,7 @@ class Descents:
         Of lanes; None: of one environment, whose actions are (size,).
     guided
         Whether actions are thrust accelerations.
-    scenario, changes, rate_hz, observation, weights, worlds, world_seed
+    scenario, changes, rate_hz, observation, weights, worlds, world_seed, privileged
         `Settings`.
     """
 
@@ -91,6 +94,7 @@ class Descents:
         weights: DescentWeights | None = None,
         worlds: int = 1,
         world_seed: int = 0,
+        privileged: bool = False,
     ) -> None:
         self.many = count is not None
         count = _whole("num_envs", 1 if count is None else count, 1)
@@ -107,6 +111,15 @@ class Descents:
         self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights(), self.lanes)
+        self.truth = Shown(DEFAULT) if privileged else None
+        self.senses = self._senses() if craft.variation is not None else None
+
+    def _senses(self) -> Senses:
+        """Return how lanes see and act that are not all alike: idle ones bear their weight."""
+        d = self.lanes.craft.dynamics
+        weight = d.lander.wet_mass * d.gravity
+        idle = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
+        return Senses(self.lanes, self.shown, self.period, np.array(idle))
 
     @property
     def period(self) -> float:
@@ -137,10 +150,27 @@ class Descents:
         """Begin new flights in the lanes of `mask`, from where their last reset said."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
+        if self.senses is not None:
+            self.senses.begin(mask)
 
     def observe(self) -> NDArray[np.float32]:
         """Return what is shown of every lane (n, size)."""
-        return self.shown.of(self.lanes)
+        return self.shown.of(self.lanes) if self.senses is None else self.senses.seen
+
+    def hidden(self) -> dict[str, Any]:
+        """Return what agents are not shown and studies may want to know, of every lane.
+
+        ``drawn``: what each flight has drawn, by name (n,), where something is. ``privileged``:
+        the true state as `observations.DEFAULT` has it, and all draws (n, 28), where asked for.
+        """
+        told: dict[str, Any] = {}
+        drawn = self.lanes.drawn
+        if self.senses is not None:
+            told["drawn"] = {name: drawn[:, i].copy() for i, name in enumerate(DRAWN)}
+        if self.truth is not None:
+            finite = np.minimum(drawn, self.lanes.craft.limit).astype(np.float32)
+            told["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
+        return told
 
     def told(self) -> dict[str, NDArray[np.float64]]:
         """Return what is told of flights at their end (n,), by name: s, kg, m."""
@@ -151,7 +181,11 @@ class Descents:
         """Move all lanes in flight; return terms of the reward, moved, terminated, truncated."""
         physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING
+        if self.senses is not None:
+            physical = self.senses.act(moved, physical)
         self.lanes.move(physical)
+        if self.senses is not None:
+            self.senses.look(moved)
         over = moved & (self.lanes.ended != FLYING)
         late = over & (self.lanes.ended == LATE)
         return self.rewards.terms(moved), moved, over & ~late, late

@@ -45,7 +45,15 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self.descents.begin(self._one, options)
         if self._picture is not None:
             self._picture.begin()
-        return self.descents.observe()[0], {}
+        return self.descents.observe()[0], self._hidden()
+
+    def _hidden(self) -> dict[str, Any]:
+        told = self.descents.hidden()
+        if "drawn" in told:
+            told["drawn"] = {name: float(one[0]) for name, one in told["drawn"].items()}
+        if "privileged" in told:
+            told["privileged"] = told["privileged"][0]
+        return told
 
     def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Fly on to the next action, or to the end."""
@@ -57,7 +65,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         if self._picture is not None:
             self._picture.note()
         crash = bool(terminated[0]) and not d.lanes.safe[0]
-        info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)}
+        info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)} | self._hidden()
         if terminated[0] or truncated[0]:
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
             info |= {name: float(told[0]) for name, told in d.told().items()}
@@ -115,7 +123,12 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.descents.seed(mask, self._seeds(seed, mask))
         self.descents.begin(mask, left)
         self._due[mask] = False
-        return self.descents.observe(), {}
+        return self.descents.observe(), self._hidden()
+
+    def _hidden(self) -> dict[str, Any]:
+        told = self.descents.hidden()
+        every = np.ones(self.num_envs, np.bool_)
+        return told | {f"_{name}": every for name in told}
 
     def _mask(self, given: Any) -> NDArray[np.bool_]:
         if given is None:
@@ -166,11 +179,12 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 d.restart(self._due)
             self._due = over
         elif self.autoreset_mode is mode.SAME_STEP and over.any():
-            info |= {"final_obs": d.observe(), "_final_obs": over}
+            info |= {"final_obs": d.observe(), "_final_obs": over} | self._hidden()
             left = ("_reward_terms", "_cost", "final_obs", "_final_obs")
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             d.restart(over)
+        info |= self._hidden()
         return d.observe(), np.sum(list(terms.values()), axis=0), terminated, truncated, info
 
 
@@ -206,9 +220,11 @@ class GuidanceEnv(DescentEnv):
     for a crash or a flight off the map), ``propellant`` (-0.001 a kilogram), ``miss`` (-0.01 a
     metre between a safe touchdown and the target, up to 50 m), ``severity`` and
     ``excess`` (nothing, unless they are given weights: of a crash by its distance and speed, and by
-    how far it exceeds the limits of a touchdown), ``shaping`` (potential-based: its
-    discounted sum is the same for all flights from one start). Every crash returns less than any
-    safe landing, shaping aside; weights with which it may not are refused.
+    how far it exceeds the limits of a touchdown), ``shaping`` (of a potential that falls with how
+    far the velocity is off one that leads to the target, braking evenly; its discounted
+    sum is the same for all flights from one start, where the learner's discount is that of the
+    weights). Every crash returns less than any safe landing, shaping aside; weights with which it
+    may not are refused.
 
     ``info["cost"]``, for constrained methods, is 1 at a crash and 0 else.
 
@@ -218,6 +234,11 @@ class GuidanceEnv(DescentEnv):
     full tanks (the table [start] of the scenario; by default with 30 m and 3 m/s of dispersion).
     ``reset(options=...)`` takes ``position_m``, ``velocity_m_s``, ``position_sigma_m`` and
     ``velocity_sigma_m_s``.
+
+    The table [variation] of a scenario (``changes={"variation.load_kg": 50.0}``) lets every flight
+    draw its lander anew: load, specific impulse, thrust, lag, the engine's line; failures of thrust
+    and of torque from some time on; noise and delay of what is shown, delay of what is commanded.
+    ``info["drawn"]`` tells what was drawn.
 
     ## Episode End
 
@@ -239,6 +260,8 @@ class GuidanceEnv(DescentEnv):
       batch draws nothing.
     - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
       meets one of them. Ground is a raster of 0.1 m about the targets.
+    - ``privileged``: ``info["privileged"]`` (28,) for asymmetric critics: the true state as the
+      default observation has it, then all of ``info["drawn"]``.
     - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: so many flights in one kernel; "NextStep",
       "SameStep" or "Disabled". Lane i with seed s flies what one environment with seed s + i does.

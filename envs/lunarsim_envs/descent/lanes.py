@@ -11,10 +11,12 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.touchdown import GROUND_SPACING, pad_disc
+from lunarsim.vehicle.variation import DRAWN, Variation
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.worlds import Worlds
 
@@ -23,6 +25,10 @@ Array = NDArray[np.float64]
 FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
 # What a lane and step take, microseconds; lanes that are integrated side by side.
 _STEP, _WIDTH = 0.2, 32
+# What is drawn where all flights are alike.
+_ALIKE = np.zeros(len(DRAWN))
+_ALIKE[k.FAILS] = np.inf
+_ALIKE[k.ENGINE : k.SEES_LATE] = 1.0
 # Limits that a verdict names, in the order of its bits; see `judge_touchdown`.
 LIMITS = (
     "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
@@ -48,6 +54,8 @@ class Craft:
         Middle and half sides of the targets' scatter (4,), m.
     limit
         When a flight is over, s.
+    variation
+        What every flight draws anew; None: all are alike.
     """
 
     dynamics: Dynamics
@@ -57,6 +65,7 @@ class Craft:
     start: Array
     aim: Array
     limit: float
+    variation: Variation | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Craft:
@@ -75,6 +84,8 @@ class Craft:
         if type(control) is not ProportionalDerivative:
             raise InputError("control.kind", type(control).__name__, "the default control law")
         lander.check_hover(scenario.gravity_m_s2)
+        varied = None if scenario.variation is None else scenario.variation.make()
+        _check_ranges(varied, lander, scenario.simulation.make().step)
         start, target = scenario.start.make(), scenario.target.make()
         clock, approach = scenario.simulation.make(), scenario.approach.make()
         return cls(
@@ -87,6 +98,7 @@ class Craft:
             ),
             np.array([*target.position, *target.scatter]),
             clock.max_time,
+            varied,
         )
 
     def steps(self, rate: float) -> int:
@@ -103,6 +115,21 @@ class Craft:
                 "rate_hz", rate, f"a whole number of steps of {self.dynamics.step} s between two"
             )
         return round(steps)
+
+
+def _check_ranges(varied: Variation | None, lander: Lander, step: float) -> None:
+    """Refuse ranges that leave nothing of what they change, or too little to integrate."""
+    if varied is None:
+        return
+    for name, most in (
+        ("load", lander.dry_mass), ("specific_impulse", lander.specific_impulse),
+        ("thrust_lag", lander.thrust_lag - 2.0 * step),
+    ):  # fmt: skip
+        given = getattr(varied, name)
+        if given > 0.0 and not given < most:
+            raise InputError(
+                f"variation.{name}", given, f"less than {max(most, 0.0):g}, or 0, with this lander"
+            )
 
 
 class Lanes:
@@ -138,6 +165,9 @@ class Lanes:
         Of each lane, as `Craft.start` (n, 8).
     has_key
         Whether each was given a key (n,).
+    figures, drawn
+        Gravity, exhaust velocity, thrust lag, dry and wet mass of each (n, 5), and what else its
+        flight has drawn (n, 13), in the order of `variation.DRAWN`.
     """
 
     def __init__(
@@ -153,6 +183,9 @@ class Lanes:
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
         self._loop, self.world = np.zeros((count, 10)), np.zeros(count, np.int64)
+        self.figures = np.tile(d.figures, (count, 1))
+        self.drawn = np.tile(_ALIKE, (count, 1))
+        self._counts = np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
         self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
         v = lander
@@ -162,8 +195,8 @@ class Lanes:
             v.slope_limit, v.roughness_limit, v.belly_clearance,
         ]  # fmt: skip
         self._vehicle = k.Vehicle(
-            d.figures, d.inertia, PLAIN_RIG, np.array(control), craft.heading, v.pads,
-            pad_disc(0.5 * v.pad_diameter), GROUND_SPACING, np.array(limits), v.com_height,
+            self.figures, self.drawn, d.inertia, PLAIN_RIG, np.array(control), craft.heading,
+            v.pads, pad_disc(0.5 * v.pad_diameter), GROUND_SPACING, np.array(limits), v.com_height,
         )  # fmt: skip
         self._grounds = k.Grounds(worlds.grounds, worlds.frame, worlds.levels)
 
@@ -175,6 +208,7 @@ class Lanes:
         """Give lanes their keys, from which all of their later flights are drawn."""
         self._keys[mask] = keys
         self._begun[mask] = 0
+        self._counts[mask] = 0
         self.has_key[mask] = True
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
@@ -186,8 +220,20 @@ class Lanes:
                 self.time, self.ended, self.starts, self.craft.aim, self._upright, self._weight,
                 w.reliefs, w.relief_frame,
             )  # fmt: skip
+            if self.craft.variation is not None:
+                k.vary(
+                    mask, self._keys, self._begun, self.craft.variation.ranges, STANDARD_GRAVITY,
+                    self.craft.dynamics.figures, self.drawn, self.figures, self.y,
+                )  # fmt: skip
         self.failed[mask] = 0
         self.told[mask] = np.nan
+
+    def normals(self, mask: NDArray[np.bool_], size: int) -> Array:
+        """Draw standard normal numbers for lanes of `mask` (n, size); 0 in the others."""
+        found = np.zeros((self.count, size))
+        with threads_for(0.02 * self.count * size):
+            k.scatter(mask, self._keys, self._counts, found)
+        return found
 
     def move(self, actions: Array) -> None:
         """Fly all lanes that are in flight to the next action, or to their end.
@@ -217,7 +263,7 @@ class Lanes:
     @property
     def burnt(self) -> Array:
         """Propellant burnt since the start (n,), kg."""
-        return np.asarray(self.craft.dynamics.lander.wet_mass - self.y[:, 13])
+        return np.asarray(self.figures[:, 4] - self.y[:, 13])
 
     def words(self, lane: int) -> tuple[str, ...]:
         """Return the limits that a lane's flight failed."""

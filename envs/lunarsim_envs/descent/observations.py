@@ -87,7 +87,7 @@ def _thrust(lanes: Lanes) -> Array:
 
 
 def _propellant(lanes: Lanes) -> Array:
-    return lanes.y[:, 13:14] - lanes.craft.dynamics.lander.dry_mass
+    return lanes.y[:, 13:14] - lanes.figures[:, 3:4]
 
 
 def _left(lanes: Lanes) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.lanes import FLYING, LATE, Lanes
+from lunarsim_envs.descent.potential import off as off_wanted
 
 Array = NDArray[np.float64]
 
@@ -95,8 +96,8 @@ class Rewards:
     potential is 0 once a flight has ended: over an episode its discounted sum is minus the
     potential of the start, whatever is done, so it changes no policy's place among others (Ng,
     Harada and Russell, "Policy invariance under reward transformations", ICML 1999). The potential
-    falls with distance and speed, each over that of the planned start. A flight that is broken off
-    by the time limit has not ended: its last potential counts.
+    falls with how far the velocity is off one that leads to the target (see `potential.off`). A
+    flight that is broken off by the time limit has not ended: its last potential counts.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ class Rewards:
 
     def potential(self) -> Array:
         """Return the potential of every lane as it stands (n,), flown to an end or not."""
-        return -self.weights.shaping * self._off()
+        return -self.weights.shaping * off_wanted(self.lanes)
 
     def _excess(self) -> Array:
         """Return by how many e-folds each touchdown exceeds its limits, summed (n,)."""

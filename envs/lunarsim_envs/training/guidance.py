@@ -159,6 +159,8 @@ class Run:
         begun, s = time.perf_counter(), self.settings
         rate = s.learning_rate(self.done)
         self.model.lr_schedule = lambda _: rate
+        with torch.no_grad():
+            self.model.policy.log_std.clamp_(max=s.most_spread(self.done))
         self.model.learn(s.lanes * s.horizon, reset_num_timesteps=False)
         self.done += 1
         self.seconds += time.perf_counter() - begun

@@ -40,8 +40,10 @@ class Training:
         Of the return, and of the advantage (lambda).
     rate_first, rate_last
         Learning rate, which falls linearly.
-    spread
-        Logarithm of the standard deviation of actions at first.
+    spread, spread_last
+        Logarithm of the standard deviation of actions at first, and the most that is left of it at
+        the end; between them that falls linearly. Actions that scatter turn the lander faster than
+        a safe touchdown allows: what is never flown calmly never learns to land.
     width
         Of the two hidden layers.
     bears
@@ -51,35 +53,35 @@ class Training:
     nearest, shares
         Lanes start at so many different shares of the way, the nearest at this one; the last five
         at the whole.
-    safe, crash, propellant, miss, severity, excess, shaping, shaping_discount
-        `DescentWeights`.
+    safe, crash, propellant, miss, severity, excess, shaping
+        `DescentWeights`; the discount of shaping is `discount`.
     """
 
-    steps: int = 40_000_000
+    steps: int = 15_000_000
     seed: int = 0
-    lanes: int = 256
+    lanes: int = 512
     horizon: int = 128
-    batch: int = 1024
-    epochs: int = 4
+    batch: int = 2048
+    epochs: int = 5
     discount: float = 0.995
     trace: float = 0.95
-    rate_first: float = 1e-3
+    rate_first: float = 1.5e-3
     rate_last: float = 1e-4
-    spread: float = -2.0
+    spread: float = -1.5
+    spread_last: float = -3.5
     width: int = 64
     bears: float = 0.9
     position_sigma: float = 100.0 / 3.0
     velocity_sigma: float = 10.0
     nearest: float = 0.04
     shares: int = 16
-    safe: float = 5.0
+    safe: float = 10.0
     crash: float = 2.0
     propellant: float = 0.002
-    miss: float = 0.02
+    miss: float = 0.1
     severity: float = 6.0
     excess: float = 0.3
-    shaping: float = 3.0
-    shaping_discount: float = 1.0
+    shaping: float = 1.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -100,7 +102,7 @@ class Training:
         return DescentWeights(
             safe=self.safe, crash=self.crash, propellant=self.propellant, miss=self.miss,
             severity=self.severity, excess=self.excess, shaping=self.shaping,
-            discount=self.shaping_discount,
+            discount=self.discount,
         )  # fmt: skip
 
     @property
@@ -116,10 +118,17 @@ class Training:
         """How many times the agent is updated."""
         return -(-self.steps // (self.lanes * self.horizon))
 
+    def _falls(self, first: float, last: float, done: int) -> float:
+        """Return what goes linearly from `first` to `last` over the updates."""
+        return first + (last - first) * min(done / max(self.updates - 1, 1), 1.0)
+
     def learning_rate(self, done: int) -> float:
         """Return the learning rate after so many updates."""
-        share = done / max(self.updates - 1, 1)
-        return self.rate_first + (self.rate_last - self.rate_first) * min(share, 1.0)
+        return self._falls(self.rate_first, self.rate_last, done)
+
+    def most_spread(self, done: int) -> float:
+        """Return the most that the logarithm of the standard deviation may be by then."""
+        return self._falls(self.spread, self.spread_last, done)
 
     def starts(self, planned: np.ndarray) -> list[dict[str, Any]]:
         """Return options of a reset, from near the target to the whole way.

@@ -1,0 +1,93 @@
+"""The trained agent that comes with the package."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim_envs.agents.network import Network
+from lunarsim_envs.agents.registry import agent_of, known_agents, shipped
+from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
+from lunarsim_envs.training.settings import Training
+from tests.low_descents import LOW
+
+WIDE = Training().changes
+
+
+def landed(agent, count, seed):
+    """Return the share of flights that end safe within 10 m, and what those burnt on average."""
+    vector = gymnasium.make_vec(
+        "lunarsim_envs:lunarsim/Guidance-v0", num_envs=count, autoreset_mode="SameStep",
+        vectorization_mode="vector_entry_point", changes=WIDE,
+    )  # fmt: skip
+    observation, _ = vector.reset(seed=seed)
+    waiting, good, burnt = np.ones(count, bool), np.zeros(count, bool), np.zeros(count)
+    while waiting.any():
+        observation, _, ended, late, info = vector.step(agent(observation))
+        over = (ended | late) & waiting
+        if over.any():
+            good[over] = info["safe"][over] & (info["miss_m"][over] <= 10.0)
+            burnt[over] = info["propellant_kg"][over]
+            waiting &= ~over
+    return good.mean(), burnt[good].mean() if good.any() else np.nan
+
+
+@pytest.fixture(scope="module")
+def network():
+    return Network.load(shipped()["ppo"])
+
+
+def test_it_lands_on_seeds_that_no_training_has(network):
+    share, burnt = landed(network, 200, 31)
+    assert share >= 0.95
+    assert 30.0 < burnt < 60.0
+
+
+def test_it_is_what_lands_and_not_the_task(network):
+    """The same network without its eyes, or with one layer undone, lands nowhere near as often."""
+    blind = landed(lambda seen: network(np.zeros_like(seen)), 50, 31)[0]
+    assert blind < 0.02
+    last = network.weights[-1]
+    other = Network(
+        network.far, network.near, (*network.weights[:-1], -last), network.biases, network.level,
+        network.parts, network.rate,
+    )  # fmt: skip
+    assert landed(other, 50, 31)[0] < 0.02
+
+
+def test_it_is_small_and_flies_without_pytorch():
+    assert known_agents()["ppo"] == "trained network"
+    assert shipped()["ppo"].stat().st_size < 1_000_000
+    code = (
+        "import sys\n"
+        "from lunarsim_envs.agents.registry import agent_of\n"
+        "from lunarsim_envs.descent.env import GuidanceEnv\n"
+        f"env = GuidanceEnv(changes={LOW!r})\n"
+        "seen, info = env.reset(seed=1)\n"
+        "print(agent_of('ppo', env).act(seen, info).shape)\n"
+        "print([name for name in ('torch', 'stable_baselines3') if name in sys.modules])\n"
+    )
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert told.stdout == "(3,)\n[]\n"
+
+
+def test_it_refuses_what_it_was_not_trained_for():
+    for env, says in (
+        (ControlEnv(changes=LOW), "ppo flies Guidance-v0"),
+        (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions a second"),
+        (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observations of"),
+    ):
+        with pytest.raises(InputError, match=says):
+            agent_of("ppo", env)
+
+
+def test_a_file_that_is_cut_short_is_refused(tmp_path):
+    path = tmp_path / "cut.npz"
+    path.write_bytes(shipped()["ppo"].read_bytes()[:2000])
+    with pytest.raises(InputError, match="a network written by"):
+        agent_of(str(path), GuidanceEnv(changes=LOW))
