@@ -135,9 +135,10 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
 
 
 def test_keys_without_effect_are_told_before_anything_is_flown(tmp_path):
+    # Neither a camera nor a star tracker.
     spec = tmp_path / "s.toml"
     spec.write_text(
-        'scenario = "golombek"\nflights = 1\n[factors]\n"sun.elevation_deg" = [20.0, 60.0]\n'
+        'scenario = "hard"\nflights = 1\n[factors]\n"sun.elevation_deg" = [20.0, 60.0]\n'
     )
     done = run("campaign", "plan", spec)
     assert done.exit_code == 0
