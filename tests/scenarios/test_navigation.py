@@ -92,8 +92,9 @@ def test_a_flight_on_a_map_out_of_date_is_judged(script, tmp_path):
 
 # --- at length ----------------------------------------------------------------------------------
 
-# Scenario, and how modest it may be: what a map's post tells counts less where it is used again.
-SETS = {"instruments": 1.0, "two_eyes": 1.0, "shadow_nominal": 1.0, "morpheus": 0.5}
+# Scenario, and how modest it may be: what a map's post tells counts less where it is used again, and
+# scans are taken to differ by more than they do on level grass.
+SETS = {"instruments": 1.0, "two_eyes": 0.9, "shadow_nominal": 1.0, "morpheus": 0.35}
 
 
 @pytest.mark.slow
@@ -103,6 +104,10 @@ def test_errors_of_fifty_flights_are_what_is_said(script, name):
     path = str(SCENARIOS / f"{name}.toml")
     flown = [study.fly(study.Task(path, None, n, 1001, "safest", None)) for n in range(50)]
     assert sum(f.lost[0] for f in flown) <= 1
+    for f in flown:
+        # A mean over fifty hides one that is far off and does not know.
+        sigma = np.sqrt(np.diagonal(f.covariance, axis1=1, axis2=2))
+        assert f.lost[0] or (np.abs(f.error) < 5.0 * sigma).all()
     for k in range(len(study.EPOCHS)):
         for part, keep in study.PARTS.items():
             found = study.nees_of(flown, k, keep)
