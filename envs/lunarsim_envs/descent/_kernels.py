@@ -258,6 +258,15 @@ def _loaded(first, beyond, ended, y, lanes, block):
 
 
 @kernel()
+def _figured(lanes, count, own, block):
+    """Take the figures (n, 5) of the lanes of a block into it (5, width), as `_loaded` does."""
+    for n in range(block.shape[1] if count > 0 else 0):
+        i = lanes[n] if n < count else lanes[0]
+        for k in range(5):
+            block[k, n] = own[i, k]
+
+
+@kernel()
 def _moments(mass, figures, inertia, out):
     """Write the principal moments at a mass (3,), as the attitude loop knows them."""
     dry, wet = figures[3], figures[4]
@@ -270,6 +279,14 @@ def _moments(mass, figures, inertia, out):
 def _quaternion(block, n, out):
     for k in range(4):
         out[k] = block[6 + k, n]
+
+
+@kernel()
+def _followed(block, n, before, loop, dt, after, turn):
+    """Let a lane's attitude loop follow what its gyroscopes have seen over a step."""
+    _quaternion(block, n, after)
+    rotation_between(before, after, turn)
+    follow(loop, turn, dt)
 
 
 @kernel()
@@ -321,26 +338,21 @@ def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, g
     after, turn = np.empty(4), np.empty(3)
     for b in range(share[0], (len(y) + width - 1) // width, share[1]):
         count = _loaded(b * width, min((b + 1) * width, len(y)), ended, y, lanes, block)
-        for n in range(width if count > 0 else 0):
-            for k in range(5):
-                figures[k, n] = v.figures[lanes[n if n < count else 0], k]
+        _figured(lanes, count, v.figures, figures)
         for n in range(count):
             i = lanes[n]
-            load = v.drawn[i, LOAD]
-            asked[n] = _ask(y[i], loop[i], actions[i], guided, v, load, attitude[n])
+            asked[n] = _ask(y[i], loop[i], actions[i], guided, v, v.drawn[i, LOAD], attitude[n])
             _moments(y[i, 13], v.figures[i], inertia, known[n])
         left = count
         for _ in range(steps):
             if left == 0:
                 break
             for n in range(count):
-                own = loop[lanes[n]]
+                i = lanes[n]
                 if guided:
-                    demand(own, attitude[n], gains, known[n], most)
+                    demand(loop[i], attitude[n], gains, known[n], most)
                     _quaternion(block, n, before[n])
-                gives[n] = _given(
-                    own, v.drawn[lanes[n]], time[lanes[n]], asked[n], block[14, n], torque, n
-                )
+                gives[n] = _given(loop[i], v.drawn[i], time[i], asked[n], block[14, n], torque, n)
             advance_bodies(block, dt, gives, torque, figures, inertia, rig, work)
             for n in range(count):
                 i = lanes[n]
@@ -348,9 +360,7 @@ def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, g
                     continue
                 time[i] += dt
                 if guided:
-                    _quaternion(block, n, after)
-                    rotation_between(before[n], after, turn)
-                    follow(loop[i], turn, dt)
+                    _followed(block, n, before[n], loop[i], dt, after, turn)
                 if block[2, n] - reach <= grounds.levels[flights.world[i], 1]:
                     _stored(block, n, y[i])
                     left -= _end(i, y[i], v, grounds, flights)
