@@ -92,8 +92,8 @@ def test_a_flight_on_a_map_out_of_date_is_judged(script, tmp_path):
 
 # --- at length ----------------------------------------------------------------------------------
 
-# Scenario, and how modest it may be: what a map's post tells counts less where it is used again, and
-# scans are taken to differ by more than they do on level grass.
+# Scenario, and how modest it may be: what a map's post tells counts less where it is used again,
+# and scans are taken to differ by more than they do on level grass.
 SETS = {"instruments": 1.0, "two_eyes": 0.9, "shadow_nominal": 1.0, "morpheus": 0.35}
 
 
