@@ -148,6 +148,8 @@ class HazardMap:
     def dispersed_at(self, xy: Array, sigma: Array) -> Array:
         """Return `dispersed` at points (n, 2) alone, each with an error of its own (n,), m.
 
+        0 beyond the map.
+
         Raises
         ------
         InputError
@@ -159,8 +161,9 @@ class HazardMap:
         p = np.where(self.observed, self.p_safe, np.float32(0.0))
         out = np.zeros(len(xy))
         rows, cols = self.grid.cell(xy)
+        inside = self.grid.contains(xy)
         for n, (row, col) in enumerate(zip(rows, cols, strict=True)):
-            if self.observed[row, col]:
+            if inside[n] and self.observed[row, col]:
                 out[n] = _weighted(p, int(row), int(col), sigma[n] / self.grid.posting)
         return out
 

@@ -14,9 +14,10 @@ from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.aids import Aids, blocks_of, gate_of
-from lunarsim.onboard.navigation.error_state import ErrorState
-from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.error_state import MAP, ErrorState
+from lunarsim.onboard.navigation.inertial import ACCELEROMETER, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
+from lunarsim.onboard.navigation.local_frame import blank_block
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))
@@ -386,3 +387,73 @@ def test_a_foot_that_moves_on_is_new_ground():
     far = spread()
     assert known < near < far
     assert far == pytest.approx(full, rel=0.1)
+
+
+def slanted(aids, time, sigma=1e3):
+    aids.take("slanted", AltimeterReading(time, 125.0, sigma), time)
+
+
+def test_the_foot_of_the_last_reading_is_remembered_and_not_the_first():
+    state, aids, _ = made(relief=0.2, sigma=0.5)
+    place = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
+
+    def spread():
+        p = state.covariance[np.ix_(place, place)]
+        return p[0, 0] + p[1, 1] - 2.0 * p[0, 1]
+
+    slanted(aids, 0.0)
+    state.inertial.correct(np.r_[700.0, np.zeros(14)])
+    slanted(aids, 0.1)
+    fresh = spread()
+    for k in range(50):
+        slanted(aids, 0.2 + 0.1 * k, 0.1)
+    # The same ground once more: nothing new is met.
+    slanted(aids, 6.0, 1e6)
+    assert spread() < 0.3 * fresh
+
+
+def test_a_foot_seen_first_lies_as_high_as_the_ground_below():
+    state, aids, _ = made(relief=0.2)
+    error = np.zeros(state.size)
+    error[state.block(GROUND)] = 4.0
+    state.correct(error)
+    slanted(aids, 0.0, 1e6)
+    assert state.value("ground under slanted")[0] == pytest.approx(4.0, abs=1e-3)
+
+
+def test_a_beam_meets_the_ground_as_far_aside_as_the_site_lies_below():
+    """Ground and site stand 50 m higher than told, the lander 50 m above them."""
+    inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
+    ground = LevelGround(0.0, 0.5, 0.2)
+    blocks = blocks_of(INSTRUMENTS, ground) | blank_block()
+    state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks)
+    aids = Aids(state, INSTRUMENTS, ground, [])
+    error = np.zeros(state.size)
+    error[state.block(MAP).start + 2] = 50.0
+    state.correct(error)
+    slanted(aids, 0.0, 1e6)
+    at = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
+    p = state.covariance[np.ix_(at, at)]
+    assert p[0, 0] + p[1, 1] - 2.0 * p[0, 1] == pytest.approx(0.2**2 * 10.0 * 37.5, rel=1e-3)
+
+
+def test_what_beams_are_off_by_wanders():
+    state, aids, _ = made()
+    nothing = np.full(3, np.nan)
+    place, grown = state.block("speeds of doppler"), []
+    for time in (0.0, 100.0):
+        reading = DopplerReading(time, nothing, nothing, nothing, nothing)
+        aids.take("doppler", reading, time)
+        grown.append(np.diag(state.covariance)[place].copy())
+    assert grown[1] - grown[0] == pytest.approx(100.0 * 0.005**2)
+
+
+def test_a_beam_shut_off_lets_go_of_the_accelerometers():
+    state, aids, events = made()
+    fly_beams(aids, state, np.zeros(3))
+    state.covariance[ACCELEROMETER, :] *= 1e-3
+    state.covariance[:, ACCELEROMETER] *= 1e-3
+    fly_beams(aids, state, np.array([0.0, 2.0, 0.0]), start=8.0, seed=4)
+    assert [e.name for e in events] == ["shut-off"]
+    stated = state.inertial.bias_sigma[0]
+    assert (np.sqrt(np.diag(state.covariance)[ACCELEROMETER]) > 0.9 * stated).all()

@@ -12,9 +12,12 @@ from lunarsim.frames import (
     quat_rotate,
     quat_to_rotation_vector,
 )
+from lunarsim.messages.measurements import AttitudeReading
+from lunarsim.models.instruments import StarInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.navigator import Navigator
 
 BEAMS = np.array([[0.38, 0.0, -0.925], [-0.19, 0.33, -0.925], [-0.19, -0.33, -0.925]])
 BEAMS /= np.linalg.norm(BEAMS, axis=1)[:, None]
@@ -222,3 +225,19 @@ def test_ground_that_may_rise_makes_a_range_vaguer():
     variance = 10.0**2 / (ratio - 1.0)
     assert 0.5**2 < variance < 1e4
     assert np.trace(rough.state.covariance[:3, :3]) > np.trace(t.state.covariance[:3, :3])
+
+
+@pytest.mark.parametrize("degrees", [0.5, 2.0, 5.0])
+def test_a_start_far_off_in_tilt_and_azimuth_is_put_right_by_stars(degrees):
+    """Two turns that follow each other are not their sum: half their cross product is left."""
+    sigma = np.deg2rad(degrees)
+    inertial = StrapdownState(np.array([0.0, 0, 300]), np.array([3.0, 0, -2]), [0, 0, 0, 1.0], 1.62)
+    navigator = Navigator(
+        inertial, StartSigmas(30.0, 0.3, sigma), instruments={"stars": StarInstrument(9e-5)}
+    )
+    true = quat_from_rotation_vector(sigma * np.array([1.0, -1.0, 1.0]))
+    navigator.take("stars", AttitudeReading(0.0, true, np.diag([25e-6, 25e-6, 27e-5]) ** 2), 0.0)
+    found = navigator.estimate_in_site(0.0, 1.0)
+    off = quat_to_rotation_vector(quat_multiply(true, quat_conjugate(found.attitude)))
+    own = found.covariance[6:9, 6:9]
+    assert off @ np.linalg.solve(own, off) < 16.0

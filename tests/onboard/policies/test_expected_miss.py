@@ -10,7 +10,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.hazards import HazardMap
-from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.policies.contract import Candidates, Observation
 from lunarsim.onboard.policies.expected_miss import expected_miss
 from lunarsim.rng import flight_seed
@@ -132,3 +132,43 @@ def test_the_oracle_asks_for_room_for_the_miss(miss, row):
     clearance = truth.clearance[tuple(int(v) for v in grid.cell(site[:2]))]
     assert clearance >= min(max(1.0, 2.5 * miss), 0.8 * truth.clearance.max())
     assert abs(site[1] - observation.site[1] - row) <= 1.0
+
+
+def test_the_map_is_spread_afresh_by_a_new_miss():
+    simulation, _ = first_mapped({"sensors": {
+        "fix": None, "altimeter": {"kind": "radar-altimeter"},
+        "velocimeter": {"kind": "velocimeter"}, "stars": {"kind": "star-tracker"}}})  # fmt: skip
+    computer = simulation.computer
+    for _ in range(20):
+        simulation.step()
+    assert not computer.mapped
+    later = computer.observe()
+    cell = tuple(int(v) for v in later.hazard_map.grid.cell(later.site[:2]))
+    expected = later.hazard_map.dispersed(later.expected_miss)[cell]
+    assert later.site_p_safe == pytest.approx(float(expected), abs=1e-7)
+
+
+def test_a_variance_that_rounding_has_eaten_gives_the_stated_miss():
+    spoilt = estimate((0.0, 0.0, 0.0))
+    spoilt.covariance[3, 3] = spoilt.covariance[4, 4] = -1e-12
+    assert expected_miss(0.3, spoilt, True, [20.0]).tolist() == [0.3]
+
+
+def test_navigation_that_says_nothing_of_it_is_adrift():
+    assert Navigation.adrift.fget(None) is True
+
+
+def test_a_miss_that_is_no_number_or_beyond_all_sites_is_the_greatest():
+    spoilt = estimate((0.1, 0.1, 0.1))
+    assert expected_miss(0.3, spoilt, True, [np.inf, np.nan, 1e9]).tolist() == [30.0] * 3
+    spoilt.covariance[3, 3] = np.nan
+    assert expected_miss(0.3, spoilt, True, [20.0]).tolist() == [30.0]
+    assert expected_miss(50.0, spoilt, False, [20.0]).tolist() == [50.0]
+
+
+def test_beyond_the_map_nothing_is_safe():
+    grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+    ones = np.ones(grid.shape, np.float32)
+    hazard_map = HazardMap(grid, ones, ones > 0.0)
+    beyond = np.array([[500.0, 0.0], [-60.0, -60.0], [-3.0, 0.5]])
+    assert hazard_map.dispersed_at(beyond, np.full(3, 0.5)).tolist() == [0.0] * 3

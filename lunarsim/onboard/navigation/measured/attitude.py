@@ -18,6 +18,9 @@ from lunarsim.frames import (
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE
 
+# What is left of the second order counts from this share of the noise on.
+_COUNTS = 1e-2
+
 
 def take_attitude(
     state: ErrorState,
@@ -71,4 +74,17 @@ def take_attitude(
         # Stars tell of the site frame's azimuth, not of the local one's.
         columns = np.append(columns, state.block(MAP).start + 3)
         jacobian = np.column_stack((jacobian, quat_to_matrix(believed)[2]))
+        r = r + _left_over(state, r)
     return state.measure(jacobian, columns, innovation, r, gate)
+
+
+def _left_over(state: ErrorState, noise: np.ndarray) -> np.ndarray:
+    """Return the covariance (3, 3) of what a correction of azimuth and tilt leaves, rad^2.
+
+    Both are corrected at once, as if turns were added; half of their cross product is left, and is
+    more than the noise of stars where the start is known to a degree or two.
+    """
+    p, azimuth = state.covariance, state.block(MAP).start + 3
+    left = 0.25 * float(p[azimuth, azimuth]) * float(np.trace(p[ATTITUDE, ATTITUDE]))
+    counts = left > _COUNTS * float(np.diag(noise).min())
+    return left * np.eye(3) if counts else np.zeros((3, 3))
