@@ -105,7 +105,9 @@ def test_bodies_side_by_side_move_as_each_alone(count):
     each[0][13], each[-1][6:10] = DRY if count > 1 else 1200.0, 1.001 * each[-1][6:10]
     bodies = np.ascontiguousarray(np.array(each).T)
     asked, torque = rng.uniform(1000.0, 5000.0, count), rng.normal(0.0, 50.0, (3, count))
-    figures, inertia = np.array([1.6, 3000.0, 0.3, DRY, WET]), np.array([I_DRY, I_WET])
+    # Each body has figures of its own.
+    one, inertia = np.array([[1.6], [3000.0], [0.3], [DRY], [WET]]), np.array([I_DRY, I_WET])
+    figures = one * (1.0 + 1e-4 * np.arange(count))
     wanted = asked.copy()
     for _ in range(5):
         kernels.advance_bodies(
@@ -113,8 +115,9 @@ def test_bodies_side_by_side_move_as_each_alone(count):
         )
         for n, y in enumerate(each):
             kernels.advance_body(
-                y, 0.01, wanted[n], torque[:, n], figures, inertia, PLAIN_RIG, np.empty((5, 15))
-            )
+                y, 0.01, wanted[n], torque[:, n], figures[:, n].copy(), inertia, PLAIN_RIG,
+                np.empty((5, 15)),
+            )  # fmt: skip
     assert np.array_equal(bodies.T, np.array(each))
     assert np.linalg.norm(bodies[6:10], axis=0) == pytest.approx(np.ones(count), abs=1e-15)
     assert (asked == 0.0).tolist() == [n == 0 and count > 1 for n in range(count)]
