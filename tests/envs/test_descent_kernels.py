@@ -234,6 +234,7 @@ def test_a_flight_ends_at_its_limit_or_off_the_map(worlds):
     ("tables", "field"),
     [
         ({"legs": {}}, "legs"),
+        ({"moon": {}}, "moon"),
         ({"control": {"kind": "ideal"}}, "control.kind"),
         ({"vehicle": {"kind": "jet-lander"}, "control": {"kind": "phase-plane"}}, "vehicle.kind"),
     ],

@@ -74,13 +74,16 @@ class Craft:
         Raises
         ------
         InputError
-            If it has thrusters, legs or a control law that only the whole simulation flies.
+            If it has thrusters, legs, a round Moon or a control law that only the whole
+            simulation flies.
         """
         lander, control = scenario.vehicle.make(), scenario.control.make()
         if isinstance(lander, JetLander):
             raise InputError("vehicle.kind", "jet-lander", "a lander whose torques act as asked")
         if scenario.legs is not None:
             raise InputError("legs", "given", "left out: here the state at the touchdown counts")
+        if scenario.moon is not None:
+            raise InputError("moon", "given", "left out: here the ground is level")
         if type(control) is not ProportionalDerivative:
             raise InputError("control.kind", type(control).__name__, "the default control law")
         lander.check_hover(scenario.gravity_m_s2)
