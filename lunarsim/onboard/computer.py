@@ -340,11 +340,14 @@ class OnboardComputer:
         self._carry_on()
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
+        software = self.briefing.software.mappers
+        taking = [name for name in self.mappers if software[name].sensor == sensor]
+        if not taking:
+            return
         after = self.navigation.estimate(self.time, self.mass)
-        for name, mapper in self.mappers.items():
-            if self.briefing.software.mappers[name].sensor == sensor:
-                mapper.update(*self.navigation.corrected(sensor, measurement, after))
-                self.mapped.add(name)
+        for name in taking:
+            self.mappers[name].update(*self.navigation.corrected(sensor, measurement, after))
+            self.mapped.add(name)
         self.mapped |= {n for n, m in self.mappers.items() if m.sources & self.mapped}
 
     def _follow_navigation(self) -> None:
