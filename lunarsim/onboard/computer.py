@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._frame_kernels import turned
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
@@ -29,7 +28,6 @@ from lunarsim.onboard.guidance.steady import SteadyPlace
 from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.building import built_mappers
-from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
@@ -41,7 +39,7 @@ from lunarsim.onboard.policies.contract import (
     Observation,
     RetargetingPolicy,
 )
-from lunarsim.onboard.policies.expected_miss import expected_miss
+from lunarsim.onboard.policies.expected_miss import Aim
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -107,7 +105,6 @@ class OnboardComputer:
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
         self.mapped: set[str] = set()
-        self._mapped_at = 0.0
         self.expected_miss = float("nan")
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
@@ -116,7 +113,8 @@ class OnboardComputer:
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
-        self._aim: tuple[FloatMap, float, FloatMap] | None = None
+        descent = self.approach.vertical_altitude / self.approach.vertical_speed
+        self._aim = Aim(self.decisions.touchdown_sigma, descent)
         self._events = self._told = 0
         self._arrivals = Arrivals(briefing.step, self._note)
         self._barred, self._mapped_lost = False, False
@@ -210,10 +208,7 @@ class OnboardComputer:
             raise RuntimeError("this lander has no mapper: there is nothing to decide on")
         hazard_map = mapper.hazard_map()
         self.expected_miss = miss = float(self._miss_of(np.array([self.time_to_go]))[0])
-        # A map may come again with its ground moved alone.
-        if self._aim is None or self._aim[0] is not hazard_map.p_safe or self._aim[1] != miss:
-            self._aim = (hazard_map.p_safe, miss, hazard_map.dispersed(miss))
-        aim = self._aim[2]
+        aim = self._aim.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(self.site)
         self.candidates = candidate_sites(
             hazard_map,
@@ -248,12 +243,7 @@ class OnboardComputer:
     def _miss_of(self, time_to_go: Array) -> Array:
         """Return the expected miss of sites that take so long to reach (n,), s, an axis, m."""
         until = np.where(np.isfinite(time_to_go), time_to_go, self.time_to_go)
-        since = self.time - self._mapped_at
-        descent = self.approach.vertical_altitude / self.approach.vertical_speed
-        return expected_miss(
-            self.decisions.touchdown_sigma, self.estimate, self.navigation.adrift,
-            since + until + descent,
-        )  # fmt: skip
+        return self._aim.misses(self.estimate, self.navigation.adrift, until)
 
     # --- a cycle --------------------------------------------------------------------------
 
@@ -301,7 +291,7 @@ class OnboardComputer:
         ):
             self._take(sensor, measurement)
         if self.decisions_map in self.mapped:
-            self._mapped_at = self.time
+            self._aim.mapped_at = self.time
         self._carry_on()
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
@@ -562,18 +552,10 @@ class OnboardComputer:
 
     def _tasks(self) -> tuple[SensorTask, ...]:
         """Return what pointed sensors are to measure at the end of the cycle."""
-        soon = self._ahead(self.briefing.cycle)
+        soon = self.estimate.ahead(self.briefing.cycle)
         situation = Situation(soon.time, self._height(soon), self.site, soon)
         tasks = (part.task(situation) for part in self.tasking)
         return tuple(task for task in tasks if task is not None)
-
-    def _ahead(self, seconds: float) -> Estimate:
-        """Return the estimate carried on with present velocity and rate."""
-        e = self.estimate
-        attitude = e.attitude.copy()
-        turned(attitude, e.rate * seconds)
-        position = e.position + seconds * e.velocity
-        return replace(e, time=e.time + seconds, position=position, attitude=attitude)
 
     def stop_sensors(self) -> None:
         """Ask for no more measurements of pointed sensors."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +112,15 @@ class VerticalDescent:
         return min(-height / stopping, self.slowest * planned)
 
 
+@runtime_checkable
+class Turning(Protocol):
+    """A control whose turns have a greatest rate that a position loop must wait for."""
+
+    def turning_time(self, angle: float) -> float:
+        """Return how long a turn by an angle (rad) takes, s."""
+        ...
+
+
 def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
     """Return the law of the last phase: a scenario's own, or straight down at a constant speed.
 
@@ -125,8 +134,9 @@ def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
         Of attitude and engine, s.
     """
     if part is None:
-        turning = getattr(briefing.software.control, "turning_time", None)
-        lean = 0.0 if turning is None else turning(VerticalDescent.lean)
-        return VerticalDescent.behind(lag + lean, briefing.weight)
+        control = briefing.software.control
+        if isinstance(control, Turning):
+            lag += control.turning_time(VerticalDescent.lean)
+        return VerticalDescent.behind(lag, briefing.weight)
     law: DescentLaw = part.build(briefing, lag)
     return law

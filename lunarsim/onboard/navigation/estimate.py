@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._frame_kernels import turned
 from lunarsim.frames import Shift
 from lunarsim.messages.briefing import Briefing
 
@@ -45,6 +46,15 @@ class Estimate:
     mass: float
     covariance: Array
     lost: bool = False
+
+    def ahead(self, seconds: float) -> Estimate:
+        """Return it carried on with present velocity and rate."""
+        attitude = self.attitude.copy()
+        turned(attitude, self.rate * seconds)
+        return replace(
+            self, time=self.time + seconds, position=self.position + seconds * self.velocity,
+            attitude=attitude,
+        )  # fmt: skip
 
     @property
     def tilt_sigma(self) -> float:

@@ -56,13 +56,11 @@ class _Key:
 
     def moved(self, change: Array) -> _Key:
         """Return it with errors (11,) added, its squares carried on by their slopes."""
-        surface, middle = self.surface, self.seen.position
-        if len(surface):
-            middle = surface.position.mean(axis=0)
-            position = surface.position.copy()
-            position[:, 2] += self.seen.jacobian(position, surface.normal) @ change
-            surface = replace(surface, position=position)
+        middle = self.surface.position.mean(axis=0)
         off = self.off + float(np.abs(self.seen.point_jacobian(middle) @ change).max())
+        position = self.surface.position.copy()
+        position[:, 2] += self.seen.jacobian(position, self.surface.normal) @ change
+        surface = replace(self.surface, position=position)
         return replace(self, surface=surface, seen=self.seen.moved(change), off=off)
 
     def afresh(self) -> _Key:
@@ -143,8 +141,8 @@ class ScanOdometry:
         return found.taken
 
     def _corrected(self, error: Array) -> None:
-        """Move the scan kept with its pose."""
-        if self._key is None:
+        """Move the scan kept with its pose; one without squares is compared with nothing."""
+        if self._key is None or len(self._key.surface) == 0:
             return
         state = self.shared.state
         own = error[self.shared.scanner(self._key.sensor)]

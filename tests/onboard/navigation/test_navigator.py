@@ -135,6 +135,15 @@ def test_before_the_lock_it_knows_that_it_does_not_know(world):
     assert nees.ratio < nees.bounds(0.99)[1]
 
 
+def test_rocks_that_are_tracked_hold_the_lander(world):
+    f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
+    assert f.adrift
+    f.rocks.add_known(np.array([[5.0, 2.0]]), np.array([0.3]), np.array([0.5]), np.array([0.01]))
+    assert not f.adrift
+    f.rocks.remove(np.array([0]))
+    assert f.adrift
+
+
 def test_odometry_slows_the_drift(world):
     grown = {}
     for scans in (True, False):

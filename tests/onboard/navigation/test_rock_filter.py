@@ -264,16 +264,6 @@ def test_a_wrong_altitude_changes_nothing(reading):
     assert np.array_equal(f.inertial.position, z)
 
 
-def test_rocks_that_are_tracked_hold_the_lander():
-    flight = Flight(np.random.default_rng(8))
-    f = Navigator(flight.filter.inertial, StartSigmas(), ground=LevelGround(0.0, 3.0), rocks=True)
-    assert f.adrift
-    f.rocks.add_known(np.array([[5.0, 2.0]]), np.array([0.3]), np.array([0.5]), np.array([0.01]))
-    assert not f.adrift
-    f.rocks.remove(np.array([0]))
-    assert f.adrift
-
-
 def test_covariance_update_is_the_same_on_any_number_of_threads():
     rng = np.random.default_rng(3)
     w = rng.standard_normal((40, 1000))

@@ -21,6 +21,14 @@ from lunarsim.simulation.oracle import TruthOracle
 from lunarsim.world.truth import Truth
 from tests.worlds import TINY_FLIGHT
 
+# Instruments in place of fixes.
+OWN = {
+    "fix": None,
+    "altimeter": {"kind": "radar-altimeter"},
+    "velocimeter": {"kind": "velocimeter"},
+    "stars": {"kind": "star-tracker"},
+}
+
 
 def estimate(speed: tuple[float, float, float]) -> Estimate:
     covariance = np.eye(9)
@@ -76,13 +84,7 @@ def first_mapped(changes):
 def test_a_lander_held_by_fixes_expects_what_is_stated_and_another_its_drift():
     _, held = first_mapped({})
     assert held.expected_miss == 0.3
-    own = {
-        "fix": None,
-        "altimeter": {"kind": "radar-altimeter"},
-        "velocimeter": {"kind": "velocimeter"},
-        "stars": {"kind": "star-tracker"},
-    }
-    simulation, adrift = first_mapped({"sensors": own})
+    simulation, adrift = first_mapped({"sensors": OWN})
     computer = simulation.computer
     # The map is of this cycle: all the time is still to come.
     seconds = adrift.time_to_go + computer.approach.vertical_altitude / 2.0
@@ -135,9 +137,7 @@ def test_the_oracle_asks_for_room_for_the_miss(miss, row):
 
 
 def test_the_map_is_spread_afresh_by_a_new_miss():
-    simulation, _ = first_mapped({"sensors": {
-        "fix": None, "altimeter": {"kind": "radar-altimeter"},
-        "velocimeter": {"kind": "velocimeter"}, "stars": {"kind": "star-tracker"}}})  # fmt: skip
+    simulation, _ = first_mapped({"sensors": OWN})
     computer = simulation.computer
     for _ in range(20):
         simulation.step()
