@@ -36,6 +36,14 @@ WORLD = {
     "terrain": {"kind": "fractal", "size_m": 300.0, "posting_m": 1.0, "rms_slope_deg": 4.0},
     "rocks": {"cover": 0.08, "min_diameter_m": 0.4},
     "expected_rocks": {"cover": 0.08},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "altimeter": {"kind": "radar-altimeter"},
+        "velocimeter": {"kind": "velocimeter"},
+        "stars": {"kind": "star-tracker"},
+        "flash": {"kind": "flash-lidar"},
+    },
+    "navigation": {"kind": "inertial"},
 }
 # The first is what the others are set against.
 WAYS: dict[str, dict[str, object]] = {
