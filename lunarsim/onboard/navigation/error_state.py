@@ -322,14 +322,13 @@ class ErrorState:
             return Outcome(np.nan, k, False)
         own = p[np.ix_(part, part)]
         try:
-            white, degrees = _whitened(own, information, vector)
-            rows, measured = _as_measurements(information, vector)
+            rows, measured, white = _as_measurements(own, information, vector)
             hp = rows @ p[part]
             lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, part] @ rows.T)
         except np.linalg.LinAlgError:
             # Rounding has eaten the covariance: nothing can be told from it any more.
             return Outcome(np.inf, k, False)
-        distance = float(white @ white)
+        distance, degrees = float(white @ white), len(measured)
         if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= chance):
             return Outcome(distance, degrees, False)
         w = solve_triangular(lower, hp, lower=True, check_finite=False)
@@ -395,33 +394,30 @@ def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, 
     return Outcome(nis, m, True, white), lower
 
 
-def _as_measurements(information: Array, vector: Array) -> tuple[Array, Array]:
-    """Return the Jacobian (m, k) and the innovation (m,) of measurements of unit variance.
-
-    They tell the same as information (k, k) and its vector (k,), which lies where that is not 0.
-    """
-    told, axes = np.linalg.eigh(0.5 * (information + information.T))
-    kept = told > _SINGULAR**2 * max(float(told[-1]), 0.0)
-    root = np.sqrt(told[kept])
-    along = axes[:, kept].T
-    return root[:, None] * along, along @ vector / root
-
-
-def _whitened(own: Array, information: Array, vector: Array) -> tuple[Array, int]:
-    """Return the whitened innovation (k,) of information on errors, and its degrees of freedom.
+def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Array, Array, Array]:
+    """Return what information on errors of covariance (k, k) tells, as measurements.
 
     With P = L L' before, M = L' I L and u = L' v, u has the covariance M + M^2 (I being that of v's
-    noise). Only directions in which it tells something count: in others a trace of what is not
-    modelled would look like many deviations. Axes are those of L, the same in every measurement.
+    noise). Only directions in which it tells something are taken: in others a trace of what is not
+    modelled looks like many deviations, and moves the errors by as many, over and over.
+
+    Returns
+    -------
+    rows, measured
+        Jacobian (m, k) and innovation (m,) of measurements of unit variance.
+    white
+        The whitened innovation (k,) along the axes of L, the same in every measurement.
     """
     unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
     correlation = own / np.outer(unit, unit)
     lower = np.linalg.cholesky(correlation + _SINGULAR * np.eye(len(own))) * unit[:, None]
     told, axes = np.linalg.eigh(lower.T @ information @ lower)
-    along = axes.T @ (lower.T @ vector)
     kept = told > _LEAST_TOLD
-    along = np.where(kept, along / np.sqrt(np.where(kept, told * (1.0 + told), 1.0)), 0.0)
-    return np.asarray(axes @ along), int(kept.sum())
+    told, axes = told[kept], axes[:, kept]
+    root = np.sqrt(told)
+    measured = axes.T @ (lower.T @ vector) / root
+    rows = solve_triangular(lower, axes * root, trans="T", lower=True, check_finite=False).T
+    return rows, measured, axes @ (measured / np.sqrt(1.0 + told))
 
 
 def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:

@@ -157,20 +157,21 @@ def register(
         result = fit(jacobian, residual, variance[posts] + added, covariance, expected=expected)
         if result.used == 0:
             break
-        step = _solved(result, covariance) - error
+        step = solved(result, covariance) - error
         error = error + step
         middle = surface.position[inside].mean(axis=0)
         if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
             break
     if result.used:
-        share = max(_together(posts, residual - jacobian @ error, expected), prior.together)
+        alike = together(posts, residual - jacobian @ error, expected)
+        share = max(alike, prior.together, 1.0)
         result = replace(
             result, information=result.information / share, vector=result.vector / share
         )
     return result, posts
 
 
-def _solved(found: Fit, covariance: Array) -> Array:
+def solved(found: Fit, covariance: Array) -> Array:
     """Return the error that a fit and the covariance before make likeliest (d,)."""
     both = np.eye(len(covariance)) + found.information @ covariance
     return np.asarray(covariance @ np.linalg.solve(both, found.vector))
@@ -189,11 +190,11 @@ def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
     return np.broadcast_to(normal.mean(axis=0), normal.shape), added
 
 
-def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
-    """Return how many times less residuals tell than if each erred on its own, at least 1.
+def together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
+    """Return how many times less residuals tell than if each erred on its own.
 
     By their sums over blocks of a few posts: errors of a map that are alike over some metres, and
-    ground that has changed by little, add up there.
+    ground that has changed by little, add up there. 1 with too few blocks to tell.
     """
     row, col = (part // _BLOCK for part in posts)
     keep = residual**2 <= 9.0 * variance
@@ -203,7 +204,7 @@ def _together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array
     full = expected > 0.0
     if full.sum() < _FEWEST_BLOCKS:
         return 1.0
-    return max(1.0, float(np.mean(total[full] ** 2 / expected[full])))
+    return float(np.mean(total[full] ** 2 / expected[full]))
 
 
 def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Array, bool, Array]:

@@ -238,19 +238,21 @@ class RockFilter(RockStates):
         innovation = (pixel - sight.pixel[index]).ravel()
         return self.state.absorb(hp, s, innovation, 2 * m * gate)
 
-    def turn(self, sun: Array, wander: float) -> None:
+    def turn(self, sun: Array, along: float, across: float, shared: float) -> None:
         """Let what shadows tell of rocks' centres wander as the view turns.
 
         How a patch lies about its rock depends on where it is seen from. What the model of shadows
-        has wrong of that is a rock's own in part and in part the same for all, in radii; it lies
+        has wrong of that is a rock's own in part and in part the same for all; what is shared lies
         along the Sun.
 
         Parameters
         ----------
         sun
             Direction towards the Sun (3,), ENU.
-        wander
-            Standard deviation of each of the two after a radian, in radii.
+        along, across
+            Standard deviation of a rock's own after a radian, along the Sun and across, in radii.
+        shared
+            The same of what all share.
         """
         eye = self.inertial.position.copy()
         if self._eye is None or self.count == 0:
@@ -262,13 +264,16 @@ class RockFilter(RockStates):
         if np.median(angle) < _LEAST_TURN:
             return
         self._eye = eye
-        along = np.append(sun[:2] / np.hypot(sun[0], sun[1]), 0.0)
-        move = (wander * np.sqrt(angle) * self.radius)[:, None] * along
+        level = sun[:2] / np.hypot(sun[0], sun[1])
+        axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
+        root = np.sqrt(angle) * self.radius
+        move = (shared * root)[:, None] * axes[0]
         size = self.state.size
         with threads_for(2e-3 * size**2):
             add_outer(self.state.p[self.first : size, self.first : size], move.ravel())
         i = self.places()
-        self.state.p[i[:, :, None], i[:, None, :]] += move[:, :, None] * move[:, None, :]
+        own = (axes.T * [along**2, across**2]) @ axes
+        self.state.p[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
         """Watch what came of a picture, see `PictureWatch`; widen the state where it is doubted.

@@ -13,7 +13,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.error_state import KEY, POSE
 from lunarsim.onboard.navigation.parts import Shared
-from lunarsim.onboard.navigation.registration import fit
+from lunarsim.onboard.navigation.registration import Fit, fit, solved, together
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import Surface
@@ -27,6 +27,9 @@ _TURNS = 1e-3
 # A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
 # slopes its squares no longer hold, and what is found then moves them farther.
 _AFRESH = 0.05
+# The differences of two scans scatter by no less than this share of what is taken beforehand; and
+# tell this many times less than they scatter, since the slopes that weigh them err too.
+_LEAST_SCATTER, _SLOPES = 0.01, 1.5
 
 
 def key_block() -> dict[str, Array]:
@@ -128,16 +131,27 @@ class ScanOdometry:
         own = self.shared.scanner(sensor)
         both = np.concatenate((POSE, np.arange(state.head)[state.block(KEY)], own))
         of_scanner = (here - there)[:, 6 : 6 + len(own)]
-        result = fit(
-            np.hstack((here[:, :6], -there[:, :6], of_scanner)),
-            key.surface.position[i, 2] - new.position[j, 2],
-            np.full(len(i), self.settings.odometry_sigma**2),
-            state.covariance[np.ix_(both, both)],
-        )
+        jacobian = np.hstack((here[:, :6], -there[:, :6], of_scanner))
+        residual = key.surface.position[i, 2] - new.position[j, 2]
+        variance = np.full(len(i), self.settings.odometry_sigma**2)
+        prior = state.covariance[np.ix_(both, both)]
+        result = fit(jacobian, residual, variance, prior)
         if not self.settings.believes(result):
             return False
-        found = state.inform(both, result.information, result.vector, chance=self.settings.chance)
+        left = residual - jacobian @ solved(result, prior)
+        scatter = _scatter(result, (new.row[j], new.col[j]), left, variance)
+        middle = new.position[j].mean(axis=0) - key.surface.position.mean(axis=0)
+        ways = np.stack((seen.position - key.seen.position, middle))
+        alike = _second_order(prior, ways)
+        scatter += result.used * alike / variance[0]
+        found = state.inform(
+            both, result.information / scatter, result.vector / scatter,
+            chance=self.settings.chance,
+        )  # fmt: skip
         self.shared.judge(sensor, "scans", found, time)
+        if not found.taken:
+            # Either scan may be the wrong one: the next is compared with this.
+            self._share = 0.0
         return found.taken
 
     def _corrected(self, error: Array) -> None:
@@ -149,6 +163,33 @@ class ScanOdometry:
         change = np.zeros(11)
         change[:6], change[6 : 6 + len(own)] = error[state.block(KEY)], own
         self._key = self._key.moved(change)
+
+
+def _scatter(
+    result: Fit, squares: tuple[NDArray[np.int64], NDArray[np.int64]], left: Array, variance: Array
+) -> float:
+    """Return the variance of two scans' differences by what a fit leaves of them.
+
+    Over that taken beforehand: of single squares, or of their sums over blocks if that is more.
+    """
+    single = max(result.misfit, _LEAST_SCATTER**2)
+    return _SLOPES * max(single, together(squares, left, variance))
+
+
+def _second_order(prior: Array, ways: Array) -> float:
+    """Return the variance of what the fit, being linear, has wrong, alike in all squares, m^2.
+
+    Directions that are not known turn the ways (2, 3) that the lander and the ground seen have gone
+    between the two scans; half the square of the angle moves their ends.
+
+    Parameters
+    ----------
+    prior
+        Covariance of the pose, the pose kept, and the scanner's errors.
+    """
+    angles = 0.5 * float(np.trace(prior[3:6, 3:6]) + np.trace(prior[9:12, 9:12]))
+    angles += float(np.trace(prior[13:16, 13:16]))
+    return float((0.5 * angles) ** 2 * np.sum(ways**2))
 
 
 def plausible(scan: LidarScan) -> LidarScan:

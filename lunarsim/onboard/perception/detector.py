@@ -57,6 +57,10 @@ class DetectorSettings:
         Share of its bounding box on the ground that a rock's patch fills.
     pixel_sigma
         Standard deviation of where an end of a patch is found, pixels.
+    look_sigma, few_sigma
+        Standard deviations along the Sun and across by which a centre differs from one look to the
+        next, in what a pixel spans on the ground: of all, and, over the root of the number of its
+        dark pixels, what is added where these are few.
     """
 
     gamma: float = 0.7
@@ -68,6 +72,8 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
+    look_sigma: tuple[float, float] = (0.22, 0.12)
+    few_sigma: tuple[float, float] = (1.7, 0.36)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
@@ -80,6 +86,10 @@ class DetectorSettings:
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
+        for name in ("look_sigma", "few_sigma"):
+            pair = getattr(self, name)
+            if not (len(pair) == 2 and all(0.0 < v < np.inf for v in pair)):
+                raise InputError(f"detector.{name}", pair, "two positive numbers")
         low, high = self.canny
         if not 0.0 < low < high < np.inf:
             raise InputError("detector.canny", self.canny, "two positive numbers that rise")
@@ -95,6 +105,9 @@ class Detections:
         Image of the rocks' centres on the ground (n, 2), distortion taken out.
     pixel_covariance
         Of `pixel` (n, 2, 2).
+    look_covariance
+        That part of it which is another in every look (n, 2, 2): what the shape of a rock makes
+        of its patch lasts from look to look.
     ground
         Centres (n, 2), ENU, m, for the pose and plane given.
     radius, radius_sigma
@@ -128,6 +141,7 @@ class Detections:
 
     pixel: Array
     pixel_covariance: Array
+    look_covariance: Array
     ground: Array
     radius: Array
     radius_sigma: Array
@@ -279,7 +293,7 @@ def _nothing(
 ) -> Detections:
     none = np.empty(0)
     return Detections(
-        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
+        np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
         none, none, none, none, none, none, none,
         np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground,
         _unknown(len(extended)), np.empty((0, 1)),
@@ -361,9 +375,12 @@ def _measure(
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     frame = _sun_frame(sun)
-    offset, spread = _place(t, rocks, unit, settings.pixel_sigma)
+    look = np.hypot(settings.look_sigma, settings.few_sigma / np.sqrt(t[:, k.PIXELS])[:, None])
+    look *= t[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
+    offset, spread = _place(t, rocks, unit, look)
     offset = offset @ frame.T
-    pixel, covariance = _to_pixels(offset, ground - view.position[2], view, frame, spread)
+    pixel, turned = _to_pixels(offset, ground - view.position[2], view, frame)
+    covariance, white = _spread(turned, spread), _spread(turned, look)
     keep = ~terrain & (unit.length >= _LEAST_LENGTH)
     height = model.height * length / np.maximum(unit.length, _LEAST_LENGTH)
     largest = _unknown(len(table))
@@ -371,8 +388,8 @@ def _measure(
     largest[number[alone]] = read.largest[alone]
     extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
     return Detections(
-        pixel[keep], covariance[keep], (offset + view.position[:2])[keep], rocks.radius[keep],
-        rocks.sigma[keep], height[keep], length[keep], width[keep],
+        pixel[keep], covariance[keep], white[keep], (offset + view.position[:2])[keep],
+        rocks.radius[keep], rocks.sigma[keep], height[keep], length[keep], width[keep],
         t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
         labels, extended, shade.relative, shade.over_ground, largest, read.weight[keep],
     )  # fmt: skip
@@ -384,17 +401,18 @@ def _sun_frame(sun: Array) -> Array:
     return np.array([[s[0], -s[1]], [s[1], s[0]]])
 
 
-def _place(table: Array, rocks: _Radius, unit: ShadowPatch, pixel: float) -> tuple[Array, Array]:
-    """Return centres (n, 2) along the Sun and across, m, and their standard deviations (n, 2)."""
+def _place(table: Array, rocks: _Radius, unit: ShadowPatch, look: Array) -> tuple[Array, Array]:
+    """Return centres (n, 2) along the Sun and across, m, and their standard deviations (n, 2).
+
+    `look` (n, 2) is what they differ by from look to look, m.
+    """
     k, r = kernels, rocks.radius
     centre = np.column_stack(
         (table[:, k.ALONG] - r * unit.along, table[:, k.ACROSS] - r * unit.side)
     )
-    # The mean of a patch is found more closely than one of its ends.
-    edge = 0.5 * pixel * table[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
     lever = rocks.sigma[:, None] * np.column_stack((unit.along, unit.side))
     shape = r[:, None] * np.column_stack((unit.along_sigma, unit.side_sigma))
-    return centre, np.sqrt(edge**2 + lever**2 + shape**2)
+    return centre, np.sqrt(look**2 + lever**2 + shape**2)
 
 
 def _share(read: Reading, view: View, ground: float, depression: Array, pixels: Array) -> Array:
@@ -431,12 +449,17 @@ def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
     return back - np.arctan2(sun[0], sun[1]), depression
 
 
-def _to_pixels(
-    offset: Array, drop: float, view: View, frame: Array, spread: Array
-) -> tuple[Array, Array]:
-    """Return pixels (n, 2) and their covariances (n, 2, 2) of points on the ground."""
+def _to_pixels(offset: Array, drop: float, view: View, frame: Array) -> tuple[Array, Array]:
+    """Return the pixels of points on the ground (n, 2).
+
+    And how they move with the points along the Sun and across (n, 2, 2).
+    """
     points = np.column_stack((offset, np.full(len(offset), drop))) @ view.axes
     # By east and north, then along the Sun and across.
     turned = view.pinhole.jacobian(points, view.axes[:2].T) @ frame
-    covariance = (turned * (spread**2)[:, None, :]) @ np.swapaxes(turned, 1, 2)
-    return view.pinhole.project(points), covariance
+    return view.pinhole.project(points), turned
+
+
+def _spread(turned: Array, sigma: Array) -> Array:
+    """Return covariances of pixels (n, 2, 2) by deviations along the Sun and across (n, 2), m."""
+    return np.asarray((turned * (sigma**2)[:, None, :]) @ np.swapaxes(turned, 1, 2))

@@ -235,6 +235,9 @@ def test_directions_of_which_nothing_is_told_do_not_count():
     vector[2] = 1.0
     found = state.inform(POSE, information, vector, chance=1e-3)
     assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
+    # Nor do they move anything: told a thousand times over, it would be as many steps aside.
+    assert not state.inertial.position.any()
+    assert state.covariance[2, 2] == 1.0
 
 
 @pytest.mark.parametrize(("deviations", "taken"), [(3.2, True), (3.4, False)])

@@ -425,24 +425,27 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
     flight.image()
     f = flight.filter
     sun = np.array([0.6, 0.0, 0.8])
-    f.turn(sun, 0.2)
+    f.turn(sun, 0.3, 0.1, 0.2)
     p = f.covariance.copy()
     before = f.inertial.position.copy()
     # A small turn is kept until it has grown.
     for move in ([0.5, 0.0, -1.0], [39.5, -25.0, -39.0]):
         assert np.array_equal(p, f.covariance)
         f.inertial.correct(np.concatenate((move, np.zeros(12))))
-        f.turn(sun, 0.2)
+        f.turn(sun, 0.3, 0.1, 0.2)
     grown = f.covariance - p
     angles = []
     for rock in f.xyz:
         a, b = rock - before, rock - f.inertial.position
         angles.append(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
-    step = 0.2 * np.sqrt(angles) * f.radius
-    assert grown[15, 15] == pytest.approx(2.0 * step[0] ** 2)
-    assert grown[18, 18] == pytest.approx(2.0 * step[1] ** 2)
-    assert grown[15, 18] == pytest.approx(step[0] * step[1])
+    step = np.sqrt(angles) * f.radius
+    assert grown[15, 15] == pytest.approx((0.3**2 + 0.2**2) * step[0] ** 2)
+    assert grown[18, 18] == pytest.approx((0.3**2 + 0.2**2) * step[1] ** 2)
+    assert grown[16, 16] == pytest.approx((0.1 * step[0]) ** 2)
+    assert grown[19, 19] == pytest.approx((0.1 * step[1]) ** 2)
+    assert grown[15, 18] == grown[18, 15] == pytest.approx(0.2**2 * step[0] * step[1])
     grown[np.ix_([15, 18], [15, 18])] = 0.0
+    grown[[16, 19], [16, 19]] = 0.0
     assert np.array_equal(grown, np.zeros_like(grown))
 
 

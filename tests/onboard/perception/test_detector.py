@@ -139,6 +139,39 @@ def test_errors_are_as_large_as_their_covariance_says():
     assert 0.4 < 1.4826 * np.median(np.abs(z - np.median(z))) < 2.0
 
 
+@pytest.mark.parametrize("height", [35.0, 90.0])
+def test_from_look_to_look_centres_differ_by_what_is_said(height):
+    """Patches of five and of two pixels a radius, from places a metre apart."""
+    terrain = rocks_on_a_plane("cube", count=110, seed=4)
+    model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
+    rocks = terrain.rocks
+    tree = cKDTree(np.column_stack((rocks.x, rocks.y)))
+    looks, said = [], []
+    for step in range(5):
+        state, camera, counts = picture(terrain, (-0.6 * height + step, 0.3 * step, height))
+        seen = detect_rocks(counts, camera, state, SUN, model=model)
+        distance, nearest = tree.query(seen.ground)
+        look = np.full((len(rocks), 2), np.nan)
+        own = np.full((len(rocks), 2, 2), np.nan)
+        ok = distance < rocks.a[nearest]
+        view = camera.view(state)
+        true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))[nearest[ok]]
+        centre = view.pinhole.project((true - view.position) @ view.axes)
+        look[nearest[ok]] = seen.pixel[ok] - centre
+        own[nearest[ok]] = seen.look_covariance[ok]
+        looks.append(look)
+        said.append(own)
+        left = seen.pixel_covariance - seen.look_covariance
+        assert (np.linalg.eigvalsh(left) > -1e-12).all()
+    change = np.diff(looks, axis=0).reshape(-1, 2)
+    expected = (np.array(said)[1:] + np.array(said)[:-1]).reshape(-1, 2, 2)
+    both = np.isfinite(change).all(1)
+    assert both.sum() > 40
+    squared = np.einsum("ni,nij,nj->n", change[both], np.linalg.inv(expected[both]), change[both])
+    # Normal errors have 1.39; patches that merge now and then give them long tails.
+    assert 0.4 < np.median(squared) < 2.5
+
+
 def test_distortion_is_taken_out():
     terrain = rocks_on_a_plane("hemisphere", seed=5)
     lens = {"distortion": (-0.15, 0.03, 0.001, -0.001, 0.0)}
@@ -349,7 +382,8 @@ def test_contours_run_round_the_patches():
     [
         ("gamma", -1.0), ("gamma", np.nan), ("window", 0.0), ("window", 2.0), ("edge_share", -0.1),
         ("canny", (100.0, 40.0)), ("largest_radius", -5.0), ("least_fill", 0.0),
-        ("pixel_sigma", np.inf), ("least_pixels", 0),
+        ("pixel_sigma", np.inf), ("least_pixels", 0), ("look_sigma", (0.2, 0.0)),
+        ("look_sigma", (0.2,)), ("few_sigma", (np.nan, 0.1)),
     ],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused_when_they_are_made(name, value):

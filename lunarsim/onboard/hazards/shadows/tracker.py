@@ -63,7 +63,8 @@ class TrackerSettings:
     common_pixels
         Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
     view_wander
-        Of rocks' centres as the view turns, see `RockFilter.turn`.
+        Of rocks' centres as the view turns, see `RockFilter.turn`: along the Sun, across, and what
+        all share.
     most_off
         Normalised innovation squared a degree of freedom, beyond which an image is refused.
     least_expected
@@ -88,8 +89,8 @@ class TrackerSettings:
     radius_wander: float = 0.02
     radius_doubt: float = 0.15
     radius_floor: float = 0.25
-    common_pixels: float = 0.2
-    view_wander: float = 0.22
+    common_pixels: float = 0.12
+    view_wander: tuple[float, float, float] = (0.28, 0.08, 0.25)
     most_off: float = 3.0
     least_expected: float = 8.0
     least_found: float = 0.55
@@ -217,7 +218,7 @@ class RockTracker:
         if self._time is not None:
             self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
-        self.filter.turn(sun, s.view_wander)
+        self.filter.turn(sun, *s.view_wander)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
         points = self.filter.ground_points(camera, seen.pixel)
         self._split(seen, points, camera, radius_variance)
@@ -244,7 +245,7 @@ class RockTracker:
         a, b = d[turn], rock[turn]
         self._updated[b] = time
         found = self.filter.update_rocks(
-            b, sight, seen.pixel[a], seen.pixel_covariance[a], seen.radius[a], radius_variance[a],
+            b, sight, seen.pixel[a], seen.look_covariance[a], seen.radius[a], radius_variance[a],
             s.common_pixels, s.radius_floor, s.most_off,
         )  # fmt: skip
         expected = self._judge(rock, at, seen, d, camera, sun)
@@ -306,10 +307,10 @@ class RockTracker:
         off = off - np.median(off, axis=0)
         own = sight.by_rock[rock]
         # Rocks' errors less what they share with the lander's position.
-        s = seen.pixel_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
+        s = seen.look_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
             own, 1, 2
         )
-        s = s + 0.5 * np.eye(2)
+        s = s + self.settings.common_pixels**2 * np.eye(2)
         return np.asarray(squared_distance(off, s) < _AGREEMENT)
 
     def _judge(
@@ -411,7 +412,7 @@ class RockTracker:
         if new.size == 0:
             return born
         self.filter.add(
-            camera, points[new], seen.pixel_covariance[new], seen.radius[new], variance[new]
+            camera, points[new], seen.look_covariance[new], seen.radius[new], variance[new]
         )
         real = 1.0 - self.rates.false_positive(seen.q[new])
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
