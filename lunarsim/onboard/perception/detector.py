@@ -57,10 +57,9 @@ class DetectorSettings:
         Share of its bounding box on the ground that a rock's patch fills.
     pixel_sigma
         Standard deviation of where an end of a patch is found, pixels.
-    look_sigma, few_sigma
+    look_sigma
         Standard deviations along the Sun and across by which a centre differs from one look to the
-        next, in what a pixel spans on the ground: of all, and, over the root of the number of its
-        dark pixels, what is added where these are few.
+        next, in what a pixel spans on the ground; found by `scenarios/shadows/looks.py`.
     """
 
     gamma: float = 0.7
@@ -72,8 +71,7 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.22, 0.12)
-    few_sigma: tuple[float, float] = (1.7, 0.36)
+    look_sigma: tuple[float, float] = (0.36, 0.15)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
@@ -86,10 +84,8 @@ class DetectorSettings:
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
-        for name in ("look_sigma", "few_sigma"):
-            pair = getattr(self, name)
-            if not (len(pair) == 2 and all(0.0 < v < np.inf for v in pair)):
-                raise InputError(f"detector.{name}", pair, "two positive numbers")
+        if not (len(self.look_sigma) == 2 and all(0.0 < v < np.inf for v in self.look_sigma)):
+            raise InputError("detector.look_sigma", self.look_sigma, "two positive numbers")
         low, high = self.canny
         if not 0.0 < low < high < np.inf:
             raise InputError("detector.canny", self.canny, "two positive numbers that rise")
@@ -375,8 +371,7 @@ def _measure(
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     frame = _sun_frame(sun)
-    look = np.hypot(settings.look_sigma, settings.few_sigma / np.sqrt(t[:, k.PIXELS])[:, None])
-    look *= t[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
+    look = np.array(settings.look_sigma) * t[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
     offset, spread = _place(t, rocks, unit, look)
     offset = offset @ frame.T
     pixel, turned = _to_pixels(offset, ground - view.position[2], view, frame)

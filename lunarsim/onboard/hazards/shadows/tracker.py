@@ -90,7 +90,7 @@ class TrackerSettings:
     radius_doubt: float = 0.15
     radius_floor: float = 0.25
     common_pixels: float = 0.12
-    view_wander: tuple[float, float, float] = (0.28, 0.08, 0.25)
+    view_wander: tuple[float, float, float] = (0.2, 0.05, 0.25)
     most_off: float = 3.0
     least_expected: float = 8.0
     least_found: float = 0.55
