@@ -7,6 +7,7 @@ whole control cycle; the loop calls its parts one by one where somebody outside 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ from lunarsim.onboard.policies.contract import (
     RetargetingPolicy,
 )
 from lunarsim.onboard.policies.expected_miss import Aim
+from lunarsim.onboard.policies.reach import Reach
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -186,15 +188,15 @@ class OnboardComputer:
         )
         return cost
 
-    def _designable(self, sites: Array) -> DivertCost:
+    def _designable(self, sites: Array, estimate: Estimate) -> DivertCost:
         """Return what sites cost (n, 3); those that are not seen through a window are out of reach.
 
         A look angle is taken only where the scenario has a window.
         """
-        cost, window = self.cost_of(sites), self.briefing.software.window
+        cost, window = self.cost_of(sites, estimate), self.briefing.software.window
         if window is None:
             return cost
-        seen = window.sees(self.estimate, sites)
+        seen = window.sees(estimate, sites)
         return replace(
             cost,
             propellant=np.where(seen, cost.propellant, np.inf),
@@ -210,16 +212,19 @@ class OnboardComputer:
         self.expected_miss = miss = float(self._miss_of(np.array([self.time_to_go]))[0])
         aim = self._aim.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(self.site)
+        designable = partial(self._designable, estimate=self.estimate)
+        reach = Reach.under(hazard_map, self.site, designable)
         self.candidates = candidate_sites(
             hazard_map,
             aim,
             self.site,
-            self._designable,
+            designable,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
             miss_of=self._miss_of if self.navigation.adrift else None,
             mapper=self.decisions_map,
             scoreboard=scoreboard,
+            reach=reach,
         )
         row, col = (int(v) for v in hazard_map.grid.cell(self.site[:2]))
         inside = bool(hazard_map.grid.contains(self.site[:2]))
@@ -238,6 +243,7 @@ class OnboardComputer:
             site_value=float(hazard_map.value_at(self.site[:2])),
             scoreboard=scoreboard,
             expected_miss=miss,
+            reach=reach,
         )
 
     def _miss_of(self, time_to_go: Array) -> Array:

@@ -11,6 +11,7 @@ from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.policies.contract import Candidates
+from lunarsim.onboard.policies.reach import Reach
 
 Array = NDArray[np.float64]
 
@@ -56,11 +57,13 @@ def candidate_sites(
     miss_of: Callable[[Array], Array] | None = None,
     mapper: str = "",
     scoreboard: Scoreboard | None = None,
+    reach: Reach | None = None,
 ) -> Candidates:
     """Return the sites that a policy may choose from, and what each costs to reach.
 
     They are the `count` safest eligible cells at least `separation` metres apart, the nearest
-    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked.
+    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked. Where
+    none of all these can be reached they are chosen anew among the cells that can.
 
     Parameters
     ----------
@@ -81,6 +84,8 @@ def candidate_sites(
         Its name, for the sources: "MAPPER: safest", "MAPPER: nearest at 0.99", "MAPPER: ranked".
     scoreboard
         Sites that it has ranked.
+    reach
+        Where the lander can still land.
     """
     grid = hazard_map.grid
     if hazard_map.eligible is not None:
@@ -93,6 +98,11 @@ def candidate_sites(
         position, score = np.concatenate((position, ranked)), np.concatenate((score, own))
         source += [f"{mapper}: ranked"] * len(own)
     cost = cost_of(position)
+    if reach is not None and len(position) > 0 and not cost.feasible.any():
+        within = np.where(reach.at(grid.centres()), aim, np.float32(0.0))
+        cells, source = _proposed(within, distance, grid.posting, count, separation, mapper)
+        position, score = _on_ground(hazard_map, cells, site), np.full(len(cells), np.nan)
+        cost = cost_of(position)
     p_safe = aim[grid.cell(position[:, :2])].astype(np.float64)
     if miss_of is not None:
         p_safe = hazard_map.dispersed_at(position[:, :2], miss_of(cost.time_to_go))
