@@ -123,8 +123,9 @@ class OptimalGuidance:
         # It flies what the plan's last seconds leave open, as it does by itself.
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
-            least_time_to_go=ApolloLaw().least_time_to_go,
+            least_time_to_go=ApolloLaw().least_time_to_go, field=briefing.field,
         )  # fmt: skip
+        self._field = briefing.field
         self._plan: _Plan | None = None
         self._end: PhaseEnd | None = None
         self._next = -np.inf
@@ -146,8 +147,14 @@ class OptimalGuidance:
         if self._plan is None:
             return self._apollo.command(estimate, end, time, self.arrival - time)
         wanted = self._tracked(self._plan, estimate, time)
-        self._answering.ask(wanted - np.array([0.0, 0.0, self.gravity]))
-        return wanted
+        moves = wanted - np.array([0.0, 0.0, self.gravity])
+        self._answering.ask(moves)
+        # A plan knows uniform gravity; what is felt besides is made up for as it flies.
+        return (
+            wanted
+            if self._field is None
+            else moves - self._field.felt(estimate.position, estimate.velocity)
+        )
 
     # --- plans ----------------------------------------------------------------------------
 
