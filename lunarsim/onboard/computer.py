@@ -112,6 +112,7 @@ class OnboardComputer:
         self._thrust = 0.0
         self._pulses = 0.0
         self._jets_out = 0
+        self._dry = False
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -289,6 +290,9 @@ class OnboardComputer:
                 self._note(measurements.time, "thruster-failed", {"thruster": number})
             self._jets_out = len(self.attitude_loop.watch.failed)
         self.mass = max(self.mass - burnt, least)
+        if self.mass == least and not self._dry:
+            self._dry = True  # by its own account: what is commanded from here on is not to be had
+            self._note(measurements.time, "tanks-empty", {"altitude": self.altitude})
         self.time = measurements.time
         self.mapped = set()
         # The state is carried to now before anything corrects it, in whatever order things came.

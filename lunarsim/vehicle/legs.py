@@ -57,7 +57,7 @@ class Legs:
     stroke: float = quantity(0.2, "m", gt=0, help="by which the honeycomb can crush")
     friction: float = quantity(0.7, gt=0, le=3, help="between pad and ground")
     max_time: float = quantity(
-        20.0, "s", gt=0, help="neither at rest nor tipped by then: unsettled"
+        40.0, "s", gt=0, help="neither at rest nor tipped by then: unsettled"
     )
 
     def __post_init__(self) -> None:

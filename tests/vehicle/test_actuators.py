@@ -199,6 +199,9 @@ def test_throttle_steps_dead_band_and_gap():
     assert actuators.throttled(5000.0) == 5500.0
     assert actuators.throttled(1e9) == 5500.0
     assert actuators.throttled(0.0) == 0.0
+    # No step leads into the gap: 3579 is nearer to 3600 than to 3500.
+    uneven = Engine(throttle_step=100.0, gap_from=3580.0, gap_to=5500.0)
+    assert Actuators(replace(LANDER, engine=uneven), STEP).throttled(3579.0) == 3580.0
 
 
 def test_what_fails_is_not_what_is_ordered():
