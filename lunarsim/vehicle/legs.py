@@ -122,7 +122,8 @@ class _Patch:
         axis = _POSTING * np.arange(-n, n + 1)
         x, y = state.position[0] + axis, state.position[1] + axis
         bare = np.asarray(ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64)
-        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING))
+        # 0.15 over 0.05 is a little less than three.
+        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING + 1e-9))
         disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach + 1e-9
         # Unknown ground stays unknown: it must not be taken for low.
         filled = np.where(np.isfinite(bare), bare, np.inf)

@@ -90,3 +90,15 @@ def test_what_cannot_turn_every_way_is_told():
     up = [0, 4, 8, 12, 1, 5, 9, 13]  # all that push along body z
     assert not Allocation(Thrusters(), up).complete
     assert Allocation(Thrusters()).complete
+
+
+def test_a_guess_is_no_verdict_and_what_is_not_seen_is_not_forgotten():
+    """An estimate under a half is not enough while it may be wrong; doubt stops growing."""
+    watch, nothing = ThrusterWatch(16), np.zeros((16, 3))
+    watch._x[3] = 0.3
+    assert watch.see(np.zeros(3), np.zeros(3), nothing, PERIOD) == []
+    for _ in range(4_000):
+        watch.see(np.zeros(3), np.zeros(3), nothing, PERIOD)
+    assert watch.sigma == pytest.approx(np.full(16, 0.5), rel=1e-9)
+    watch._p[3, 3] = 0.04**2
+    assert watch.see(np.zeros(3), np.zeros(3), nothing, PERIOD) == [3]
