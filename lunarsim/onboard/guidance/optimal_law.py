@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
-from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
 from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
 from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
@@ -256,9 +256,6 @@ def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
 
 def _check(estimate: Estimate, end: PhaseEnd, time_to_go: float) -> None:
     """Refuse what is not finite."""
-    state = (estimate.position, estimate.velocity, end.position, end.velocity)
-    if not all(np.isfinite(x).all() for x in state) or not np.isfinite(estimate.mass):
-        told = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
-        raise InputError("guidance.estimate", told, "finite coordinates and mass")
+    refuse_unknown(estimate, end)
     if not np.isfinite(time_to_go):
         raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
