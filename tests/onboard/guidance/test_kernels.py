@@ -136,7 +136,8 @@ def test_sixteen_side_by_side_cost_what_each_costs_alone(glide):
     figures = (1.62, 1480.0, 900.0, 1500.0, 4600.0, 0.7, glide)
     w, good = np.zeros(80, np.float32), 0
     for _ in range(60):
-        targets = np.column_stack((rng.uniform(-90.0, 90.0, (16, 2)), rng.normal(0.0, 9.0, 16)))
+        high = rng.normal(0.0, 9.0 if glide > 0.0 else 90.0, 16)
+        targets = np.column_stack((rng.uniform(-90.0, 90.0, (16, 2)), high))
         times = rng.uniform(14.0, 45.0, 16)
         w[:48], w[48:64] = targets.T.ravel(), times
         lanes_of(
