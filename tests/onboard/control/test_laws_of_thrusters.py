@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.frames import quat_from_rotation_vector, quat_to_rotation_vector
+from lunarsim.frames import (
+    quat_from_rotation_vector,
+    quat_rotate,
+    quat_to_rotation_vector,
+)
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import Engine, JetLander
 from lunarsim.models.lander import Lander
@@ -331,3 +335,43 @@ def test_an_allocation_that_cannot_turn_every_way_is_not_taken_over():
         made.torque()
         made.take(np.zeros(3))
     assert made.allocation is before
+
+
+COM = (0.06, -0.04, 0.3)
+
+
+def test_a_mass_beside_the_engines_line_leans_the_body_and_not_the_thrust():
+    """Swung through the centre of mass from the first command on; thrust is where it was asked."""
+    lander = JetLander(com_dry=COM, com_full=COM)
+    target = quat_from_rotation_vector([0.1, -0.2, 0.4])
+    made = loop(QuaternionFeedback(), lander, target=target)
+    x, y = made.gimbal
+    push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
+    lever = np.array([0.0, 0.0, -lander.engine.pivot_depth]) - COM
+    assert np.cross(lever, push) == pytest.approx(np.zeros(3), abs=1e-12)
+    assert quat_rotate(made.target, push) == pytest.approx(
+        quat_rotate(target, [0, 0, 1]), abs=1e-12
+    )
+    straight = loop(QuaternionFeedback(), JetLander(com_dry=(0, 0, 0.3), com_full=(0, 0, 0.3)),
+                    target=target)  # fmt: skip
+    assert np.array_equal(straight.target, target)
+    assert not straight.gimbal.any()
+    fixed = JetLander(com_dry=COM, com_full=COM, engine=Engine(gimbal_limit=0.0))
+    assert np.array_equal(loop(QuaternionFeedback(), fixed, target=target).target, target)
+    short = JetLander(com_dry=COM, com_full=COM, engine=Engine(gimbal_limit=0.02))
+    assert np.abs(loop(QuaternionFeedback(), short).gimbal) == pytest.approx([0.02, 0.02])
+
+
+def test_the_watch_knows_what_a_swung_engine_does_about_the_mass():
+    """Against the moment written out: pivot less mass, times thrust."""
+    lander = JetLander(com_dry=COM, com_full=COM)
+    made, told = loop(Asking([0.0, 0.0, 0.0]), lander), []
+    made.watch.see = lambda change, known, turns, period: told.append(known) or []
+    made.torque()
+    made.gimbal = np.array([0.02, -0.03])
+    made._look()
+    x, y = made.gimbal
+    push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
+    lever = np.array([0.0, 0.0, -lander.engine.pivot_depth]) - COM
+    moment = 2400.0 * np.cross(lever, push) * made.period / lander.inertia(1300.0)
+    assert told[-1] == pytest.approx(moment, rel=2e-3, abs=1e-6)
