@@ -38,7 +38,8 @@ def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, fl
     told = []
     for row, (when, style) in zip(rows, _LINES, strict=True):
         within = reach_in(flight, row, grid.moved(flight.map_error)).reachable
-        share = f"{100.0 * within.mean():.3g} % of this map"
+        # Rounded down: 100 % is all of it.
+        share = f"{np.floor(1000.0 * within.mean()) / 10.0:g} % of this map"
         label = f"in reach at the {when} decision: {share}"
         told.append(Line2D([], [], color="black", ls=style, lw=1.6, label=label))
         if within.any() and not within.all():

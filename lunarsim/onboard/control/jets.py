@@ -110,7 +110,7 @@ class JetLoop(AttitudeLoop):
             [-np.arctan2(north, np.hypot(east, self._arm)), np.arctan2(east, self._arm)]
         )
         limit = self.vehicle.engine.gimbal_limit
-        return np.clip(swing, -limit, limit)
+        return np.asarray(np.clip(swing, -limit, limit))
 
     def _look(self) -> None:
         """Set what has turned in the last period against what was ordered for it."""
