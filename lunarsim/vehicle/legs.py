@@ -108,15 +108,24 @@ class Rest:
 
 
 @dataclass
-class _Patch:
-    """The ground about a touchdown: as it is, and the highest under a pad."""
+class Patch:
+    """The ground about a touchdown: as it is, and the highest under a pad.
+
+    Attributes
+    ----------
+    bare, padded
+        Heights (rows, cols), m; NaN where unknown.
+    frame
+        East and north of post (0, 0) and the posting (3,), m.
+    """
 
     bare: Array
     padded: Array
     frame: Array = field(repr=False)
 
     @classmethod
-    def of(cls, lander: Lander, state: State, ground: Ground) -> _Patch:
+    def of(cls, lander: Lander, state: State, ground: Ground) -> Patch:
+        """Look the ground up about where a lander touches down."""
         half = lander.leg_radius + lander.pad_diameter + lander.com_height + _ROOM
         n = int(np.ceil(half / _POSTING))
         axis = _POSTING * np.arange(-n, n + 1)
@@ -132,7 +141,7 @@ class _Patch:
         return cls(bare, padded, np.array([x[0], y[0], _POSTING]))
 
 
-def _clearance(lander: Lander, state: State, patch: _Patch, shift: Array) -> float:
+def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> float:
     """Return the least height of the belly's plane above the ground inside the legs (m)."""
     pads = state.position + quat_rotate(state.attitude, lander.pads - shift)
     lift = quat_to_matrix(state.attitude)[:, 2]
@@ -155,7 +164,7 @@ def _clearance(lander: Lander, state: State, patch: _Patch, shift: Array) -> flo
 def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest:
     """Return what becomes of a lander from its touchdown on, the engine off."""
     lander = dynamics.lander
-    patch = _Patch.of(lander, state, ground)
+    patch = Patch.of(lander, state, ground)
     shift = com_of(lander, state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(

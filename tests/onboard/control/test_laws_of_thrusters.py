@@ -367,10 +367,12 @@ def test_the_watch_knows_what_a_swung_engine_does_about_the_mass():
     lander = JetLander(com_dry=COM, com_full=COM)
     made, told = loop(Asking([0.0, 0.0, 0.0]), lander), []
     made.watch.see = lambda change, known, turns, period: told.append(known) or []
+    x, y = 0.02, -0.03
+    for _ in range(made.period_steps):
+        made.torque()
+        made.take(np.zeros(3))
+    made.gimbal = np.array([x, y])
     made.torque()
-    made.gimbal = np.array([0.02, -0.03])
-    made._look()
-    x, y = made.gimbal
     push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
     lever = np.array([0.0, 0.0, -lander.engine.pivot_depth]) - COM
     moment = 2400.0 * np.cross(lever, push) * made.period / lander.inertia(1300.0)
