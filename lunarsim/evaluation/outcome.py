@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
-from lunarsim.scenario import Scenario
+from lunarsim.evaluation.reach import cost_from
 from lunarsim.simulation.flight import Flight
 from lunarsim.vehicle.touchdown import ABORTED, least_margin
 from lunarsim.world.truth import Truth
@@ -126,10 +126,5 @@ def safe_site_in_reach(flight: Flight, truth: Truth) -> bool:
     spots = spots[:: max(1, len(spots) // _TRIES)]
     if len(spots) == 0:
         return False
-    scenario = Scenario.from_toml(flight.scenario)
-    approach, lander = scenario.approach.make(), scenario.vehicle.make()
     sites = np.column_stack((spots, np.full(len(spots), flight.sites[-1, 2])))
-    cost = scenario.guidance.make().cost(
-        first, approach.end(sites, lander), lander, scenario.gravity_m_s2, approach.limits
-    )
-    return bool(cost.feasible.any())
+    return bool(cost_from(flight, first, sites).feasible.any())

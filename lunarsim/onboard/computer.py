@@ -7,6 +7,7 @@ whole control cycle; the loop calls its parts one by one where somebody outside 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ from lunarsim.onboard.policies.contract import (
     RetargetingPolicy,
 )
 from lunarsim.onboard.policies.expected_miss import Aim
+from lunarsim.onboard.policies.reach import Reach
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -110,6 +112,7 @@ class OnboardComputer:
         self._thrust = 0.0
         self._pulses = 0.0
         self._jets_out = 0
+        self._dry = False
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -186,15 +189,15 @@ class OnboardComputer:
         )
         return cost
 
-    def _designable(self, sites: Array) -> DivertCost:
+    def _designable(self, sites: Array, estimate: Estimate) -> DivertCost:
         """Return what sites cost (n, 3); those that are not seen through a window are out of reach.
 
         A look angle is taken only where the scenario has a window.
         """
-        cost, window = self.cost_of(sites), self.briefing.software.window
+        cost, window = self.cost_of(sites, estimate), self.briefing.software.window
         if window is None:
             return cost
-        seen = window.sees(self.estimate, sites)
+        seen = window.sees(estimate, sites)
         return replace(
             cost,
             propellant=np.where(seen, cost.propellant, np.inf),
@@ -210,16 +213,19 @@ class OnboardComputer:
         self.expected_miss = miss = float(self._miss_of(np.array([self.time_to_go]))[0])
         aim = self._aim.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(self.site)
+        designable = partial(self._designable, estimate=self.estimate)
+        reach = Reach.under(hazard_map, self.site, designable)
         self.candidates = candidate_sites(
             hazard_map,
             aim,
             self.site,
-            self._designable,
+            designable,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
             miss_of=self._miss_of if self.navigation.adrift else None,
             mapper=self.decisions_map,
             scoreboard=scoreboard,
+            reach=reach,
         )
         row, col = (int(v) for v in hazard_map.grid.cell(self.site[:2]))
         inside = bool(hazard_map.grid.contains(self.site[:2]))
@@ -238,6 +244,7 @@ class OnboardComputer:
             site_value=float(hazard_map.value_at(self.site[:2])),
             scoreboard=scoreboard,
             expected_miss=miss,
+            reach=reach,
         )
 
     def _miss_of(self, time_to_go: Array) -> Array:
@@ -283,6 +290,9 @@ class OnboardComputer:
                 self._note(measurements.time, "thruster-failed", {"thruster": number})
             self._jets_out = len(self.attitude_loop.watch.failed)
         self.mass = max(self.mass - burnt, least)
+        if self.mass == least and not self._dry:
+            self._dry = True  # by its own account: what is commanded from here on is not to be had
+            self._note(measurements.time, "tanks-empty", {"altitude": self.altitude})
         self.time = measurements.time
         self.mapped = set()
         # The state is carried to now before anything corrects it, in whatever order things came.

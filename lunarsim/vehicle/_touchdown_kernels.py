@@ -145,7 +145,7 @@ def ground_fit(legs, spacing, z, frame, out):
 def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
     """Return the least margin over the edges of the legs; see `touchdown.tip_margin`."""
     full = (y[13] - dry) / (wet - dry)
-    most = max(
+    least = min(
         inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
         inertia[0, 1] + full * (inertia[1, 1] - inertia[0, 1]),
     )
@@ -164,7 +164,7 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
             return -np.inf
         length = np.hypot(arm, com_height)
         barrier = y[13] * gravity * length * (1.0 - np.cos(lean))
-        about = most + y[13] * length * length
+        about = least + y[13] * length * length
         momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * com_height
         margin = min(margin, 1.0 - 0.5 * momentum * momentum / about / barrier)
     return margin

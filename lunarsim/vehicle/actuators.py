@@ -90,7 +90,9 @@ class Actuators:
             thrust = engine.gap_to if thrust > middle else engine.gap_from
         elif engine.throttle_step > 0.0:
             thrust = engine.throttle_step * round(thrust / engine.throttle_step)
-            thrust = min(max(thrust, self.lander.thrust_min), self.lander.thrust_max)
+            # No step leads into the gap.
+            most = engine.gap_from if engine.has_gap else self.lander.thrust_max
+            thrust = min(max(thrust, self.lander.thrust_min), most)
         self._throttle = thrust
         return thrust
 

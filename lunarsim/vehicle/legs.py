@@ -57,7 +57,7 @@ class Legs:
     stroke: float = quantity(0.2, "m", gt=0, help="by which the honeycomb can crush")
     friction: float = quantity(0.7, gt=0, le=3, help="between pad and ground")
     max_time: float = quantity(
-        20.0, "s", gt=0, help="neither at rest nor tipped by then: unsettled"
+        40.0, "s", gt=0, help="neither at rest nor tipped by then: unsettled"
     )
 
     def __post_init__(self) -> None:
@@ -108,21 +108,31 @@ class Rest:
 
 
 @dataclass
-class _Patch:
-    """The ground about a touchdown: as it is, and the highest under a pad."""
+class Patch:
+    """The ground about a touchdown: as it is, and the highest under a pad.
+
+    Attributes
+    ----------
+    bare, padded
+        Heights (rows, cols), m; NaN where unknown.
+    frame
+        East and north of post (0, 0) and the posting (3,), m.
+    """
 
     bare: Array
     padded: Array
     frame: Array = field(repr=False)
 
     @classmethod
-    def of(cls, lander: Lander, state: State, ground: Ground) -> _Patch:
+    def of(cls, lander: Lander, state: State, ground: Ground) -> Patch:
+        """Look the ground up about where a lander touches down."""
         half = lander.leg_radius + lander.pad_diameter + lander.com_height + _ROOM
         n = int(np.ceil(half / _POSTING))
         axis = _POSTING * np.arange(-n, n + 1)
         x, y = state.position[0] + axis, state.position[1] + axis
         bare = np.asarray(ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64)
-        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING))
+        # 0.15 over 0.05 is a little less than three.
+        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING + 1e-9))
         disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach + 1e-9
         # Unknown ground stays unknown: it must not be taken for low.
         filled = np.where(np.isfinite(bare), bare, np.inf)
@@ -131,7 +141,7 @@ class _Patch:
         return cls(bare, padded, np.array([x[0], y[0], _POSTING]))
 
 
-def _clearance(lander: Lander, state: State, patch: _Patch, shift: Array) -> float:
+def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> float:
     """Return the least height of the belly's plane above the ground inside the legs (m)."""
     pads = state.position + quat_rotate(state.attitude, lander.pads - shift)
     lift = quat_to_matrix(state.attitude)[:, 2]
@@ -154,7 +164,7 @@ def _clearance(lander: Lander, state: State, patch: _Patch, shift: Array) -> flo
 def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest:
     """Return what becomes of a lander from its touchdown on, the engine off."""
     lander = dynamics.lander
-    patch = _Patch.of(lander, state, ground)
+    patch = Patch.of(lander, state, ground)
     shift = com_of(lander, state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(

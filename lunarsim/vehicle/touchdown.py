@@ -169,7 +169,8 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
 
     The lander strikes the edge and pivots about it: angular momentum about the edge is kept,
     kinetic energy about it must not lift the centre of mass over the edge. The ground's slope
-    counts as leaning towards every edge, which is the worst case.
+    counts as leaning towards every edge, and the lesser moment of inertia as that about every edge:
+    the worst case of both.
     """
     polygon = legs[:, :2] - state.position[:2]
     full = (state.mass - lander.dry_mass) / lander.propellant_mass
@@ -190,7 +191,7 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
             return -np.inf
         length = np.hypot(arm, lander.com_height)
         barrier = state.mass * gravity * length * (1.0 - np.cos(lean))
-        about_edge = max(inertia[0], inertia[1]) + state.mass * length**2
+        about_edge = min(inertia[0], inertia[1]) + state.mass * length**2
         momentum = state.mass * max(0.0, float(normal @ state.velocity[:2])) * lander.com_height
         margin = min(margin, 1.0 - 0.5 * momentum**2 / about_edge / barrier)
     return float(margin)

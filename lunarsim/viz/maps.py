@@ -17,6 +17,7 @@ from lunarsim.evaluation.outcome import first_aim
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
+from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
@@ -91,6 +92,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
             # The ground reaches far beyond what is mapped: show the map and some of the way to it.
             aside = 0.25 * (x1 - x0)
             west, east, south, north = x0 - aside, x1 + aside, y0 - aside, y1 + aside
+    outlines = draw_reach(panels[2], flight, (west, east, south, north))
     for panel in panels:
         _path_and_sites(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)
@@ -101,7 +103,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     if tall:
         for panel in panels[1:]:
             panel.set_ylabel("")
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=5)
+    figure.legend(handles=_legend() + outlines, loc="outside lower center", ncols=5)
     figure.suptitle(end_of(flight))
     save(figure, path)
 

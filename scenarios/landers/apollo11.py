@@ -29,8 +29,8 @@ FEET = 0.3048
 # taken in hand, 102:43:22; landing, 102:45:40.
 LOCK_ON, P64, P66, LANDING = 288.0, 507.0, 617.0, 755.0
 # Propellant of the whole descent stage, kg, descent orbit insertion included, and what that took:
-# 23.3 m/s at 303 s of 15,065 kg.
-REPORTED, INSERTION = 7_899.0, 118.0
+# 268 lb by the mission report's table of masses.
+REPORTED, INSERTION = 7_899.0, 121.6
 # The digitised chart beside the record: burnt by lock-on, and in all; it does not say from when on.
 CHART_LOCK_ON, CHART = 4_260.0, 7_570.0
 

@@ -6,6 +6,7 @@ legs that spring, damp and crush. The table counts both verdicts; the share of s
 touchdowns that tip over is given with its 95 % interval.
 
 python scenarios/landers/touchdowns.py --touchdowns 500 --jobs 2
+python scenarios/landers/touchdowns.py --touchdowns 100 --relief 8 --aside 0.5 --com-height 3.2
 """
 
 from __future__ import annotations
@@ -54,6 +55,8 @@ class Task:
     cover: float
     seed: int
     friction: float
+    aside: float
+    com_height: float
 
 
 @dataclass(frozen=True)
@@ -68,15 +71,20 @@ class Landed:
     stroke_m: float
 
 
-def touching(lander: Lander, terrain: Terrain, rng: np.random.Generator) -> State | None:
-    """Return a state in which the first pad has just touched; None over unknown ground."""
+def touching(
+    lander: Lander, terrain: Terrain, rng: np.random.Generator, aside: float = 0.25
+) -> State | None:
+    """Return a state in which the first pad has just touched; None over unknown ground.
+
+    `aside` is the deviation of the speed sideways, an axis, m/s.
+    """
     west, east, south, north = terrain.bounds
     room = 12.0
     xy = rng.uniform((west + room, south + room), (east - room, north - room))
     level = attitude_from_thrust([0.0, 0.0, 1.0], rng.uniform(0.0, 2.0 * np.pi))
     lean = np.deg2rad(1.5) * np.array([*rng.standard_normal(2), 0.0])
     attitude = quat_multiply(level, quat_from_rotation_vector(lean))
-    velocity = np.array([*(0.25 * rng.standard_normal(2)), -2.0 + 0.2 * rng.standard_normal()])
+    velocity = np.array([*(aside * rng.standard_normal(2)), -2.0 + 0.2 * rng.standard_normal()])
     rate = np.deg2rad(1.0) * rng.standard_normal(3)
     high = State(np.array([*xy, 0.0]), velocity, attitude, rate, 1200.0)
     pads = pad_contacts(lander, high, terrain)
@@ -94,11 +102,11 @@ def land(task: Task) -> list[Landed]:
         rocks, Streams(seed)
     )
     rng = np.random.default_rng(seed.spawn(1)[0])
-    lander, legs = Lander(), Legs(friction=task.friction)
+    lander, legs = Lander(com_height=task.com_height), Legs(friction=task.friction)
     dynamics = Dynamics(lander, GRAVITY)
     found = []
     while len(found) < task.count:
-        state = touching(lander, terrain, rng)
+        state = touching(lander, terrain, rng, task.aside)
         if state is None:
             continue
         static = judge_touchdown(lander, state, terrain, GRAVITY)
@@ -123,18 +131,27 @@ def confusion(landed: list[Landed]) -> dict[str, int]:
 @click.option("--touchdowns", type=click.IntRange(min=1), default=500, show_default=True)
 @click.option("--friction", type=click.FloatRange(0.0, 3.0, min_open=True), default=0.7,
               show_default=True, help="Between pads and ground.")  # fmt: skip
+@click.option("--relief", "reliefs", type=click.FloatRange(0.0, 25.0), multiple=True,
+              default=RELIEFS, show_default=True, help="Rms slope, deg.")  # fmt: skip
+@click.option("--aside", type=click.FloatRange(0.0, 5.0), default=0.25, show_default=True,
+              help="Deviation of the speed sideways, an axis, m/s.")  # fmt: skip
+@click.option("--com-height", type=click.FloatRange(0.5, 6.0), default=Lander().com_height,
+              show_default=True, help="Of the centre of mass above the pads, m.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
-def main(touchdowns: int, friction: float, seed: int, jobs: int, out: Path | None) -> None:
+def main(
+    touchdowns: int, friction: float, reliefs: tuple[float, ...], aside: float, com_height: float,
+    seed: int, jobs: int, out: Path | None,
+) -> None:  # fmt: skip
     """Set the static judgement of touchdowns beside the motion on legs."""
     console = Console(width=120)
-    cases = [(relief, cover) for relief in RELIEFS for cover in COVERS]
+    cases = [(relief, cover) for relief in reliefs for cover in COVERS]
     tasks, left = [], touchdowns
     while left > 0:
         relief, cover = cases[len(tasks) % len(cases)]
         count = min(PER_GROUND, left)
-        tasks.append(Task(len(tasks), count, relief, cover, seed, friction))
+        tasks.append(Task(len(tasks), count, relief, cover, seed, friction, aside, com_height))
         left -= count
     landed = [one for some in gathered(land, tasks, jobs, console, "grounds") for one in some]
     report(console, landed)

@@ -52,6 +52,30 @@ def _flown(law: Any, start: Any, end: Any, time_to_go: float, exhaust: float) ->
     )
 
 
+def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
+    """Return the least propellant of each start under the limits that reach has, kg; NaN: none."""
+    from lunarsim.onboard.guidance.divert import PathLimits
+    from lunarsim.optimal.errors import InfeasibleError
+    from lunarsim.optimal.final_time import least_propellant
+    from lunarsim.optimal.planner import Planner
+    from lunarsim.optimal.problem import Descent
+
+    limits, planner = PathLimits(), Planner(40)
+    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+    least = np.full(len(starts), np.nan)
+    for n, start in enumerate(starts):
+        descent = Descent(
+            start.position, start.velocity, start.mass, end.position, end.velocity, _G,
+            lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity,
+            lander.dry_mass + limits.reserve, limits.max_tilt, limits.glideslope, 0.5,
+        )  # fmt: skip
+        try:
+            least[n] = least_propellant(planner, descent).propellant
+        except InfeasibleError:
+            continue
+    return least
+
+
 def _least_ms(work: Callable[[], object]) -> float:
     """Return the least CPU time of nine runs on this thread, ms: others on the machine aside."""
     work()
@@ -78,9 +102,12 @@ def guidance() -> None:
     cells = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     field = PhaseEnd(np.column_stack((cells, np.full(len(cells), 12.0))), end.velocity)
     threads = numba.get_num_threads()
+    optima = _optima(starts, end, lander)
+    print(f"  starts from which the optimum lands: {np.isfinite(optima).sum()} of {len(starts)}")
     print(
         "  law                    a command (us)  reach ms: CPU, 1, all threads  in reach  "
-        "propellant kg (median, 95 %)  miss m (95 %)  speed m/s (95 %)"
+        "propellant kg (median, 95 %)  over the optimum % (median, 95 %)  miss m (95 %)  "
+        "speed m/s (95 %)"
     )
     for kind, law in laws.items():
         began = time.perf_counter()
@@ -93,16 +120,19 @@ def guidance() -> None:
         for count in (1, threads):
             numba.set_num_threads(count)
             times.append(median_ms(lambda law=law: law.cost(starts[3], field, lander, _G), 5))
-        rows = []
-        for start in starts:
+        rows, least = [], []
+        for start, optimum in zip(starts, optima, strict=True):
             to_go = float(law.cost(start, end, lander, _G).time_to_go[0])
             if np.isfinite(to_go):
                 rows.append(_flown(law, start, end, to_go, lander.exhaust_velocity))
+                least.append(optimum)
         figures = np.array(rows)
         spent = np.percentile(figures[:, 0], [50, 95])
+        over = np.nanpercentile(100.0 * (figures[:, 0] / least - 1.0), [50, 95])
         worst = np.percentile(figures[:, 1:], 95, axis=0)
         print(
             f"  {kind:22s} {took:14.1f} {times[0]:12.1f} {times[1]:10.1f} {times[2]:8.1f} "
             f"{len(rows):12d} "
-            f"{spent[0]:14.1f} {spent[1]:7.1f} {worst[0]:16.3f} {worst[1]:14.3f}"
+            f"{spent[0]:14.1f} {spent[1]:7.1f} {over[0]:19.2f} {over[1]:7.2f} "
+            f"{worst[0]:22.3f} {worst[1]:14.3f}"
         )

@@ -89,3 +89,19 @@ def reachable(r, v, target, v_f, a_f, gravity, mass, exhaust, least, most, tan_t
     burnt = mass * (1.0 - np.exp(-simpson(size, x=t, axis=1) / exhaust))
     good = good.all(axis=1) & (burnt <= mass - dry)
     return burnt[good].min() if good.any() else np.inf
+
+
+def steepness(r, v, target, v_f, a_f, total):
+    """Return the greatest jerk and the snap of the one quartic that meets all at both ends.
+
+    Its fifth derivative is nought: position is a polynomial of degree four an axis.
+    """
+    m = np.array([[total**3 / 6.0, total**4 / 24.0], [total**2 / 2.0, total**3 / 6.0]])
+    # r + v t + a t^2/2 + j t^3/6 + s t^4/24, with a from the end: a = a_f - j t - s t^2/2.
+    m = m - np.array([[total**2 / 2.0], [total]]) * np.array([total, total**2 / 2.0])
+    asked = np.array([
+        target - r - v * total - 0.5 * a_f * total**2, v_f - v - a_f * total,
+    ])  # fmt: skip
+    jerk, snap = np.linalg.solve(m, asked)
+    ends = np.linalg.norm([jerk, jerk + snap * total], axis=1)
+    return ends.max(), np.linalg.norm(snap)

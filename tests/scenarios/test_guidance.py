@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -36,3 +37,13 @@ def test_round_and_flat_are_set_side_by_side(script):
     r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
     fell = study.fallen(None, r, v)
     assert fell == pytest.approx(r + 30.0 * v - [0.0, 0.0, 0.5 * 1.622 * 900.0], abs=1e-6)
+
+
+def test_reach_shrinks_on_the_way_down(script, tmp_path):
+    study, out = script("guidance", "reach"), tmp_path / "reach.png"
+    arguments = ["--law", "e-guidance", "--height", "450", "--height", "200", "--out", str(out)]
+    done = CliRunner().invoke(study.main, arguments)
+    assert done.exit_code == 0, done.output
+    areas = [float(line.split()[4]) for line in done.output.splitlines() if "km^2" in line]
+    assert areas[0] > 2.0 * areas[1] > 0.0
+    assert cv2.imread(str(out)).std() > 20

@@ -126,6 +126,13 @@ def test_valves_stay_open_for_their_least_time():
     again.order(orders(LANDER), NO_SWING)  # called back after a step
     run(again, 5, state)
     assert again.on_time[0] == pytest.approx(0.02)
+    # A valve that opens again has its least time again.
+    state = run(again, 5, state)[-1]
+    again.order(orders(LANDER, j0=0.1), NO_SWING)
+    state = run(again, 1, state)[-1]
+    again.order(orders(LANDER), NO_SWING)
+    run(again, 5, state)
+    assert again.on_time[0] == pytest.approx(0.04)
 
 
 def test_empty_thruster_tanks_push_no_more():
@@ -191,6 +198,8 @@ def test_the_centre_of_mass_moves_with_the_propellant():
 def test_throttle_steps_dead_band_and_gap():
     engine = Engine(throttle_step=50.0, dead_band=30.0, gap_from=3600.0, gap_to=5500.0)
     actuators = Actuators(replace(LANDER, engine=engine), STEP)
+    # An engine that does not run is started however little is asked for.
+    assert actuators.throttled(20.0) == LANDER.thrust_min
     assert actuators.throttled(2020.0) == 2000.0
     assert actuators.throttled(2029.0) == 2000.0
     assert actuators.throttled(2031.0) == 2050.0
@@ -199,6 +208,9 @@ def test_throttle_steps_dead_band_and_gap():
     assert actuators.throttled(5000.0) == 5500.0
     assert actuators.throttled(1e9) == 5500.0
     assert actuators.throttled(0.0) == 0.0
+    # No step leads into the gap: 3579 is nearer to 3600 than to 3500.
+    uneven = Engine(throttle_step=100.0, gap_from=3580.0, gap_to=5500.0)
+    assert Actuators(replace(LANDER, engine=uneven), STEP).throttled(3579.0) == 3580.0
 
 
 def test_what_fails_is_not_what_is_ordered():

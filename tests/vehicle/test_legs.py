@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
-from lunarsim.frames import attitude_from_thrust, quat_multiply
+from lunarsim.frames import attitude_from_thrust, quat_multiply, quat_rotate
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
 from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle import _leg_kernels as kernels
 from lunarsim.vehicle.dynamics import PLAIN_RIG
-from lunarsim.vehicle.legs import Legs, judge_motion, settle
+from lunarsim.vehicle.legs import Legs, Patch, judge_motion, settle
 from lunarsim.world.terrain import Terrain
 from tests.worlds import flat_terrain, sloped_terrain
 
@@ -161,6 +161,60 @@ def test_verdicts_name_what_failed():
     assert none is None
 
 
+def leaning(axis, angle: float) -> State:
+    """Return a lander at rest that leans by an angle about an axis (3,), its lowest pad down."""
+    lean = Rotation.from_rotvec(angle * np.asarray(axis) / np.linalg.norm(axis)).as_quat()
+    attitude = quat_multiply(lean, UP)
+    pads = quat_rotate(attitude, LANDER.pads)
+    place = np.array([0.0, 0.0, -pads[:, 2].min()])
+    return above(position=place, attitude=attitude, velocity=np.zeros(3))
+
+
+def test_a_lander_that_stands_still_on_two_pads_is_not_at_rest():
+    """Short of its balance over an edge it hardly moves for a second, and falls back."""
+    pads = quat_rotate(UP, LANDER.pads)
+    edge = pads[1, :2] - pads[0, :2]
+    outward = pads[0, :2] + pads[1, :2]
+    axis = np.array([edge[0], edge[1], 0.0])
+    if np.cross(axis, [0.0, 0.0, 1.0])[:2] @ outward < 0.0:
+        axis = -axis
+    balance = np.arctan2(0.5 * np.linalg.norm(outward), LANDER.com_height)
+    state = leaning(axis, balance - np.deg2rad(0.3))
+    rest = settle(LEGS, Dynamics(LANDER, G), state, flat_terrain(80.0))
+    assert rest.time > 2.0
+    assert rest.settled
+    assert not rest.tipped
+    assert rest.tilt < np.deg2rad(1.0)
+
+
+def test_over_one_pad_it_leans_farther_than_over_an_edge_before_it_tips():
+    pad = quat_rotate(UP, LANDER.pads)[0]
+    axis = np.cross([0.0, 0.0, 1.0], [pad[0], pad[1], 0.0])
+    edge = np.arctan2(LANDER.leg_radius / np.sqrt(2.0), LANDER.com_height)
+    corner = np.arctan2(LANDER.leg_radius, LANDER.com_height)
+    assert corner - edge > np.deg2rad(8.0)
+    ground = flat_terrain(80.0)
+    back = settle(LEGS, Dynamics(LANDER, G), leaning(axis, corner - np.deg2rad(3.0)), ground)
+    over = settle(LEGS, Dynamics(LANDER, G), leaning(axis, corner + np.deg2rad(3.0)), ground)
+    assert not back.tipped
+    assert back.settled
+    assert over.tipped
+
+
+def test_the_belly_counts_from_its_underside_and_at_its_lowest():
+    dynamics, slowly = Dynamics(LANDER, G), np.array([0.0, 0.0, -0.05])
+    for spare, touched in ((0.03, False), (-0.03, True)):
+        high = LANDER.belly_clearance - spare
+        rock = Terrain(flat_terrain().relief, RockField.hemispheres(0.2, 0.1, 0.0, high))
+        verdict, _ = judge_motion(LEGS, dynamics, above(0.0, velocity=slowly), rock)
+        assert ("belly" in verdict.failed) == touched
+    # A hard touchdown presses the springs farther than they are left.
+    rest = settle(LEGS, dynamics, above(0.0), flat_terrain())
+    assert rest.strokes.max() > rest.crushed.max() + 0.02
+    lowest = LANDER.belly_clearance - rest.strokes.max()
+    assert rest.clearance == pytest.approx(lowest, abs=0.01)
+
+
 def test_pads_are_counted_from_the_body_not_from_a_centre_of_mass_that_moves():
     lander = JetLander(com_dry=(0.0, 0.0, 0.3), com_full=(0.0, 0.0, 0.3))
     state = above(0.3, lander, velocity=np.zeros(3))
@@ -185,6 +239,45 @@ def test_in_the_air_the_attitude_alone_is_brought_to_its_norm():
     assert np.linalg.norm(y[6:10]) == pytest.approx(1.0, abs=1e-15)
     assert y[10:13] == pytest.approx([0.1, 0.0, 0.0], abs=1e-15)
     assert np.isnan(legs[:, 2:]).all()
+
+
+def test_a_pad_that_leaves_the_ground_lets_go_of_where_it_held():
+    y = np.concatenate(([10.0, 10.0, 9.0, 0.0, 0.0, -1.0], UP, np.zeros(3), [MASS, 0.0]))
+    legs = np.tile([0.05, 0.02, 9.0, 11.0, 0.0], (4, 1))
+    stepped(y, legs, np.array([2e5, 5e3, 1.2e4, 0.5, 0.15, 0.2]))
+    assert np.isnan(legs[:, 2:]).all()
+    assert (legs[:, 1] == 0.0).all()
+    assert (legs[:, 0] == 0.05).all()  # what has crushed stays
+
+
+def test_a_stroke_that_is_spent_gives_no_more():
+    """Ten metres a second are far beyond the honeycomb: after it the springs alone push back."""
+    legs = replace(LEGS, max_time=0.6)
+    hard = above(0.0, velocity=np.array([0.0, 0.0, -10.0]))
+    rest = settle(legs, Dynamics(LANDER, G), hard, flat_terrain())
+    assert (rest.crushed >= LEGS.stroke).all()
+    assert rest.crushed.max() < LEGS.stroke + 0.02
+    # m v^2 / 2 less what crushed, in the springs: k x^2 / 2 each, damping leaves less.
+    spare = 0.5 * MASS * 100.0 - 4.0 * LEGS.crush_force * LEGS.stroke
+    stiff = np.sqrt(2.0 * spare / (4.0 * LEGS.stiffness))
+    assert 0.4 * stiff < (rest.strokes - rest.crushed).max() < 1.1 * stiff
+
+
+def test_ground_beside_what_is_unknown_is_unknown_to_a_pad():
+    class Edge:
+        """Ground that rises to the east, unknown from a metre on."""
+
+        def elevation(self, xy):
+            x = np.asarray(xy)[..., 0]
+            return np.where(x > 1.0, np.nan, 0.1 * x)
+
+    patch = Patch.of(LANDER, above(), Edge())
+    x = patch.frame[0] + patch.frame[2] * np.arange(patch.bare.shape[1])
+    row = patch.padded[len(patch.padded) // 2]
+    radius = 0.5 * LANDER.pad_diameter
+    assert np.isnan(row[x > 1.0 - radius + 0.01]).all()
+    known = x < 1.0 - radius - 0.01
+    assert row[known] == pytest.approx(0.1 * np.minimum(x[known] + radius, 1.0), abs=1e-9)
 
 
 def test_a_leg_at_its_crush_force_gives_what_its_spring_cannot_hold():

@@ -137,6 +137,39 @@ def test_tip_margin_of_a_point_mass_in_closed_form():
     assert margin == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_body_that_turns_more_easily_about_one_axis_tips_as_easily_as_about_that():
+    """The energy about an edge, L^2 / 2 (I + m L^2), is greatest with the lesser moment."""
+    lander = Lander(
+        com_height=2.0, inertia_dry=(600.0, 2000.0, 2100.0), inertia_full=(600.0, 2000.0, 2100.0)
+    )
+    arm = lander.leg_radius / np.sqrt(2.0)
+    length = np.hypot(arm, 2.0)
+    for sideways in (np.array([0.9, 0.0]), np.array([0.0, -0.9])):
+        state = standing(
+            velocity=np.array([*sideways, -1.0]), position=np.array([0.0, 0.0, 2.0])
+        )  # fmt: skip
+        margin = judge_touchdown(lander, state, flat_terrain(), G).touchdown.tip_margin
+        turning = 0.5 * (1300.0 * 0.9 * 2.0) ** 2 / (600.0 + 1300.0 * length**2)
+        assert margin == pytest.approx(1.0 - turning / (1300.0 * G * (length - 2.0)), abs=1e-6)
+
+
+def test_the_heading_is_that_of_body_x_from_north_to_east():
+    for heading in (0.4, -2.0):
+        state = standing(attitude=attitude_from_thrust([0.0, 0.0, 1.0], heading))
+        touchdown = judge_touchdown(LANDER, state, flat_terrain(), G).touchdown
+        x, y, z, w = state.attitude
+        east, north = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w)
+        assert touchdown.heading == pytest.approx(np.arctan2(east, north))
+
+
+def test_a_margin_of_roughness_is_counted_to_the_lesser_of_its_limits():
+    touchdown = judge_touchdown(LANDER, standing(), flat_terrain(), G).touchdown
+    rough = replace(touchdown, roughness=0.18, vertical_speed=0.0)
+    for limits in ({"roughness_limit": 0.5, "belly_clearance": 0.2},
+                   {"roughness_limit": 0.2, "belly_clearance": 0.5}):  # fmt: skip
+        assert least_margin(Lander(**limits), rough) == pytest.approx(0.1)
+
+
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
 def test_four_legs_stand_above_the_ground(heights):
     """On an admissible plane no leg is under ground, and three touch it."""

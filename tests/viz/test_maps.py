@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,14 @@ from matplotlib.colors import to_rgba
 from matplotlib.text import Annotation
 
 from lunarsim.evaluation.outcome import first_aim
+from lunarsim.evaluation.reach import estimate_in, reach_in, rows_of_decisions
 from lunarsim.grid import Grid
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz import maps
+from lunarsim.viz.reach import draw_reach
+from lunarsim.viz.style import new_figure
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain
 from lunarsim.world.truth import Truth
@@ -159,3 +163,53 @@ def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
     assert boxes[2].x0 < inner.x0 and inner.x1 < boxes[2].x1
     room = figure.bbox.width / len(panels)
     assert all(panel.title.get_window_extent().width < room for panel in panels)
+
+
+def test_outlines_of_reach_are_those_of_the_law(flown, drawn):
+    """At the last decision less is in reach than at the first, and the outline parts the two."""
+    record, world, truth = flown
+    rows = rows_of_decisions(record)
+    t = record.trajectory
+    decided = [d["time"] for d in record.decisions]
+    assert t["time"][rows[0]] <= decided[0]
+    assert t["time"][rows[1]] >= decided[-1]
+    assert (t["phase"][[*rows]] == 0).all()
+    wide = Grid.centred(record.sites[rows[1], :2], 2000.0, 40.0)
+    first, last = (reach_in(record, row, wide).reachable for row in rows)
+    assert 0 < last.sum() < first.sum() < first.size
+    # What the lander flies to is in reach.
+    for row in rows:
+        assert reach_in(record, row, wide).at(record.sites[row, :2])
+    here = estimate_in(record, rows[0])
+    assert here.position[0] == t["estimated_x"][rows[0]]
+    assert here.velocity[2] == t["estimated_velocity_z"][rows[0]]
+    assert here.mass == t["estimated_mass"][rows[0]]
+    figure = drawn(*flown)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert sum("in reach at the" in word for word in words) == 2
+    silent = replace(record, first_map=None)
+    assert rows_of_decisions(silent) is None
+    words = [text.get_text() for text in drawn(silent, world, truth).legends[0].get_texts()]
+    assert not any("in reach" in word for word in words)
+
+
+def test_outlines_of_reach_part_what_is_in_reach_from_what_is_not(flown):
+    record = flown[0]
+    figure = new_figure(4.0, 4.0)
+    panel = figure.subplots()
+    error = record.map_error
+    aside, up = record.sites[-1, :2] - error[:2]
+    told = draw_reach(panel, record, (aside - 900.0, aside + 900.0, up - 900.0, up + 900.0))
+    assert [line.get_linestyle() for line in told] == ["-", ":"]
+    shares = [float(re.search(r": (\S+) %", line.get_label())[1]) for line in told]
+    assert 0.0 < shares[1] < shares[0] < 100.0
+    row = rows_of_decisions(record)[0]
+    outline = np.vstack(panel.collections[1].get_paths()[0].to_polygons())
+    beyond = np.array([aside, up]) - outline
+    beyond /= np.linalg.norm(beyond, axis=1, keepdims=True)
+    grid = Grid.centred(record.sites[-1, :2], 4000.0, 4.0)
+    cost = reach_in(record, row, grid)
+    within = cost.at(outline + error[:2] + 60.0 * beyond)
+    without = cost.at(outline + error[:2] - 60.0 * beyond)
+    assert within.mean() > 0.9
+    assert without.mean() < 0.1

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim._frame_kernels import rotation_between
+from lunarsim.frames import quat_multiply
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.control.allocation import Allocation
@@ -25,6 +26,9 @@ _TRIM_TIME = 4.0
 
 class JetLoop(AttitudeLoop):
     """Firings of thrusters by a law, and a gimbal that takes steady torques from them.
+
+    Where the centre of mass lies beside the engine's line, the engine is swung from the start to
+    push through it, and the body leans by as much the other way.
 
     A law that gives torques has them modulated into pulses: what a period's pulses could not give
     is carried into the next, up to the shortest pulse. A law with `rate_change` orders firings.
@@ -59,6 +63,7 @@ class JetLoop(AttitudeLoop):
         self.watch = ThrusterWatch(lander.thrusters.count)
         self._com = np.zeros(3)
         self._rate: Array | None = None
+        self._begun = False
 
     @property
     def compiled(self) -> bool:
@@ -81,6 +86,13 @@ class JetLoop(AttitudeLoop):
         self._thrust = command.thrust
         self._com = self.vehicle.com(mass)
         self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
+        swing = self._through_com()
+        if swing.any():
+            # Swung so the engine does not push along body z: the body leans, the thrust does not.
+            self.target = quat_multiply(self.target, _upright(swing))
+            if not self._begun:
+                self.gimbal = swing
+        self._begun = True
 
     def torque(self) -> Array:
         """Return the mean torque of the present period's firings (3,), N m; order them if due."""
@@ -88,6 +100,17 @@ class JetLoop(AttitudeLoop):
             self._order()
         self._step += 1
         return self.state[7:].copy()
+
+    def _through_com(self) -> Array:
+        """Return the swing (2,), rad, with which the engine pushes through the centre of mass."""
+        east, north = float(self._com[0]), float(self._com[1])
+        if self.vehicle.engine.gimbal_limit == 0.0 or self._arm <= 0.0:
+            return np.zeros(2)
+        swing = np.array(
+            [-np.arctan2(north, np.hypot(east, self._arm)), np.arctan2(east, self._arm)]
+        )
+        limit = self.vehicle.engine.gimbal_limit
+        return np.asarray(np.clip(swing, -limit, limit))
 
     def _look(self) -> None:
         """Set what has turned in the last period against what was ordered for it."""
@@ -98,6 +121,8 @@ class JetLoop(AttitudeLoop):
         jets, period, inertia = self.vehicle.thrusters, self.period, self.inertia
         about_com = jets.torques - np.cross(self._com, jets.forces)
         engine = -self._thrust * self._arm * np.array([*self.gimbal, 0.0]) * period
+        (x, y), (east, north, _) = self.gimbal, self._com
+        engine += self._thrust * period * np.array([-north, east, east * x + north * y])
         turns = self.on_times[:, None] * about_com / inertia
         if self.watch.see(rate - before, engine / inertia, turns, period):
             left = Allocation(jets, self.watch.failed)
@@ -134,6 +159,14 @@ class JetLoop(AttitudeLoop):
         most = engine.gimbal_rate * self.period
         swing = np.clip(-impulse[:2] / (pull * _TRIM_TIME), -most, most)
         self.gimbal = np.clip(self.gimbal + swing, -engine.gimbal_limit, engine.gimbal_limit)
+
+
+def _upright(swing: Array) -> Array:
+    """Return the turn (4,) that brings a swung engine's push, body axes, onto body z."""
+    x, y = swing
+    push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
+    turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # push x z, and half the angle
+    return np.asarray(turn / np.linalg.norm(turn))
 
 
 def attitude_loop(law: AttitudeControl, lander: Any, step: float) -> AttitudeLoop:

@@ -1,4 +1,4 @@
-"""Compiled measures of the paths of a law, and times-to-go by limits on jerk and snap."""
+"""Compiled measures of the paths of a law."""
 
 from __future__ import annotations
 
@@ -126,49 +126,3 @@ def close_in(state, target, asked, first, at, step, span, table, powers, figures
                 if good and found[0] < out[0]:
                     _keep(found, out)
                     at = near
-
-
-@kernel(inner=True)
-def excess(r, v, target, v_f, a_f, big_t, jerk, snap):
-    """Return by how much a quartic path breaks its limits on jerk and snap; negative if it keeps.
-
-    Jerk is linear in time, so it is greatest at an end; snap is constant.
-    """
-    at_end = 0.0
-    at_start = 0.0
-    fourth = 0.0
-    for k in range(3):
-        p = (v_f[k] - v[k]) / big_t - a_f[k]
-        q = (v_f[k] * big_t - target[k] + r[k]) / big_t**2 - 0.5 * a_f[k]
-        first = 3.0 * (4.0 * q - p)
-        d, e = 2.0 * first, 3.0 * (p - first)
-        at_end += d * d
-        at_start += (d + 2.0 * e) ** 2
-        fourth += e * e
-    most = np.sqrt(max(at_end, at_start)) / big_t
-    return max(most / jerk, 2.0 * np.sqrt(fourth) / big_t**2 / snap) - 1.0
-
-
-@kernel(shared=True, allocates=False)
-def limited_times(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
-    """Find for each target (n, 3) the least time-to-go that keeps both limits (n,), else NaN.
-
-    Times (m,) ascend; the least is bracketed by them and halved 40 times.
-    """
-    for n in range(share[0], targets.shape[0], share[1]):
-        out[n] = np.nan
-        for m in range(times.shape[0]):
-            if excess(r, v, targets[n], v_f, a_f, times[m], jerk, snap) > 0.0:
-                continue
-            if m == 0:
-                out[n] = times[0]
-                break
-            low, high = times[m - 1], times[m]
-            for _ in range(40):
-                middle = 0.5 * (low + high)
-                if excess(r, v, targets[n], v_f, a_f, middle, jerk, snap) > 0.0:
-                    low = middle
-                else:
-                    high = middle
-            out[n] = high
-            break

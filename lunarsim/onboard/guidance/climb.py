@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.onboard.guidance.contract import refuse_unknown
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # Share of the sideways speed that is taken out in a second.
@@ -21,6 +22,7 @@ def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
     most
         Thrust over mass at full throttle, m/s^2.
     """
+    refuse_unknown(estimate)
     sideways = -_DAMPING * estimate.velocity[:2]
     size = float(np.hypot(*sideways))
     if size > 0.5 * most:

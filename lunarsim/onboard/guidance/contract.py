@@ -47,6 +47,22 @@ class PhaseEnd:
             raise InputError("end.frame", self.frame, "'local'; navigation moves points to it")
 
 
+def refuse_unknown(estimate: Estimate, end: PhaseEnd | None = None) -> None:
+    """Refuse a state or an end that is no number.
+
+    Raises
+    ------
+    InputError
+        If position, velocity or mass, or the end's position or velocity is not finite.
+    """
+    told = [estimate.position, estimate.velocity]
+    if end is not None:
+        told += [end.position, end.velocity]
+    if not (np.isfinite(estimate.mass) and all(np.isfinite(x).all() for x in told)):
+        here = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
+        raise InputError("guidance.estimate", here, "finite coordinates and mass")
+
+
 class GuidanceLaw(Protocol):
     """Anything that turns an estimate and the end of a phase into a thrust acceleration."""
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
-from lunarsim.onboard.guidance import _kernels as k
+from lunarsim.onboard.guidance import _jerk_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, Path
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -83,7 +83,7 @@ def limited_times(
             raise InputError(f"guidance.{name}", value, "a positive limit")
     targets = np.ascontiguousarray(np.atleast_2d(ends.position), dtype=np.float64)
     out = np.empty(len(targets))
-    with threads_for(10.0 * len(targets)):
+    with threads_for(0.1 * len(targets)):
         k.limited_times(
             np.ascontiguousarray(position, dtype=np.float64),
             np.ascontiguousarray(velocity, dtype=np.float64),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
-from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
 from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
 from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
@@ -123,8 +123,9 @@ class OptimalGuidance:
         # It flies what the plan's last seconds leave open, as it does by itself.
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
-            least_time_to_go=ApolloLaw().least_time_to_go,
+            least_time_to_go=ApolloLaw().least_time_to_go, field=briefing.field,
         )  # fmt: skip
+        self._field = briefing.field
         self._plan: _Plan | None = None
         self._end: PhaseEnd | None = None
         self._next = -np.inf
@@ -146,8 +147,14 @@ class OptimalGuidance:
         if self._plan is None:
             return self._apollo.command(estimate, end, time, self.arrival - time)
         wanted = self._tracked(self._plan, estimate, time)
-        self._answering.ask(wanted - np.array([0.0, 0.0, self.gravity]))
-        return wanted
+        moves = wanted - np.array([0.0, 0.0, self.gravity])
+        self._answering.ask(moves)
+        # A plan knows uniform gravity; what is felt besides is made up for as it flies.
+        return (
+            wanted
+            if self._field is None
+            else moves - self._field.felt(estimate.position, estimate.velocity)
+        )
 
     # --- plans ----------------------------------------------------------------------------
 
@@ -249,9 +256,6 @@ def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
 
 def _check(estimate: Estimate, end: PhaseEnd, time_to_go: float) -> None:
     """Refuse what is not finite."""
-    state = (estimate.position, estimate.velocity, end.position, end.velocity)
-    if not all(np.isfinite(x).all() for x in state) or not np.isfinite(estimate.mass):
-        told = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
-        raise InputError("guidance.estimate", told, "finite coordinates and mass")
+    refuse_unknown(estimate, end)
     if not np.isfinite(time_to_go):
         raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # Greatest product of the position loop's frequency and the vehicle's lag.
@@ -80,6 +80,7 @@ class VerticalDescent:
         The end's position is that of the centre of mass on the ground, its velocity that of the
         whole descent.
         """
+        refuse_unknown(estimate, end)
         offset = estimate.position[:2] - end.position[:2]
         sideways = (
             -(self.frequency**2) * offset

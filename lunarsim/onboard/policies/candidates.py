@@ -11,6 +11,7 @@ from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.policies.contract import Candidates
+from lunarsim.onboard.policies.reach import Reach
 
 Array = NDArray[np.float64]
 
@@ -56,11 +57,13 @@ def candidate_sites(
     miss_of: Callable[[Array], Array] | None = None,
     mapper: str = "",
     scoreboard: Scoreboard | None = None,
+    reach: Reach | None = None,
 ) -> Candidates:
     """Return the sites that a policy may choose from, and what each costs to reach.
 
     They are the `count` safest eligible cells at least `separation` metres apart, the nearest
-    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked.
+    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked. If
+    none of these can be reached they are chosen among the cells that can.
 
     Parameters
     ----------
@@ -81,28 +84,40 @@ def candidate_sites(
         Its name, for the sources: "MAPPER: safest", "MAPPER: nearest at 0.99", "MAPPER: ranked".
     scoreboard
         Sites that it has ranked.
+    reach
+        Where the lander can still land.
     """
     grid = hazard_map.grid
-    if hazard_map.eligible is not None:
-        aim = np.where(hazard_map.eligible, aim, np.float32(0.0))
-    distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
-    cells, source = _proposed(aim, distance, grid.posting, count, separation, mapper)
-    position, score = _on_ground(hazard_map, cells, site), np.full(len(cells), np.nan)
-    if scoreboard is not None:
-        ranked, own = _ranked(hazard_map, scoreboard)
-        position, score = np.concatenate((position, ranked)), np.concatenate((score, own))
-        source += [f"{mapper}: ranked"] * len(own)
+    position, source = _sites(hazard_map, aim, site, count, separation, mapper)
+    ranked, own = _ranked(hazard_map, scoreboard)
+    position, score = np.vstack((position, ranked)), np.append(np.full(len(position), np.nan), own)
+    source += [f"{mapper}: ranked"] * len(own)
     cost = cost_of(position)
+    if reach is not None and len(position) > 0 and not cost.feasible.any():
+        aim = np.where(reach.at(grid.centres()), aim, np.float32(0.0))
+        position, source = _sites(hazard_map, aim, site, count, separation, mapper)
+        score, cost = np.full(len(position), np.nan), cost_of(position)
     p_safe = aim[grid.cell(position[:, :2])].astype(np.float64)
     if miss_of is not None:
         p_safe = hazard_map.dispersed_at(position[:, :2], miss_of(cost.time_to_go))
     order = np.argsort(-p_safe, kind="stable")
     position = position[order]
-    away = np.hypot(*(position[:, :2] - site[:2]).T)
     return Candidates(
-        position, p_safe[order], away, cost.propellant[order],
+        position, p_safe[order], np.hypot(*(position[:, :2] - site[:2]).T), cost.propellant[order],
         hazard_map.value_at(position[:, :2]), score[order], tuple(source[i] for i in order),
     )  # fmt: skip
+
+
+def _sites(
+    hazard_map: HazardMap, aim: FloatMap, site: Array, count: int, separation: float, mapper: str
+) -> tuple[Array, list[str]]:
+    """Return the sites that a map proposes by their aim (n, 3), and by which rule."""
+    grid = hazard_map.grid
+    if hazard_map.eligible is not None:
+        aim = np.where(hazard_map.eligible, aim, np.float32(0.0))
+    distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
+    cells, source = _proposed(aim, distance, grid.posting, count, separation, mapper)
+    return _on_ground(hazard_map, cells, site), source
 
 
 def _proposed(
@@ -121,8 +136,10 @@ def _proposed(
     return cells, source
 
 
-def _ranked(hazard_map: HazardMap, scoreboard: Scoreboard) -> tuple[Array, Array]:
+def _ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tuple[Array, Array]:
     """Return ranked sites that the mission lets the lander land on (n, 3), and their scores."""
+    if scoreboard is None:
+        return np.zeros((0, 3)), np.zeros(0)
     good = hazard_map.eligible_at(scoreboard.position[:, :2])
     return scoreboard.position[good], scoreboard.score[good]
 

@@ -12,6 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies.reach import Reach
 
 Array = NDArray[np.float64]
 
@@ -112,6 +113,8 @@ class Observation:
         Sites that the mapper has ranked itself; None if it ranks none.
     expected_miss
         Of the site on the map, 1 sigma an axis, m.
+    reach
+        Where on the map it can still land; surveyed when a policy first looks. None if nobody told.
 
     Raises
     ------
@@ -132,6 +135,7 @@ class Observation:
     site_value: float = 1.0
     scoreboard: Scoreboard | None = None
     expected_miss: float = 0.0
+    reach: Reach | None = None
 
     def __post_init__(self) -> None:
         if np.isnan(self.site_propellant):

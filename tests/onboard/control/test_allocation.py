@@ -95,3 +95,40 @@ def test_short_firings_go_round_the_thrusters_of_a_group():
 def test_a_torque_that_is_no_number_is_refused():
     with pytest.raises(InputError, match="finite"):
         Allocation(Thrusters()).on_times(np.array([np.nan, 0.0, 0.0]), 0.1)
+
+
+ONE_SIDED = [(odd_layout(1), ()), (odd_layout(1), (2,)), (odd_layout(2), (1,)), (Thrusters(), (1,))]
+
+
+@pytest.mark.parametrize(("layout", "out"), ONE_SIDED)
+def test_authority_and_least_impulse_hold_in_both_senses(layout, out):
+    """What is held either way, and the shortest pulses that make a clean turn either way."""
+    allocation, period = Allocation(layout, out), 1.0
+    assert allocation.complete
+    exact = np.zeros((3, 2), bool)
+    clean = np.zeros((3, 2), bool)
+    for axis in range(3):
+        for n, sense in enumerate((1.0, -1.0)):
+            along = sense * np.eye(3)[axis]
+
+            def given(torque):
+                return allocation.impulse(allocation.on_times(torque, period))
+
+            most = allocation.authority[axis] * along
+            assert given(0.999 * most) == pytest.approx(0.999 * most, rel=1e-9, abs=1e-9)
+            exact[axis, n] = np.allclose(given(1.05 * most), 1.05 * most)
+            least = allocation.least_impulse[axis] * along
+            assert given(1.001 * least) == pytest.approx(1.001 * least, rel=1e-9, abs=1e-9)
+            clean[axis, n] = np.allclose(given(0.48 * least), 0.48 * least)
+    # More than that is not held one way, and half of it is no clean turn one way.
+    assert not exact.all(axis=1).any()
+    assert not clean.all(axis=1).any()
+
+
+def test_no_valve_is_open_for_longer_than_the_period():
+    """Two of 60 ms share 0.11 s where each could be open for 0.1: one may not take it all."""
+    allocation = Allocation(Thrusters(minimum_on=0.06))
+    rng = np.random.default_rng(5)
+    for torque in rng.normal(0.0, 150.0, (200, 3)):
+        assert allocation.on_times(torque, 0.1).max() <= 0.1
+    assert allocation.on_times(np.array([0.0, 0.0, 90.0]), 0.01).max() <= 0.01

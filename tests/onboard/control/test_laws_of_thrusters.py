@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.frames import quat_from_rotation_vector, quat_to_rotation_vector
+from lunarsim.frames import (
+    quat_from_rotation_vector,
+    quat_rotate,
+    quat_to_rotation_vector,
+)
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import Engine, JetLander
 from lunarsim.models.lander import Lander
@@ -222,3 +226,154 @@ def test_allocation_serves_every_axis_of_the_loop():
             assert sign * impulse[axis] > least[axis]
             others = np.delete(impulse, axis)
             assert np.abs(others).max() < 1e-9
+
+
+def one_axis(law, angle, rate, a, least):
+    """Return the rate change that is asked for about body x; `angle` is how far it is off."""
+    given = [np.array([v, 0.0, 0.0]) for v in (-angle, rate)]
+    return law.rate_change(*given, np.full(3, a), np.full(3, least))[0]
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_switching_lines_of_the_phase_plane(sense):
+    """Each line from either side: rate alone in the band, parabola, return from outside."""
+    law = PhasePlane(dead_band=0.005, rate_band=0.02, slew_limit=0.3)
+    a, least = 0.01, 1e-3
+
+    def asked(angle, rate):
+        return sense * one_axis(law, sense * angle, sense * rate, a, least)
+
+    # Within the band: to where rate^2 / 2a takes it, and by its rate alone when it comes back.
+    edge = np.sqrt(2.0 * a * law.dead_band)
+    assert asked(1e-12, 0.95 * edge) == 0.0
+    assert asked(1e-12, 1.05 * edge) == pytest.approx(-(1.05 * edge + 0.5 * least))
+    assert asked(0.004, -0.95 * law.rate_band) == 0.0
+    assert asked(0.004, -1.5 * law.rate_band) == pytest.approx(1.5 * law.rate_band - 0.5 * least)
+    # Outside: it comes back with half of the acceleration kept in hand, no faster than the slew.
+    for angle in (0.05, 0.5, 40.0):
+        back = min(law.slew_limit, np.sqrt(a * (angle - 1.25 * law.dead_band)))
+        assert asked(angle, -back) == 0.0
+        assert asked(angle, -0.9 * back) == pytest.approx(-(0.1 * back + 0.5 * least))
+        assert asked(angle, -back - 0.95 * law.rate_band) == 0.0
+        too_fast = back + 1.5 * law.rate_band
+        assert asked(angle, -too_fast) == pytest.approx(too_fast - back - 0.5 * least)
+
+
+class Asking:
+    """A law that asks for a torque that tests choose."""
+
+    period = 0.1
+
+    def __init__(self, torque):
+        self.wanted = np.asarray(torque, float)
+
+    def torque(self, error, rate, inertia):
+        return self.wanted
+
+
+def test_the_gimbal_swings_no_faster_than_it_can_and_by_the_arm_of_the_mass():
+    """The pivot lies as far below the centre of mass as that lies above the body's origin."""
+    com = (0.0, 0.0, 0.4)
+    for rate in (1e3, 1e-3):
+        lander = JetLander(engine=Engine(gimbal_rate=rate), com_dry=com, com_full=com)
+        law = Asking([30.0, -20.0, 0.0])
+        made = loop(law, lander)
+        made.torque()
+        given = made.allocation.impulse(made.on_times)
+        arm = lander.engine.pivot_depth + 0.4
+        free = -given[:2] / (2400.0 * arm * 4.0)  # taken over in 4 s
+        assert (np.abs(free) > 2e-4).all()
+        most = rate * made.period
+        assert made.gimbal == pytest.approx(np.clip(free, -most, most), rel=1e-9)
+
+
+def test_what_thrusters_could_not_give_is_forgotten_but_for_a_pulse():
+    """After seconds beyond reach nothing is fired on and on."""
+    law = Asking([0.0, 5e4, 0.0])
+    made = loop(law)
+    for _ in range(300):
+        made.torque()
+        made.take(np.zeros(3))
+    law.wanted = np.zeros(3)
+    sums = np.zeros(3)
+    while not made.due:
+        made.torque()
+    for _ in range(200):
+        due = made.due
+        made.torque()
+        made.take(np.zeros(3))
+        sums += made.allocation.impulse(made.on_times) * due
+    assert np.abs(sums).max() <= made.allocation.least_impulse.max() * (1.0 + 1e-9)
+
+
+def test_the_watch_is_told_turns_about_the_centre_of_mass():
+    com = np.array([0.1, -0.2, 0.5])
+    lander = JetLander(com_dry=tuple(com), com_full=tuple(com))
+    made, told = loop(Asking([40.0, 25.0, -30.0]), lander), []
+    made.watch.see = lambda change, known, turns, period: told.append(turns) or []
+    for _ in range(2 * made.period_steps + 1):
+        on_times = made.on_times.copy()
+        made.torque()
+        made.take(np.zeros(3))
+    where, along = lander.thrusters.layout
+    force = lander.thrusters.force * along
+    wanted = on_times[:, None] * np.cross(where - com, force) / lander.inertia(1300.0)
+    assert (on_times > 0.0).sum() >= 3
+    assert told[-1] == pytest.approx(wanted, abs=1e-12)
+
+
+def test_an_allocation_that_cannot_turn_every_way_is_not_taken_over():
+    made = loop(Asking([40.0, 25.0, -30.0]))
+    before = made.allocation
+
+    def all_that_push_up_and_down(change, known, turns, period):
+        made.watch.failed = [0, 4, 8, 12, 1, 5, 9, 13]
+        return made.watch.failed
+
+    made.watch.see = all_that_push_up_and_down
+    for _ in range(2 * made.period_steps + 1):
+        made.torque()
+        made.take(np.zeros(3))
+    assert made.allocation is before
+
+
+COM = (0.06, -0.04, 0.3)
+
+
+def test_a_mass_beside_the_engines_line_leans_the_body_and_not_the_thrust():
+    """Swung through the centre of mass from the first command on; thrust is where it was asked."""
+    lander = JetLander(com_dry=COM, com_full=COM)
+    target = quat_from_rotation_vector([0.1, -0.2, 0.4])
+    made = loop(QuaternionFeedback(), lander, target=target)
+    x, y = made.gimbal
+    push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
+    lever = np.array([0.0, 0.0, -lander.engine.pivot_depth]) - COM
+    assert np.cross(lever, push) == pytest.approx(np.zeros(3), abs=1e-12)
+    assert quat_rotate(made.target, push) == pytest.approx(
+        quat_rotate(target, [0, 0, 1]), abs=1e-12
+    )
+    straight = loop(QuaternionFeedback(), JetLander(com_dry=(0, 0, 0.3), com_full=(0, 0, 0.3)),
+                    target=target)  # fmt: skip
+    assert np.array_equal(straight.target, target)
+    assert not straight.gimbal.any()
+    fixed = JetLander(com_dry=COM, com_full=COM, engine=Engine(gimbal_limit=0.0))
+    assert np.array_equal(loop(QuaternionFeedback(), fixed, target=target).target, target)
+    short = JetLander(com_dry=COM, com_full=COM, engine=Engine(gimbal_limit=0.02))
+    assert np.abs(loop(QuaternionFeedback(), short).gimbal) == pytest.approx([0.02, 0.02])
+
+
+def test_the_watch_knows_what_a_swung_engine_does_about_the_mass():
+    """Against the moment written out: pivot less mass, times thrust."""
+    lander = JetLander(com_dry=COM, com_full=COM)
+    made, told = loop(Asking([0.0, 0.0, 0.0]), lander), []
+    made.watch.see = lambda change, known, turns, period: told.append(known) or []
+    x, y = 0.02, -0.03
+    for _ in range(made.period_steps):
+        made.torque()
+        made.take(np.zeros(3))
+    made.gimbal = np.array([x, y])
+    made.torque()
+    push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
+    lever = np.array([0.0, 0.0, -lander.engine.pivot_depth]) - COM
+    moment = 2400.0 * np.cross(lever, push) * made.period / lander.inertia(1300.0)
+    assert told[-1] == pytest.approx(moment, rel=2e-3, abs=1e-6)

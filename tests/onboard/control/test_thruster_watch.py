@@ -90,3 +90,21 @@ def test_what_cannot_turn_every_way_is_told():
     up = [0, 4, 8, 12, 1, 5, 9, 13]  # all that push along body z
     assert not Allocation(Thrusters(), up).complete
     assert Allocation(Thrusters()).complete
+
+
+def test_a_guess_is_no_verdict_and_what_is_not_seen_is_not_forgotten():
+    """An estimate under a half is not enough while it may be wrong; doubt stops growing."""
+    watch, nothing = ThrusterWatch(16), np.zeros((16, 3))
+    faint = nothing.copy()
+    faint[3, 0] = 4e-3  # little beside the steady torque that there may be
+    assert watch.see(np.array([-1e-3, 0.0, 0.0]), np.zeros(3), faint, PERIOD) == []
+    assert watch.effectiveness[3] < 0.5
+    idle = ThrusterWatch(16)
+    for _ in range(4_000):
+        idle.see(np.zeros(3), np.zeros(3), nothing, PERIOD)
+    assert idle.sigma == pytest.approx(np.full(16, 0.5), rel=1e-9)
+    # What nobody can mistake: it was ordered, and nothing turned.
+    clear = nothing.copy()
+    clear[3] = 2e-2, -1e-2, 3e-2
+    found = [watch.see(np.zeros(3), np.zeros(3), clear, PERIOD) for _ in range(12)]
+    assert [j for new in found for j in new] == [3]

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.braking import Braking
+from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.gravity_turn import GravityTurn, turn_thrust
 from lunarsim.onboard.guidance.rate_of_descent import RateOfDescent
+from lunarsim.onboard.guidance.velocity_null import VelocityNull
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 
@@ -88,8 +94,8 @@ def test_the_turn_goes_over_into_a_straight_descent():
 
 def test_p66_follows_a_click_as_a_first_order_lag():
     """One click: v approaches what is wanted as 1 - exp(-t / tau)."""
-    settings = RateOfDescent(click_interval=1e3, descent_time=10.0)
-    law = settings.build(BRIEFING, 0.0)
+    pilot = RateOfDescent(click_interval=1e3, descent_time=10.0)
+    law = pilot.build(BRIEFING, 0.0)
     law.command(estimate([0, 0, 40.0], [0, 0, -2.0]), GROUND, 0.0)
     assert law.clicks == 1
     assert law.wanted == pytest.approx(2.0 + 0.3048)
@@ -112,28 +118,53 @@ def test_the_pilot_lands_at_the_site_click_by_click():
 
 
 def test_the_pilot_flies_on_beyond_the_site_the_way_that_he_came():
-    settings = RateOfDescent(beyond=50.0, speed_time=8.0, max_lean=np.deg2rad(15.0))
-    law = settings.build(BRIEFING, 0.0)
+    pilot = RateOfDescent(beyond=50.0, speed_time=8.0, max_lean=np.deg2rad(15.0))
+    law = pilot.build(BRIEFING, 0.0)
     end = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.0]))
     still = law.command(estimate([0.0, 0.0, 60.0], [-6.25, 0.0, -1.0]), end, 0.0)
     # 50 m ahead in 8 s is the speed that it has: nothing to take out.
     assert still[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
     back = law.command(estimate([-50.0, 0.0, 60.0], [-1.0, 0.0, -1.0]), end, 1.0)
-    assert back[0] == pytest.approx(1.0 / settings.lean_time)
+    assert back[0] == pytest.approx(1.0 / pilot.lean_time)
     plain = RateOfDescent(speed_time=8.0).build(BRIEFING, 0.0)
     assert plain.command(estimate([0.0, 0.0, 60.0], [-6.25, 0.0, -1.0]), end, 0.0)[0] > 0.1
 
 
-@pytest.mark.parametrize("seed", range(3))
+def last_laws():
+    return [
+        RateOfDescent().build(BRIEFING, 0.5), GravityTurn().build(BRIEFING, 0.5),
+        VelocityNull().build(BRIEFING, 0.5), VerticalDescent.behind(0.5, G),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
 def test_commands_are_finite_whatever_the_state(seed):
+    """10,000 states a law."""
     rng = np.random.default_rng(seed)
-    laws = [RateOfDescent().build(BRIEFING, 0.5), GravityTurn().build(BRIEFING, 0.5)]
-    for time in range(1500):
+    laws = last_laws()
+    for time in range(2500):
         scale = 10.0 ** rng.uniform(-3.0, 4.0, 2)
         state = estimate(scale[0] * rng.standard_normal(3), scale[1] * rng.standard_normal(3))
         for law in laws:
             command = law.command(state, GROUND, float(time))
             assert np.isfinite(command).all()
+
+
+@pytest.mark.parametrize("which", range(4))
+@settings(max_examples=300)
+@given(
+    bad=st.sampled_from([np.nan, np.inf, -np.inf]), at=st.integers(0, 6),
+    r=arrays(np.float64, 3, elements=st.floats(-1e3, 1e3)),
+    v=arrays(np.float64, 3, elements=st.floats(-50.0, 50.0)),
+)  # fmt: skip
+def test_what_is_not_finite_is_refused(which, bad, at, r, v):
+    given_ = [*r, *v, 1300.0]
+    given_[at] = bad
+    here = replace(estimate(given_[:3], given_[3:6]), mass=given_[6])
+    with pytest.raises(InputError, match="guidance"):
+        last_laws()[which].command(here, GROUND, 0.0)
+    with pytest.raises(InputError, match="guidance"):
+        climb(here, 4.0)
 
 
 def test_time_to_go_of_braking_is_that_of_the_jerk():

@@ -18,6 +18,7 @@ from lunarsim.onboard.guidance.jerk_limited import (
 )
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
+from tests.reference import divert as plain
 
 R, V = np.array([-300.0, 40.0, 200.0]), np.array([15.0, -2.0, -8.0])
 END = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.0]))
@@ -41,6 +42,34 @@ def test_the_least_time_that_keeps_both_limits(jerk, snap):
     for sooner in np.linspace(1.0, 0.999 * time, 50):
         j, s = steepest(APOLLO.path(R, V, END, sooner))
         assert max(j / jerk, s / snap) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("jerk", "snap", "pull"),
+    [(0.25, 0.05, 0.0), (0.03, 9.0, 1.0), (9.0, 2e-3, 1.0), (0.1, 0.01, 1.0)],
+)
+def test_least_times_of_many_targets_are_those_of_quartics_one_by_one(jerk, snap, pull):
+    """None that is a hundredth sooner and over a second keeps both limits."""
+    rng = np.random.default_rng(6)
+    targets = np.column_stack((rng.uniform(-300.0, 300.0, (37, 2)), rng.normal(0.0, 30.0, 37)))
+    targets[20] = np.nan
+    targets[36] = 1e9, 0.0, 0.0
+    v_f, a_f = np.array([0.4, -0.3, -1.5]), pull * np.array([0.2, -0.1, 0.3])
+    times = limited_times(R, V, PhaseEnd(targets, v_f, a_f), jerk=jerk, snap=snap)
+    assert np.flatnonzero(np.isnan(times)).tolist() == [20, 36]
+    for target, time in zip(targets, times, strict=True):
+        if np.isnan(time):
+            continue
+        j, s = plain.steepness(R, V, target, v_f, a_f, time)
+        assert max(j / jerk, s / snap) == pytest.approx(1.0, rel=1e-9)
+        for sooner in np.arange(0.99 * time, 1.0, -0.01 * time):
+            j, s = plain.steepness(R, V, target, v_f, a_f, sooner)
+            assert max(j / jerk, s / snap) > 1.0
+    alone = limited_times(R, V, PhaseEnd(targets[5], v_f, a_f), jerk=jerk, snap=snap)
+    assert alone[0] == times[5]
+    # One that keeps both at once gets the least time that is looked at.
+    still = limited_times(np.zeros(3), v_f, PhaseEnd(v_f, v_f), jerk=jerk, snap=snap)
+    assert still[0] == 1.0
 
 
 def test_increment_is_the_integral_of_equation_10():

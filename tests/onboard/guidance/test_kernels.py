@@ -1,5 +1,6 @@
 """The compiled survey of times-to-go against paths sampled one by one."""
 
+import numba
 import numpy as np
 import pytest
 
@@ -118,3 +119,81 @@ def test_a_site_is_judged_alike_whoever_stands_beside_it(glide):
     for n in np.flatnonzero(np.isfinite(every[:, 0])):
         told = plain.best(*state, targets[n], *asked, [every[n, 1]], *figures, powers)
         assert every[n] == pytest.approx(told, rel=1e-9)
+
+
+@numba.njit
+def lanes_of(w, state, asked, table, powers, figures):
+    kernels.sixteen(w, state, asked, table, powers, figures)
+
+
+@pytest.mark.parametrize("glide", [0.25, 0.0, -0.3, -1e9])
+def test_sixteen_side_by_side_cost_what_each_costs_alone(glide):
+    """Increments to single precision, and the same ones out of limits."""
+    powers, samples = (0.5, 1.3), 8
+    rng = np.random.default_rng(9)
+    r, v = np.array([-150.0, 40.0, 160.0]), np.array([10.0, -3.0, -9.0])
+    v_f, a_f = np.array([0.2, -0.1, -2.0]), np.array([0.05, 0.1, 0.2])
+    figures = (1.62, 1480.0, 900.0, 1500.0, 4600.0, 0.7, glide)
+    w, good = np.zeros(80, np.float32), 0
+    for _ in range(60):
+        high = rng.normal(0.0, 9.0 if glide > 0.0 else 90.0, 16)
+        targets = np.column_stack((rng.uniform(-90.0, 90.0, (16, 2)), high))
+        times = rng.uniform(14.0, 45.0, 16)
+        w[:48], w[48:64] = targets.T.ravel(), times
+        lanes_of(
+            w, np.array([r, v]), np.array([v_f, a_f]), table_of(powers, samples),
+            np.array(powers), np.array(figures),
+        )  # fmt: skip
+        for k in range(16):
+            told = plain.best(r, v, targets[k], v_f, a_f, [times[k]], samples, *figures, powers)
+            assert (w[64 + k] < 1e29) == np.isfinite(told[0])
+            if np.isfinite(told[0]):
+                assert w[64 + k] == pytest.approx(told[0], rel=2e-5)
+                good += 1
+    assert 50 < good < 900
+
+
+def test_times_stay_between_their_bounds():
+    """The sooner the cheaper, here: the first time that is allowed."""
+    powers = (1.0, 2.0)
+    state = np.array([[-200.0, 40.0, 260.0], [14.0, -3.0, -12.0]])
+    asked = np.array([[0.0, 0.0, -2.0], np.zeros(3)])
+    targets = np.column_stack((np.linspace(-60.0, 60.0, 20), np.zeros((20, 2))))
+    given = np.array([1.62, 1480.0, 3050.0, 0.0, 1e9, 1e9, -1e9])
+    for first, last in ((45.0, 80.0), (30.0, 60.0)):
+        out = np.empty((20, 4))
+        kernels.survey(
+            state, targets, asked, np.full(20, first), np.full(20, last), 14,
+            table_of(powers, 8), table_of(powers, 24), np.array(powers), given, out,
+        )  # fmt: skip
+        reached = np.isfinite(out[:, 0])
+        assert reached.sum() > 10
+        assert (out[reached, 1] >= first * (1.0 - 1e-12)).all()
+        assert (out[reached, 1] <= last * (1.0 + 1e-12)).all()
+        assert out[reached, 1] == pytest.approx(np.full(reached.sum(), first), rel=1e-12)
+
+
+def test_a_limit_within_rounding_of_a_path_does_not_lose_the_site():
+    """The greatest thrust of a time that is tried is the limit, less a billionth."""
+    powers, samples = (1.0, 2.0), 24
+    r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
+    target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
+    first, last, table = np.array([26.0]), np.array([60.0]), table_of(powers, samples)
+    asked = np.array([v_f, a_f])
+    doubted = 0
+    for at in np.linspace(0.0, 1.0, 14)[1:8]:
+        time = float(first[0] * (last[0] / first[0]) ** at)
+        free = plain.best(r, v, target[0], v_f, a_f, [time], samples, 1.62, 1480.0, 3050.0, 0.0,
+                          1e9, 1e9, -1e9, powers)  # fmt: skip
+        for less in (1e-9, 3e-9, 1e-8, 3e-8, 1e-7):
+            most = free[2] * (1.0 - less)
+            given = np.array([1.62, 1480.0, 3050.0, 0.0, most, 1e9, -1e9])
+            out = np.empty((1, 4))
+            kernels.survey(
+                np.array([r, v]), target, asked, first, last, 14, table, table, np.array(powers),
+                given, out,
+            )  # fmt: skip
+            assert np.isfinite(out[0, 0])
+            assert out[0, 2] <= most
+            doubted += out[0, 1] > time
+    assert doubted > 0

@@ -168,28 +168,76 @@ def test_with_held_commands_the_error_falls_with_the_cycle(law):
     assert errors[-1] < 0.5
 
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
-def test_ten_thousand_states_never_give_a_command_that_is_not_finite(law):
+def states(count):
+    """Return positions, velocities (n, 3) and times-to-go (n,), near and absurd alike."""
     rng = np.random.default_rng(8)
-    n = 10_000
-    scale = 10.0 ** rng.uniform(-3.0, 6.0, (n, 1))
-    r, v = scale * rng.normal(size=(n, 3)), 0.1 * scale * rng.normal(size=(n, 3))
-    times = rng.choice([-1e3, -1.0, 0.0, 1e-9, 0.05, 1.0, 1e4], n) * rng.uniform(0.5, 1.0, n)
-    for k in range(0, n, 1 if type(law) is ApolloLaw else 5):
-        flown = law.build(BRIEFING, rng.choice([0.0, 0.4]))
+    scale = 10.0 ** rng.uniform(-3.0, 6.0, (count, 1))
+    times = rng.choice([-1e3, -1.0, 0.0, 1e-9, 0.05, 1.0, 1e4], count) * rng.uniform(
+        0.5, 1.0, count
+    )
+    lags = rng.choice([0.0, 0.4], count)
+    return (
+        scale * rng.normal(size=(count, 3)),
+        0.1 * scale * rng.normal(size=(count, 3)),
+        times,
+        lags,
+    )
+
+
+def all_finite(law, every):
+    r, v, times, lags = states(10_000)
+    for k in range(0, len(r), every):
+        flown = law.build(BRIEFING, lags[k])
         for t in (0.0, 0.1, 5.0):
             got = flown.command(estimate(r[k], v[k]), END, t, times[k] - t)
             assert got.shape == (3,)
             assert np.isfinite(got).all()
 
 
+def named(law):
+    return type(law).__name__
+
+
+@pytest.mark.parametrize("law", LAWS, ids=named)
+def test_states_never_give_a_command_that_is_not_finite(law):
+    all_finite(law, 2 if type(law) is ApolloLaw else 10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS, ids=named)
+def test_ten_thousand_states_never_give_a_command_that_is_not_finite(law):
+    all_finite(law, 1)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=named)
+def test_ten_thousand_states_have_a_cost_or_none(law):
+    """What it takes is a number where there is a path, and inf and NaN together where none is."""
+    r, v, times, _ = states(10_000)
+    lander, reached = Lander(), 0
+    for k in range(0, len(r), 100):
+        # From one state to where a hundred others are.
+        ends = PhaseEnd(r[k : k + 100], 0.1 * v[k])
+        here = estimate(r[k - 1] if k else R, v[k - 1])
+        cost = law.cost(here, ends, lander, G)
+        spent, took = cost.propellant, cost.time_to_go
+        assert not np.isnan(spent).any()
+        assert np.array_equal(np.isfinite(spent), np.isfinite(took))
+        good = np.isfinite(spent)
+        assert (spent[good] > 0.0).all()
+        assert (spent[good] <= here.mass - lander.dry_mass).all()
+        assert (took[good] > 0.0).all()
+        reached += good.sum()
+    assert reached > 50
+
+
 bad = st.sampled_from([np.nan, np.inf, -np.inf])
 
 
+@pytest.mark.parametrize("law", LAWS, ids=named)
 @settings(max_examples=300)
-@given(st.sampled_from(LAWS), bad, st.integers(0, 6))
-def test_what_is_not_finite_is_refused(law, value, which):
-    state = [*R, *V, 20.0]
+@given(value=bad, which=st.integers(0, 6), r=lengths, v=speeds, left=st.floats(-100.0, 1e3))
+def test_what_is_not_finite_is_refused(law, value, which, r, v, left):
+    state = [*r, *v, left]
     state[which] = value
     flown = law.build(BRIEFING, 0.3)
     with pytest.raises(InputError, match="guidance"):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.models.gravity import RoundMoon
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.approach import Approach
@@ -41,9 +42,9 @@ def estimate(position=R, velocity=V, mass=1500.0, time=0.0) -> Estimate:
     )  # fmt: skip
 
 
-def flown(law, time_to_go=34.0, ends=lambda t: END, until=80.0):
+def flown(law, time_to_go=34.0, ends=lambda t: END, until=80.0, briefing=BRIEFING, pull=None):
     """Fly a point mass with commands held for 0.1 s; return its state and the law."""
-    flight = law.build(BRIEFING, 0.0)
+    flight = law.build(briefing, 0.0)
     r, v, mass, t, cycle = R.copy(), V.copy(), 1500.0, 0.0, 0.1
     while t < until:
         wanted = flight.command(estimate(r, v, mass, t), ends(t), t, time_to_go - t)
@@ -51,7 +52,7 @@ def flown(law, time_to_go=34.0, ends=lambda t: END, until=80.0):
         if flight.arrival - t <= 0.0:
             break
         step = min(cycle, flight.arrival - t)
-        a = wanted - UP
+        a = wanted - UP if pull is None else wanted + pull(r, v)
         r, v = r + step * v + 0.5 * step**2 * a, v + step * a
         mass *= np.exp(-step * float(np.linalg.norm(wanted)) / LANDER.exhaust_velocity)
         t += step
@@ -104,6 +105,26 @@ def test_what_cannot_be_reached_falls_back_once_and_plans_again_when_it_can():
     names = [(round(t, 3), name) for t, name, _ in flight.events]
     assert names == [(0.0, "guidance-fallback"), (1.0, "guidance-planned")]
     assert flight.events[0][2]["reason"] == "infeasible"
+
+
+def test_on_a_round_moon_that_turns_it_makes_up_for_what_it_feels(nominal):
+    """Turned a hundred times too fast, so that it shows within half a minute."""
+    field = RoundMoon(spin=3e-4, latitude=0.4).gravity(MOON)
+    told = SimpleNamespace(**{**vars(BRIEFING), "field": field})
+    r, v, mass, flight = flown(OptimalLaw(intervals=20), briefing=told, pull=field.felt)
+    untold = flown(OptimalLaw(intervals=20), pull=field.felt)
+    plain = flown(OptimalLaw(intervals=20))
+    off = [np.linalg.norm(end[0] - plain[0]) for end in ((r, v), untold)]
+    assert off[0] < 0.1
+    assert off[1] > 5.0 * off[0]
+    assert np.linalg.norm(v - END.velocity) < 0.3
+    assert flight.events == []
+    assert 1500.0 - mass == pytest.approx(1500.0 - plain[2], rel=0.1)  # it weighs less
+    # Where there is no plan, the Apollo law makes up for it.
+    late = OptimalLaw(iterations=1, intervals=10).build(told, 0.0)
+    apollo = ApolloLaw().build(told, 0.0)
+    got = late.command(estimate(), END, 0.0, 34.0)
+    assert np.array_equal(got, apollo.command(estimate(), END, 0.0, late.arrival))
 
 
 def test_a_divert_is_planned_at_once():

@@ -1,0 +1,72 @@
+"""Where a lander could still have landed, from the record of its flight."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.guidance.divert import DivertCost
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies.reach import Reach, heights_on
+from lunarsim.scenario import Scenario
+from lunarsim.simulation.flight import Flight
+
+Array = NDArray[np.float64]
+
+_APPROACH = 0.0
+
+
+def cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
+    """Return what the flight's law would have taken from an estimate to sites (n, 3), local."""
+    scenario = Scenario.from_toml(flight.scenario)
+    approach, lander = scenario.approach.make(), scenario.vehicle.make()
+    cost: DivertCost = scenario.guidance.make().cost(
+        here, approach.end(sites, lander), lander, scenario.gravity_m_s2, approach.limits
+    )
+    return cost
+
+
+def estimate_in(flight: Flight, row: int) -> Estimate:
+    """Return what the computer believed in a row of the trajectory; its attitude is the true one.
+
+    The covariance is not recorded: NaN.
+    """
+    t = flight.trajectory
+    position, velocity = (
+        np.array([t[f"estimated_{name}{a}"][row] for a in "xyz"]) for name in ("", "velocity_")
+    )
+    attitude = np.array([t[f"attitude_{a}"][row] for a in "xyzw"])
+    rate = np.array([t[f"rate_{a}"][row] for a in "xyz"])
+    return Estimate(
+        float(t["time"][row]), position, velocity, attitude, rate,
+        float(t["estimated_mass"][row]), np.full((9, 9), np.nan),
+    )  # fmt: skip
+
+
+def rows_of_decisions(flight: Flight) -> tuple[int, int] | None:
+    """Return the first and last row in which a policy could be asked; None without any.
+
+    From the first map on, in the approach and between the heights of the scenario's decisions.
+    """
+    if flight.first_map is None:
+        return None
+    t, scenario = flight.trajectory, Scenario.from_toml(flight.scenario)
+    window, lander = scenario.decisions.make(), scenario.vehicle.make()
+    height = t["estimated_z"] - t["site_z"] - lander.com_height
+    asked = np.flatnonzero(
+        (t["phase"] == _APPROACH) & (t["time"] >= flight.first_map.time)
+        & (height <= window.first_altitude) & (height >= window.last_altitude)
+    )  # fmt: skip
+    return (int(asked[0]), int(asked[-1])) if len(asked) else None
+
+
+def reach_in(flight: Flight, row: int, grid: Grid) -> Reach:
+    """Return where the lander could still land in a row of the trajectory, over a local grid.
+
+    The ground lies as the last map has it, at the height of the site elsewhere. What a window hides
+    counts as within reach.
+    """
+    here, site = estimate_in(flight, row), flight.sites[row]
+    height = heights_on(grid, flight.hazard_map, float(site[2]))
+    return Reach(grid, height, lambda sites: cost_from(flight, here, sites))

@@ -1,0 +1,90 @@
+"""Compiled search for the least times-to-go whose quartic paths keep limits on jerk and snap.
+
+With u = 1 / T and d the way to the target, a quartic path's jerk at its start and end and its snap
+are ``6 u (a_f - (5 v_f + 3 v) u + 8 d u^2)``, ``6 u (-a_f + (3 v_f + v) u - 4 d u^2)`` and
+``12 u^2 (a_f - (4 v_f + 2 v) u + 6 d u^2)``. Jerk is linear in time, so it is greatest at an end;
+snap is constant. Their squares are polynomials of u, of which targets change three coefficients.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+_SIDE = 16  # targets that are refined side by side, so that it is done many at a time
+_HALVINGS = 40  # of a bracket
+
+
+@kernel(inner=True)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel(inner=True)
+def _squared(a, b, c, way, out, k):
+    """Write the coefficients of ``|a + b u + c way u^2|^2`` into column k (5, 16), u^0 first."""
+    out[0, k] = _dot(a, a)
+    out[1, k] = 2.0 * _dot(a, b)
+    out[2, k] = _dot(b, b) + 2.0 * c * _dot(a, way)
+    out[3, k] = 2.0 * c * _dot(b, way)
+    out[4, k] = c * c * _dot(way, way)
+
+
+@kernel(inline=True)
+def _at(c, k, u):
+    return c[0, k] + u * (c[1, k] + u * (c[2, k] + u * (c[3, k] + u * c[4, k])))
+
+
+@kernel(inline=True)
+def _keeps(terms, k, u, most):
+    """Tell whether target k keeps both limits; what is no number keeps none.
+
+    `most` (2,): ``(jerk / 6)^2`` and ``(snap / 12)^2``.
+    """
+    square = u * u
+    start, end = _at(terms[0], k, u) * square, _at(terms[1], k, u) * square
+    snap = _at(terms[2], k, u) * square * square
+    return (start <= most[0]) & (end <= most[0]) & (snap <= most[1])
+
+
+@kernel(inner=True)
+def _refine(terms, low, high, most):
+    """Halve brackets (16,) whose lower ends break a limit and whose upper ends keep both."""
+    for _ in range(_HALVINGS):
+        for k in range(_SIDE):
+            middle = 0.5 * (low[k] + high[k])
+            good = _keeps(terms, k, 1.0 / middle, most)
+            low[k] = low[k] if good else middle
+            high[k] = middle if good else high[k]
+
+
+@kernel(shared=True)
+def limited_times(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
+    """Find for each target (n, 3) the least time-to-go that keeps both limits (n,), else NaN.
+
+    Times (m,) ascend; the least is bracketed by them and halved 40 times.
+    """
+    count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)
+    terms, way, still = np.empty((3, 5, _SIDE)), np.empty(3), -a_f
+    start, end, fourth = -(5.0 * v_f + 3.0 * v), 3.0 * v_f + v, -(4.0 * v_f + 2.0 * v)
+    most = np.array([(jerk / 6.0) ** 2, (snap / 12.0) ** 2])
+    low, high = np.empty(_SIDE), np.empty(_SIDE)
+    for block in range(share[0], (count + _SIDE - 1) // _SIDE, share[1]):
+        here = block * _SIDE
+        for k in range(_SIDE):
+            for x in range(3):
+                way[x] = targets[min(here + k, count - 1), x] - r[x]
+            _squared(a_f, start, 8.0, way, terms[0], k)
+            _squared(still, end, -4.0, way, terms[1], k)
+            _squared(a_f, fourth, 6.0, way, terms[2], k)
+            for m in range(len(times)):
+                good[m] = _keeps(terms, k, inverse[m], most)
+            m = 0
+            while m < len(times) and not good[m]:
+                m += 1
+            high[k] = times[m] if m < len(times) else np.nan
+            low[k] = times[max(m - 1, 0)]
+        _refine(terms, low, high, most)
+        for k in range(min(_SIDE, count - here)):
+            out[here + k] = high[k]

@@ -1,0 +1,51 @@
+"""Outlines of where a lander could still land, on a map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+
+from lunarsim.evaluation.reach import reach_in, rows_of_decisions
+from lunarsim.grid import Grid
+from lunarsim.simulation.flight import Flight
+
+_SIDE = 100  # cells along the longer side
+# White under the line: seen on dark and on bright ground.
+_LINES = (("first", "-"), ("last", ":"))
+
+
+def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, float]) -> list[Any]:
+    """Draw where it could land when a policy was first asked, and last; return what tells so.
+
+    Parameters
+    ----------
+    panel
+        A map in the true frame.
+    flight
+        The record.
+    extent
+        West, east, south and north of what is drawn, m.
+    """
+    rows = rows_of_decisions(flight)
+    if rows is None:
+        return []
+    west, east, south, north = extent
+    width, height = east - west, north - south
+    middle = (0.5 * (west + east), 0.5 * (south + north))
+    grid = Grid.centred(middle, width, max(width, height) / _SIDE, height)
+    told = []
+    for row, (when, style) in zip(rows, _LINES, strict=True):
+        within = reach_in(flight, row, grid.moved(flight.map_error)).reachable
+        # Rounded down: 100 % is all of it.
+        share = f"{np.floor(1000.0 * within.mean()) / 10.0:g} % of this map"
+        label = f"in reach at the {when} decision: {share}"
+        told.append(Line2D([], [], color="black", ls=style, lw=1.6, label=label))
+        if within.any() and not within.all():
+            for colour, wide in (("white", 3.0), ("black", 1.4)):
+                panel.contour(
+                    grid.x, grid.y, within.astype(np.float64), levels=[0.5], colors=colour,
+                    linewidths=wide, linestyles="-" if colour == "white" else style,
+                )  # fmt: skip
+    return told

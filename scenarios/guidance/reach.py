@@ -1,0 +1,81 @@
+"""Where a lander can still land on its way down, by what it takes: one panel a height.
+
+It flies the default approach to its site by one law; at each height all ground about it is surveyed
+under the approach's limits.
+
+python scenarios/guidance/reach.py --out reach.png
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.policies.reach import Reach
+from lunarsim.parts.registry import kinds
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.viz.style import map_axes, new_figure, save, show
+
+FLOWN: dict[str, Any] = {
+    "name": "reach",
+    "terrain": {"kind": "fractal", "size_m": 100.0, "rms_slope_deg": 0.0},
+    "rocks": {"cover": 0.0},
+    "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},
+    "navigation": {"kind": "fixes"},
+    "mappers": {},
+    "tasking": {},
+}
+_SIDE, _CELLS = 6.5, 260  # side over the height, and cells along it
+
+
+def survey(simulation: Simulation) -> Reach:
+    """Return the reach about the site as it stands."""
+    computer = simulation.computer
+    side = _SIDE * max(computer.altitude, 40.0)
+    grid = Grid.centred(computer.site, side, side / _CELLS)
+    here = computer.estimate
+    level = np.full(grid.shape, float(computer.site[2]))
+    return Reach(grid, level, lambda sites: computer.cost_of(sites, here))
+
+
+@click.command()
+@click.option("--law", type=click.Choice(list(kinds("guidance"))), default="apollo",
+              show_default=True)  # fmt: skip
+@click.option("--height", "heights", type=click.FloatRange(20.0, 1000.0), multiple=True,
+              default=(400.0, 200.0, 100.0, 50.0), show_default=True,
+              help="Above the site, m.")  # fmt: skip
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="reach.png",
+              show_default=True)  # fmt: skip
+def main(law: str, heights: tuple[float, ...], out: Path) -> None:
+    """Draw the reach of one law at several heights."""
+    simulation = Simulation(
+        Scenario.from_dict({**FLOWN, "guidance": {"kind": law}}), 1, "no-divert"
+    )
+    figure = new_figure(3.6 * len(heights), 4.3)
+    panels = np.atleast_1d(figure.subplots(1, len(heights)))
+    for panel, height in zip(panels, sorted(heights, reverse=True), strict=True):
+        while simulation.computer.altitude > height:
+            simulation.step()
+        reach = survey(simulation)
+        drawn = show(panel, np.where(reach.reachable, reach.propellant, np.nan), reach.grid)
+        figure.colorbar(drawn, ax=panel, label="propellant (kg)", location="bottom")
+        panel.plot(*simulation.computer.estimate.position[:2], "^", color="#D55E00", label="lander")
+        panel.plot(*simulation.computer.site[:2], "x", color="black", mew=2, label="site")
+        speed = np.linalg.norm(simulation.computer.estimate.velocity)
+        map_axes(panel, f"{simulation.computer.altitude:.0f} m up at {speed:.0f} m/s")
+        within = reach.reachable.sum() * reach.grid.posting**2 / 1e6
+        click.echo(
+            f"{law}: {simulation.computer.altitude:.0f} m up: {within:.4f} km^2 within reach"
+        )
+    panels[0].legend(loc="upper left")
+    save(figure, out)
+    click.echo(f"drawn in {out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Reach as a map: cells, points, and sites chosen among what can be reached."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies import Observation
+from lunarsim.onboard.policies.candidates import candidate_sites
+from lunarsim.onboard.policies.library import NearestSafe, Safest, SafestOrAbort
+from lunarsim.onboard.policies.reach import Reach
+
+G = 1.622
+LANDER = Lander()
+# 70 m up, 30 m before the origin, 12 kg above the reserve: some of 60 m about it can be reached.
+HERE = Estimate(
+    0.0, np.array([-30.0, 0.0, 70.0]), np.array([5.0, 0.0, -5.0]), np.array([0.0, 0.0, 0.0, 1.0]),
+    np.zeros(3), LANDER.dry_mass + 27.0, np.eye(9),
+)  # fmt: skip
+
+
+class Costs:
+    """Counts what is asked."""
+
+    def __init__(self):
+        self.asked = []
+
+    def __call__(self, sites):
+        self.asked.append(sites)
+        return divert_cost(HERE, Approach().end(sites, LANDER), LANDER, G)
+
+
+def ground(rows=130, cols=111, posting=1.3, centre=(40.0, -20.0)) -> HazardMap:
+    grid = Grid.centred(centre, cols * posting, posting, rows * posting)
+    height = 0.05 * np.arange(rows)[:, None] + np.zeros(grid.shape)
+    height[0, 0] = np.nan
+    return HazardMap(grid, np.zeros(grid.shape, np.float32), np.ones(grid.shape, bool),
+                     height.astype(np.float32))  # fmt: skip
+
+
+def test_a_map_of_reach_says_of_each_cell_what_is_said_of_a_site_there():
+    hazard_map, costs = ground(), Costs()
+    reach = Reach.under(hazard_map, np.array([0.0, 0.0, 7.0]), costs)
+    assert costs.asked == []  # nobody has looked yet
+    assert max(reach.grid.shape) == 100
+    assert 0.05 < reach.reachable.mean() < 0.95
+    assert reach.propellant.shape == reach.reachable.shape == reach.grid.shape
+    assert np.array_equal(np.isfinite(reach.propellant), reach.reachable)
+    assert len(costs.asked) == 1  # surveyed once
+    # No cell of the map lies beyond it, and heights are the map's, or the site's.
+    centres = hazard_map.grid.centres()
+    assert reach.grid.contains(centres).all()
+    asked = costs.asked[0].reshape(*reach.grid.shape, 3)
+    assert asked[0, 0, 2] == 7.0
+    row, _ = hazard_map.grid.cell(asked[50, 40, :2])
+    assert asked[50, 40, 2] == pytest.approx(0.05 * row, abs=1e-6)
+    rng = np.random.default_rng(2)
+    for i, j in zip(rng.integers(0, 100, 12), rng.integers(0, reach.grid.cols, 12), strict=True):
+        alone = costs(asked[i, j][None, :])
+        assert reach.reachable[i, j] == alone.feasible[0]
+        spot = asked[i, j, :2] + 0.4 * reach.grid.posting * np.array([1.0, -1.0])
+        assert reach.at(spot) == alone.feasible[0]
+    assert not reach.at([[1e4, 0.0], [0.0, -1e4]]).any()
+
+
+def test_a_small_map_keeps_its_cells():
+    reach = Reach.under(ground(20, 30, 0.5), np.zeros(3), Costs())
+    assert reach.grid == ground(20, 30, 0.5).grid
+
+
+def test_where_no_site_will_do_others_are_looked_for_within_reach():
+    """Safest ground far away and out of reach; less safe ground, but good, within it."""
+    grid = Grid.centred((0.0, 0.0), 400.0, 2.0)
+    x, y = grid.x[None, :], grid.y[:, None]
+    p = np.where(np.hypot(x - 150.0, y) < 40.0, 0.999, 0.0)
+    site = np.array([150.0, 0.0, 0.0])  # flown to, and no longer in reach itself
+    p[(x > 10.0) & (x < 20.0) & (np.abs(y) < 8.0)] = 0.97
+    p = p.astype(np.float32)
+    hazard_map = HazardMap(
+        grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32)
+    )  # fmt: skip
+    costs = Costs()
+    reach = Reach.under(hazard_map, site, costs)
+    blind = candidate_sites(hazard_map, p, site, costs, count=4, separation=3.0)
+    # The nearest at 0.95 is as far.
+    assert len(blind) > 0
+    assert not blind.reachable.any()
+    seen = candidate_sites(hazard_map, p, site, costs, count=4, separation=3.0, reach=reach)
+    assert seen.reachable.all()
+    assert seen.p_safe == pytest.approx(np.full(len(seen), 0.97))
+
+    def told(candidates, p_here):
+        return Observation(
+            time=0.0, estimate=HERE, hazard_map=hazard_map, candidates=candidates, site=site,
+            site_p_safe=p_here, site_propellant=np.inf, time_to_go=10.0, propellant=100.0,
+            reach=reach,
+        )  # fmt: skip
+
+    for policy in (Safest(), NearestSafe(), SafestOrAbort()):
+        decision = policy.decide(told(seen, 0.02))
+        assert decision.site is not None
+        assert told(seen, 0.02).reach.at(decision.site[:2])
+        assert policy.decide(told(blind, 0.02)).site is None
+    # Nothing safe within reach is answered by climbing away.
+    assert SafestOrAbort().decide(told(blind, 0.02)).abort
+    nowhere = np.where(p == np.float32(0.97), np.float32(0.1), p)
+    poor = candidate_sites(hazard_map, nowhere, site, costs, count=4, separation=3.0, reach=reach)
+    assert poor.reachable.all()
+    assert SafestOrAbort().decide(told(poor, 0.02)).abort
+    assert not Safest().decide(told(poor, 0.02)).abort

@@ -1,0 +1,129 @@
+"""What no law can fly: each flight ends with a verdict, its record says why, no command is NaN."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.onboard.policies.contract import Decision
+from lunarsim.parts import quantity
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim.world.grounds.contract import strewn
+from lunarsim.world.terrain import Heightfield
+
+LAWS = ["apollo", "modified-apollo", "e-guidance", "zem-zev", "augmented-apollo",
+        "fractional-polynomial", "optimal"]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Level ground with a ridge from south to north."""
+
+    size: float = quantity(200.0, "m", gt=0)
+    height: float = quantity(90.0, "m", ge=0)
+    east: float = quantity(-60.0, "m")
+
+    def build(self, rocks, streams):
+        """Return the terrain of one flight."""
+        grid = Grid.centred((0.0, 0.0), self.size, 1.0)
+        wave = self.height * np.maximum(0.0, 1.0 - np.abs(grid.x - self.east) / 15.0)
+        relief = Heightfield(grid, np.tile(wave, (grid.rows, 1)).astype(np.float32))
+        return strewn(relief, rocks, streams)
+
+
+def blind(law="apollo", **tables) -> Scenario:
+    given = {
+        "name": "odd",
+        "terrain": {"size_m": 60.0, "rms_slope_deg": 0.0},
+        "rocks": {"cover": 0.0},
+        "start": {"position_m": [-120.0, 0.0, 110.0], "velocity_m_s": [9.0, 0.0, -8.0]},
+        "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},
+        "tasking": {},
+        "mappers": {},
+        "guidance": {"kind": law},
+    }
+    return Scenario.from_dict(given | tables)
+
+
+def whole(flight) -> bool:
+    """Tell whether everything in the trajectory is a number."""
+    return all(np.isfinite(column).all() for column in flight.trajectory.values())
+
+
+def names(flight) -> list[str]:
+    return [event["name"] for event in flight.events]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_diverts_that_cannot_be_are_refused_and_told(law):
+    simulation = Simulation(blind(law), 1, "no-divert")
+    for _ in range(20):
+        simulation.step()
+    computer = simulation.computer
+    above = computer.estimate.position + [30.0, 0.0, 40.0]
+    behind = computer.estimate.position - [400.0, 0.0, 90.0]
+    for site in (above, behind):
+        assert not computer.apply(Decision(site, "try"))
+        time, name, told = computer.telemetry[-1]
+        assert (time, name, told["reason"]) == (computer.time, "divert-refused", "out of reach")
+    with pytest.raises(InputError, match="guidance"):
+        computer.apply(Decision(np.array([np.nan, 0.0, 0.0]), "try"))
+    flight = simulation.run()
+    assert flight.verdict.touchdown is not None
+    assert not flight.decisions
+    assert names(flight).count("divert-refused") == 2
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("told", [True, False])
+def test_tanks_that_run_empty_in_flight_end_in_a_crash_that_is_recorded(law, told):
+    """Whether or not the computer's account of them is right."""
+    simulation = Simulation(blind(law), 1, "no-divert")
+    for _ in range(30):
+        simulation.step()
+    dry = simulation.plant.lander.dry_mass
+    y = simulation.plant.state.as_vector()
+    y[13] = dry + 0.5
+    simulation.plant.state = type(simulation.plant.state).from_vector(y)
+    if told:
+        simulation.computer.mass = dry + 0.5
+    flight = simulation.run()
+    assert whole(flight)
+    assert "vertical-speed" in flight.verdict.failed
+    assert flight.trajectory["mass"][-1] == pytest.approx(dry)
+    assert names(flight).count("tanks-empty") == told
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("left", [1.0, 3.0])
+def test_a_time_too_short_to_be_kept_ends_in_a_verdict(law, left):
+    flight = Simulation(blind(law, approach={"time_to_go_s": left}), 1, "no-divert").run()
+    assert whole(flight)
+    # The optimal law takes the time that it needs.
+    assert flight.verdict.safe == (law == "optimal")
+
+
+def test_a_time_under_a_step_of_control_is_refused():
+    with pytest.raises(InputError) as refused:
+        blind(approach={"time_to_go_s": 0.05})
+    assert refused.value.field == "approach.time_to_go_s"
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_ridge_in_the_way_is_met(law):
+    ground = {"kind": f"{__name__}:Ridge"}
+    flight = Simulation(blind(law, terrain=ground), 1, "no-divert").run()
+    assert whole(flight)
+    assert {"slope", "vertical-speed"} & set(flight.verdict.failed)
+    assert abs(flight.positions[-1, 0] + 60.0) < 20.0
+
+
+def test_a_start_below_its_target_is_refused():
+    with pytest.raises(InputError) as refused:
+        Simulation(blind(start={"position_m": [-120.0, 0.0, 4.0]}), 1, "no-divert")
+    assert refused.value.field == "start.position_m"
