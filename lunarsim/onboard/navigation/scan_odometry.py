@@ -173,7 +173,7 @@ def _scatter(
     Over that taken beforehand: of single squares, or of their sums over blocks if that is more.
     """
     single = max(result.misfit, _LEAST_SCATTER**2)
-    return _SLOPES * max(single, together(squares, left, variance))
+    return _SLOPES * single * max(together(squares, left, single * variance), 1.0)
 
 
 def _second_order(prior: Array, ways: Array) -> float:
