@@ -28,8 +28,8 @@ from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 
 # Covers of rocks that are fitted, and those kept out; root seeds of both, one a cover.
-FITTED = (0.02, 0.04, 0.055, 0.07, 0.08, 0.09, 0.10, 0.125, 0.15)
-KEPT_OUT = (0.03, 0.0625, 0.085, 0.11)
+FITTED = (0.02, 0.03, 0.04, 0.055, 0.07, 0.0775, 0.085, 0.0925, 0.10, 0.125, 0.15)
+KEPT_OUT = (0.0475, 0.0625, 0.081, 0.11)
 SEED, OTHER_SEED = 501, 901
 
 
@@ -69,7 +69,7 @@ def main() -> int:
     """Fit, or check."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", help="file or name; left out: that of Retarget-v0")
-    parser.add_argument("--flights", type=int, default=16, help="over each cover")
+    parser.add_argument("--flights", type=int, default=10, help="over each cover")
     parser.add_argument("--out", type=Path, help="file to write (.npz)")
     parser.add_argument("--check", action="store_true", help="fit none: check the shipped file")
     args = parser.parse_args()

@@ -125,81 +125,106 @@ def _place(noise, key, first, out):
     out[4] = 1 if uniform(key, first + 4) < 0.5 else -1
 
 
-@kernel()
-def _noise(noise, scan, place, r, c):
-    side = noise.shape[2]
-    return noise[scan, place[0], (place[1] + place[3] * r) % side, (place[2] + place[4] * c) % side]
+@kernel(inline=True)
+def _noise(noise, bank, scan, place, r, c):
+    side = noise.shape[3]
+    row, col = (place[1] + place[3] * r) % side, (place[2] + place[4] * c) % side
+    return noise[bank, scan, place[0], row, col]
 
 
 @kernel()
-def _lay(i, y, time, world, course, maps, pool, errors, view, places, level):
-    """Draw what a scan adds to the map of a lane.
+def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes):
+    """Draw what a scan of a lane is to show, and return which of the scans it is.
 
-    `places` (2, 5) and `level` (2,): where in the noise the first and the last map lie, and a
-    standard normal number of each as a whole.
+    Writes where in the noise the first and the last map lie, `places` (2, 5); mean and deviation of
+    a map's normal numbers, and the deviation of what is new in the last, `draw` (3,); and the axes
+    of the LiDAR, see `axes_to`.
     """
-    rows, cols = maps.p.shape[1], maps.p.shape[2]
-    slip = course.slip[i]
-    east, north = slip[0] * time, slip[1] * time
-    axes, way = np.empty((3, 3)), np.empty(3)
+    level = np.empty(2)
+    for k in range(2):
+        _place(errors.noise, key, first + 5 * k, places[k])
+        level[k] = normal(key, first + 10 + 2 * k)
+    w = 0 if errors.exact else world
+    stage = min(course.scanned[i], errors.tables.shape[1] - 1)
+    common = errors.common[w, stage]
+    draw[2] = np.sqrt(1.0 - errors.kept**2)
+    draw[0] = level[0] if stage == 0 else errors.kept * level[0] + draw[2] * level[1]
+    draw[0] *= np.sqrt(common)
+    draw[1] = np.sqrt(1.0 - common)
     # Where the LiDAR is pointed, it truly looks.
-    way[0] = course.site[i, 0] - east - y[0]
-    way[1] = course.site[i, 1] - north - y[1]
-    way[2] = course.site[i, 2] - y[2]
+    way = np.empty(3)
+    for k in range(3):
+        way[k] = course.site[i, k] - y[k]
+    for k in range(2):
+        way[k] -= course.slip[i, k] * time
     axes_to(way, axes)
-    w = world if not errors.exact else 0
-    stage, noise = min(course.scanned[i], errors.tables.shape[1] - 1), errors.noise[errors.bank[w]]
-    x0, y0, posting = pool.frame[0], pool.frame[1], pool.frame[2]
-    kinds, safe, heights = pool.kind[world], pool.safe[world], pool.height[world]
-    fresh = np.sqrt(1.0 - errors.kept**2)
-    own, whole = np.sqrt(1.0 - errors.common[w, stage]), np.sqrt(errors.common[w, stage])
-    mean = whole * level[0]
+    return stage
+
+
+@kernel(inline=True)
+def told_at(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes):
+    """Return p_safe and height that a scan gives a cell (r, c) of a map, at a true point.
+
+    p_safe is -1 where the cell is not in view, or nothing is known of it.
+    """
+    row = int(np.floor((true_y - pool.frame[1]) / pool.frame[2] + 0.5))
+    col = int(np.floor((true_x - pool.frame[0]) / pool.frame[2] + 0.5))
+    if not (0 <= row < pool.kind.shape[1] and 0 <= col < pool.kind.shape[2]):
+        return -1.0, 0.0
+    kind, height = pool.kind[world, row, col], pool.height[world, row, col]
+    if kind == 255:
+        return -1.0, 0.0
+    dx, dy, dz = true_x - y[0], true_y - y[1], height - y[2]
+    depth = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+    room = view[0] * depth - view[1]
+    across = axes[0, 0] * dx + axes[0, 1] * dy
+    down = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
+    if not (depth > 0.0 and abs(across) <= room and abs(down) <= room):
+        return -1.0, 0.0
+    if errors.exact:
+        return (1.0 if pool.safe[world, row, col] else 0.0), height
+    bank = errors.bank[world]
+    z = _noise(errors.noise, bank, 0, places[0], r, c)
     if stage > 0:
-        mean = whole * (errors.kept * level[0] + fresh * level[1])
-    for r in range(rows):
+        z = errors.kept * z + draw[2] * _noise(errors.noise, bank, stage, places[1], r, c)
+    z = draw[0] + draw[1] * z
+    return _told(errors.tables, world, stage, kind, z, errors.most), height
+
+
+@kernel()
+def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
+    """Draw what a scan adds to the map of a lane."""
+    places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
+    stage = drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes)
+    east, north = course.slip[i, 0] * time, course.slip[i, 1] * time
+    for r in range(maps.p.shape[1]):
         true_y = maps.corner[i, 1] + r * maps.posting - north
-        row = int(np.floor((true_y - y0) / posting + 0.5))
-        for c in range(cols):
+        for c in range(maps.p.shape[2]):
             true_x = maps.corner[i, 0] + c * maps.posting - east
-            col = int(np.floor((true_x - x0) / posting + 0.5))
-            if not (0 <= row < kinds.shape[0] and 0 <= col < kinds.shape[1]):
-                continue
-            kind = kinds[row, col]
-            if kind == 255:
-                continue
-            dx, dy, dz = true_x - y[0], true_y - y[1], heights[row, col] - y[2]
-            depth = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-            room = view[0] * depth - view[1]
-            across = axes[0, 0] * dx + axes[0, 1] * dy
-            down = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
-            if not (depth > 0.0 and abs(across) <= room and abs(down) <= room):
-                continue
-            maps.seen[i, r, c] = True
-            maps.height[i, r, c] = heights[row, col]
-            if errors.exact:
-                maps.p[i, r, c] = 1.0 if safe[row, col] else 0.0
-                continue
-            z = _noise(noise, 0, places[0], r, c)
-            if stage > 0:
-                z = errors.kept * z + fresh * _noise(noise, stage, places[1], r, c)
-            z = mean + own * z
-            maps.p[i, r, c] = _told(errors.tables, w, stage, kind, z, errors.most)
+            p, height = told_at(
+                r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes
+            )
+            if p >= 0.0:
+                maps.seen[i, r, c] = True
+                maps.height[i, r, c] = height
+                maps.p[i, r, c] = p
 
 
 @kernel(shared=True)
 def scan(share, mask, keys, begun, y, time, world, course, maps, pool, errors, view):
     """Let the lanes of `mask` (n,) take the scan that is due, and go on."""
-    places, level = np.empty((2, 5), np.int64), np.zeros(2)
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
-        key = np.uint64(keys[i]) ^ _ERRORS
-        first = (begun[i] - 1) * _DRAWS
-        for k in range(2):
-            _place(errors.noise, key, first + 5 * k, places[k])
-            level[k] = normal(key, first + 10 + 2 * k)
-        _lay(i, y[i], time[i], world[i], course, maps, pool, errors, view, places, level)
+        key, first = drawn_from(keys[i], begun[i])
+        _lay(i, key, first, y[i], time[i], world[i], course, maps, pool, errors, view)
         taken(i, time[i], course, maps)
+
+
+@kernel()
+def drawn_from(key, begun):
+    """Return from which key, and which draw on, the maps of a flight are drawn."""
+    return np.uint64(key) ^ _ERRORS, (begun - 1) * _DRAWS
 
 
 @kernel()

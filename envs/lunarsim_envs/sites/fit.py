@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scipy.stats import rankdata
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
+from lunarsim_envs.sites.draws import correlation, drawn_like, judged, length_of
 from lunarsim_envs.sites.looks import Look, LookedFlight
 from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, stood_for
 
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 
 # Sites of a class that make a table of its own; others take that of their size.
 _ENOUGH = 150
+# So often the lengths are put right by what is drawn with them.
+_ROUNDS = 3
 # Distances at which the correlation is fitted, in cells.
 _LAGS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32])
 
@@ -61,21 +65,34 @@ def fitted(scenario: Scenario, grounds: Sequence[Sequence[LookedFlight]]) -> Sur
             scores[stage] += found
     every = [flight for ground in grounds for flight in ground]
     drift = np.array([flight.drift for flight in every])
-    return Surrogate(
-        shares[order], tables, common, weights, _kept(scores),
+    plain = Surrogate(
+        shares[order], tables, common, weights, np.ones(common.shape), _kept(scores),
         np.sqrt(np.nanmean(drift**2, axis=0)), float(np.mean([f.claimed for f in every])),
         np.array([_altitude(looks, stage) for stage in range(scans)]),
         json.dumps(stood_for(scenario), sort_keys=True),
     )  # fmt: skip
+    return _stretched(plain, [grounds[ground] for ground in order])
+
+
+def _stretched(surrogate: Surrogate, grounds: Sequence[Sequence[LookedFlight]]) -> Surrogate:
+    """Return a surrogate whose patches are as long as the mapper's, on the grounds of its fit."""
+    for _ in range(_ROUNDS):
+        stretch = surrogate.stretch.copy()
+        for g, ground in enumerate(grounds):
+            rng = np.random.default_rng(g)
+            drawn = [drawn_like(surrogate, flight, rng) for flight in ground]
+            for scan in range(stretch.shape[1]):
+                looks = [look for f in ground for look in f.looks if look.stage == scan]
+                wanted = length_of(looks, [look.p_safe for look in looks])
+                found = length_of(looks, [one[scan] for one in drawn if len(one) > scan])
+                if np.isfinite(wanted) and np.isfinite(found):
+                    stretch[g, scan] = np.clip(stretch[g, scan] * wanted / found, 0.5, 5.0)
+        surrogate = replace(surrogate, stretch=stretch)
+    return surrogate
 
 
 def _altitude(looks: Sequence[Sequence[Look]], stage: int) -> float:
     return float(np.mean([k.altitude for ground in looks for k in ground if k.stage == stage]))
-
-
-def judged(look: Look) -> NDArray[np.bool_]:
-    """Tell which sites the last scan of a look has judged, and of which the truth is known."""
-    return np.asarray(look.viewed & look.observed & (look.kind != hazard.UNKNOWN))
 
 
 def quantile_tables(looks: Sequence[Look]) -> Array:
@@ -117,26 +134,9 @@ def normal_scores(looks: Sequence[Look]) -> list[Array]:
     return out
 
 
-def correlation(fields: Sequence[Array], lags: NDArray[np.int64] = _LAGS) -> Array:
-    """Return the correlation of fields with themselves at so many cells, less their means."""
-    top, count = np.zeros(len(lags)), np.zeros(len(lags))
-    for one in fields:
-        if np.isnan(one).all():
-            continue
-        field = one - np.nanmean(one)
-        for k, lag in enumerate(lags):
-            for moved in (field[lag:, :] * field[: field.shape[0] - lag, :],
-                          field[:, lag:] * field[:, : field.shape[1] - lag]):  # fmt: skip
-                known = np.isfinite(moved)
-                top[k] += moved[known].sum()
-                count[k] += known.sum()
-    mean = top / np.maximum(count, 1.0)
-    return np.asarray(mean / max(mean[0], 1e-12))
-
-
 def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
     """Return how the lengths of Gaussian correlations are to be mixed (lengths,), sum 1."""
-    wanted = correlation(fields)
+    wanted = correlation(fields, _LAGS)
     away = _LAGS * posting
     basis = np.stack(
         [(away == 0.0).astype(float)]

@@ -20,7 +20,7 @@ from lunarsim_envs.descent.lanes import FLYING, Craft, Lanes
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
 from lunarsim_envs.sites.pool import SitePool
-from lunarsim_envs.sites.view import deciding_mapper
+from lunarsim_envs.sites.view import deciding_mapper, scan_altitudes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -91,25 +91,6 @@ def _refuse_others(scenario: Scenario, guidance: Any) -> None:
         raise InputError("approach.time_to_go_s", "given", "left out: the cheapest is taken")
 
 
-def scan_altitudes(scenario: Scenario) -> Array:
-    """Return the altitudes at which the mapper's sensor measures, falling, m.
-
-    Raises
-    ------
-    InputError
-        If it is tasked otherwise.
-    """
-    sensor = scenario.mappers[deciding_mapper(scenario)].make().sensor
-    tasking = scenario.tasking.get(sensor)
-    if tasking is None or tasking.kind != "at-altitudes":
-        kind = None if tasking is None else tasking.kind
-        raise InputError(f"tasking.{sensor}.kind", kind, "at-altitudes")
-    made = tasking.make()
-    if made.boresight != "site":
-        raise InputError(f"tasking.{sensor}.boresight", made.boresight, "site")
-    return np.array(sorted(made.altitudes, reverse=True))
-
-
 class SiteLanes(Lanes):
     """Landers side by side, flown to sites that somebody chooses.
 
@@ -140,6 +121,7 @@ class SiteLanes(Lanes):
     """
 
     levels: ClassVar[Array] = np.array(_LEVELS)
+    keeps_maps: ClassVar[bool] = True
 
     def __init__(
         self, count: int, scenario: Scenario, pool: SitePool, *, errors: m.Errors, view: Array,
@@ -152,8 +134,8 @@ class SiteLanes(Lanes):
         self.law = law_of(scenario, craft)
         self.decisions = scenario.decisions.make()
         size = scenario.mappers[deciding_mapper(scenario)].make().size
-        cells = max(1, round(size / posting))
-        self._drift = np.asarray(drift, dtype=np.float64)
+        cells = max(1, round(size / posting)) if self.keeps_maps else 1
+        self.drift = np.asarray(drift, dtype=np.float64)
         approach = scenario.approach.make()
         stated = np.array([
             self.decisions.touchdown_sigma, claimed,
@@ -170,7 +152,7 @@ class SiteLanes(Lanes):
         super().begin(mask)
         self._run(
             f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y, self._loop,
-            self.target, self._drift, self._control, self.craft.heading, self.course, self.law,
+            self.target, self.drift, self._control, self.craft.heading, self.course, self.law,
         )  # fmt: skip
         maps = self.maps
         half = 0.5 * (maps.p.shape[1] - 1) * maps.posting

@@ -12,12 +12,14 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
-from lunarsim_envs.sites.view import in_view, view_of
+from lunarsim_envs.sites.view import in_view, scan_altitudes, view_of
 
 Array = NDArray[np.float64]
 
 # Every so-manieth cell of a map along its side is looked at: its neighbours say much the same.
 EVERY = 2
+# Flown on after the last scan, s: so long drift is looked at besides.
+_AFTER = 4.0
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class LookedFlight:
     looks
         In their order.
     drift
-        Change of the error of place from the first scan to touchdown over the time between (2,),
-        east and north, m/s; NaN where the flight did not land.
+        Change of the error of place from the first scan to the end over the time between (2,),
+        east and north, m/s.
     claimed
         Deviation that navigation gives the velocity at the first scan, an axis, m/s.
     safe_share
@@ -79,7 +81,9 @@ class LookedFlight:
 def looked_flights(
     scenario: Scenario, seed: int, flights: Iterable[int]
 ) -> Iterator[LookedFlight]:
-    """Fly flights of a campaign, keeping their sites, and yield what their mapper drew.
+    """Fly flights of a campaign to their last scan, and yield what their mapper drew.
+
+    They keep their sites, and end some seconds after that scan.
 
     Parameters
     ----------
@@ -88,6 +92,7 @@ def looked_flights(
     seed, flights
         Root seed, and numbers of the flights.
     """
+    scans = len(scan_altitudes(scenario))
     for flight in flights:
         simulation = Simulation(scenario, flight_seed(seed, flight), "no-divert")
         layers = TruthLayers.of(simulation.truth)
@@ -95,7 +100,8 @@ def looked_flights(
         first: tuple[float, Array] | None = None
         claimed = float("nan")
         name = simulation.computer.decisions_map
-        while not simulation.done:
+        until = np.inf
+        while not simulation.done and simulation.time < until:
             simulation.step()
             if name in simulation.computer.mapped and not simulation.done:
                 error = simulation.navigation_error
@@ -104,12 +110,11 @@ def looked_flights(
                     level = simulation.estimate.covariance[3:5, 3:5]
                     claimed = float(np.sqrt(max(0.5 * np.trace(level), 0.0)))
                 looks.append(_look(simulation, layers, error, len(looks)))
+                if len(looks) == scans:
+                    until = simulation.time + _AFTER
         drift = np.full(2, np.nan)
-        verdict = simulation.verdict
-        if first is not None and verdict is not None and verdict.touchdown is not None:
-            # At touchdown the lander stands where it stands: what it believes is compared.
-            since = max(simulation.time - first[0], 1.0)
-            drift = (simulation.navigation_error - first[1])[:2] / since
+        if first is not None and simulation.time > first[0]:
+            drift = (simulation.navigation_error - first[1])[:2] / (simulation.time - first[0])
         share = float(layers.safe[layers.kind != UNKNOWN].mean())
         yield LookedFlight(tuple(looks), drift, claimed, share)
 

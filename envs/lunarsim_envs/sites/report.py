@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.fit import correlation, judged
+from lunarsim_envs.sites.draws import drawn_like, judged, length_of
 from lunarsim_envs.sites.looks import Look, LookedFlight
 from lunarsim_envs.sites.surrogate import Surrogate
 
@@ -18,41 +18,7 @@ Array = NDArray[np.float64]
 # A site is told to be safe from here on, and unsafe below the other.
 TOLD_SAFE, TOLD_UNSAFE = 0.9, 0.5
 _SIZES = np.append(hazard.SIZES, np.inf)
-_LAGS = np.arange(0, 33)
 _RESAMPLED = 500
-
-
-def drawn_like(
-    surrogate: Surrogate, flight: LookedFlight, rng: np.random.Generator
-) -> list[NDArray[np.float32]]:
-    """Return maps that the surrogate draws in the place of a flight's, NaN where nothing is judged.
-
-    The plain way, cell by cell as the kernel does it.
-    """
-    posting = flight.looks[0].posting
-    errors = surrogate.errors(np.array([flight.safe_share]), posting)
-    noise, nodes = errors.noise[errors.bank[0]], errors.tables.shape[3]
-    side = noise.shape[2]
-    steps = np.linspace(-errors.most, errors.most, nodes)
-    out, last, whole = [], None, None
-    for look in flight.looks:
-        one = noise[look.stage, rng.integers(noise.shape[1])]
-        one = np.roll(one, tuple(rng.integers(side, size=2)), (0, 1))
-        one = one[: look.kind.shape[0], : look.kind.shape[1]].astype(np.float64)
-        mean = rng.standard_normal()
-        if last is not None and whole is not None:
-            fresh = np.sqrt(1.0 - errors.kept**2)
-            one = errors.kept * last + fresh * one
-            mean = errors.kept * whole + fresh * mean
-        last, whole = one, mean
-        common = errors.common[0, look.stage]
-        z = np.sqrt(common) * mean + np.sqrt(1.0 - common) * one
-        p = np.full(look.kind.shape, np.nan, np.float32)
-        for c in np.unique(look.kind[judged(look)]):
-            own = judged(look) & (look.kind == c)
-            p[own] = np.interp(z[own], steps, errors.tables[0, look.stage, c])
-        out.append(p)
-    return out
 
 
 @dataclass(frozen=True)
@@ -89,7 +55,7 @@ def quality(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> Quali
         ("safe, at the edge, told unsafe", safe & (edge < 8)),
     ):
         named[words] = _share(p[own] < TOLD_UNSAFE)
-    named["length of correlation, m"] = _length(looks, maps, masks)
+    named["length of correlation, m"] = length_of(looks, maps)
     return Quality(tuple(named), np.array(list(named.values())))
 
 
@@ -106,29 +72,6 @@ def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float
         if own.any():
             gap += own.mean() * abs(float(p[own].mean()) - float(safe[own].mean()))
     return gap
-
-
-def _length(
-    looks: Sequence[Look], maps: Sequence[NDArray[np.float32]], masks: Sequence[NDArray[np.bool_]]
-) -> float:
-    """Return where the correlation of p_safe, less the mean of each class, falls to 1 / e, m."""
-    total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)
-    for look, one, mask in zip(looks, maps, masks, strict=True):
-        np.add.at(total, look.kind[mask], one[mask])
-        np.add.at(count, look.kind[mask], 1.0)
-    means = total / np.maximum(count, 1.0)
-    fields = []
-    for look, one, mask in zip(looks, maps, masks, strict=True):
-        field = np.full(mask.shape, np.nan)
-        field[mask] = one[mask] - means[look.kind[mask]]
-        fields.append(field)
-    falls = correlation(fields, _LAGS)
-    below = np.flatnonzero(falls < np.exp(-1.0))
-    if not len(below):
-        return float("nan")
-    k = int(below[0])
-    part = (falls[k - 1] - np.exp(-1.0)) / (falls[k - 1] - falls[k])
-    return float((k - 1 + part) * looks[0].posting)
 
 
 @dataclass(frozen=True)

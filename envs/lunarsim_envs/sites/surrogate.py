@@ -54,6 +54,9 @@ class Surrogate:
         (grounds, scans).
     weights
         Of the correlations in space by `LENGTHS` (grounds, scans, lengths), that sum to 1.
+    stretch
+        By which those lengths are stretched (grounds, scans): patches of low p_safe are longer than
+        a Gaussian copula of the normal numbers' own correlation makes them.
     kept
         Correlation of the normal numbers of a map with those of the scan before.
     drift
@@ -71,6 +74,7 @@ class Surrogate:
     tables: Array
     common: Array
     weights: Array
+    stretch: Array
     kept: float
     drift: Array
     claimed: float
@@ -81,7 +85,9 @@ class Surrogate:
         """Write it as ``.npz``, tables in half precision."""
         held: dict[str, Any] = {
             name: getattr(self, name)
-            for name in ("shares", "common", "weights", "kept", "drift", "claimed", "altitudes")
+            for name in (
+                "shares", "common", "weights", "stretch", "kept", "drift", "claimed", "altitudes",
+            )
         }
         held |= {"tables": self.tables.astype(np.float16), "made_for": self.made_for}
 
@@ -107,7 +113,7 @@ class Surrogate:
                 raise ValueError(f"its format is {held['format']}")
             made = cls(
                 held["shares"], held["tables"].astype(np.float64), held["common"], held["weights"],
-                float(held["kept"]), held["drift"], float(held["claimed"]), held["altitudes"],
+                held["stretch"], float(held["kept"]), held["drift"], float(held["claimed"]), held["altitudes"],
                 str(held["made_for"]),
             )  # fmt: skip
             made._check()
@@ -123,6 +129,8 @@ class Surrogate:
             raise ValueError(f"tables of shape {self.tables.shape}, not {shape}")
         if not ((self.tables >= 0.0) & (self.tables <= 1.0)).all():
             raise ValueError("probabilities that are none")
+        if self.stretch.shape != shape[:2] or not (self.stretch > 0.0).all():
+            raise ValueError("lengths that are none")
         wide = (*shape[:2], len(LENGTHS))
         if self.weights.shape != wide or np.abs(self.weights.sum(axis=2) - 1.0).max() > 1e-6:
             raise ValueError("weights that do not sum to 1")
@@ -149,6 +157,10 @@ class Surrogate:
                     "scenarios/learning/fit_surrogate.py, or perception='gaussian-dem'",
                 )  # fmt: skip
 
+    def _noise(self, posting: float) -> NDArray[np.float32]:
+        held = self.weights.tobytes(), self.stretch.astype(np.float64).tobytes()
+        return noise(*held, self.weights.shape, posting)
+
     def errors(self, shares: Array, posting: float) -> Errors:
         """Return what kernels draw maps from.
 
@@ -171,7 +183,7 @@ class Surrogate:
 
         return Errors(
             between(self.tables).astype(np.float32), MOST,
-            noise(self.weights.tobytes(), self.weights.shape, posting),
+            self._noise(posting),
             np.round(at).astype(np.int64), between(self.common), self.kept, False,
         )  # fmt: skip
 
@@ -188,24 +200,27 @@ def stood_for(scenario: Scenario) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def noise(weights: bytes, shape: tuple[int, int, int], posting: float) -> NDArray[np.float32]:
+def noise(
+    weights: bytes, stretch: bytes, shape: tuple[int, int, int], posting: float
+) -> NDArray[np.float32]:
     """Return periodic fields of standard normal numbers (grounds, scans, fields, side, side).
 
-    Their correlation at a distance is that of the mixture of `LENGTHS` by weight (grounds, scans,
-    lengths), given as bytes.
+    Their correlation at a distance is that of the mixture of `LENGTHS`, stretched (grounds, scans),
+    by weight (grounds, scans, lengths); both are given as bytes.
     """
     mixed = np.frombuffer(weights).reshape(shape)
+    longer = np.frombuffer(stretch).reshape(shape[:2])
     away = np.minimum(np.arange(_SIDE), _SIDE - np.arange(_SIDE)) * posting
     square = away[:, None] ** 2 + away[None, :] ** 2
-    patches = [np.exp(-0.5 * square / length**2) for length in LENGTHS[1:]]
     white = np.random.default_rng(0).standard_normal((shape[1], _FIELDS, _SIDE, _SIDE))
     seen = np.fft.rfft2(white)
     out = np.empty((*shape[:2], _FIELDS, _SIDE, _SIDE), np.float32)
     for g, scan in np.ndindex(shape[:2]):
         wanted = np.zeros((_SIDE, _SIDE))
         wanted[0, 0] = mixed[g, scan, 0]
-        for weight, patch in zip(mixed[g, scan, 1:], patches, strict=True):
-            wanted += weight * patch
+        for weight, length in zip(mixed[g, scan, 1:], longer[g, scan] * LENGTHS[1:], strict=True):
+            if weight > 0.0:
+                wanted += weight * np.exp(-0.5 * square / length**2)
         spectrum = np.sqrt(np.maximum(np.fft.rfft2(wanted).real, 0.0))
         fields = np.fft.irfft2(seen[scan] * spectrum, s=(_SIDE, _SIDE))
         # The mean of a field is a whole map's own, which `common` tells.

@@ -44,6 +44,25 @@ def deciding_mapper(scenario: Scenario) -> str:
     return scenario.decisions.make().map or next(iter(scenario.mappers))
 
 
+def scan_altitudes(scenario: Scenario) -> Array:
+    """Return the altitudes at which the mapper's sensor measures, falling, m.
+
+    Raises
+    ------
+    InputError
+        If it is tasked otherwise.
+    """
+    sensor = scenario.mappers[deciding_mapper(scenario)].make().sensor
+    tasking = scenario.tasking.get(sensor)
+    if tasking is None or tasking.kind != "at-altitudes":
+        kind = None if tasking is None else tasking.kind
+        raise InputError(f"tasking.{sensor}.kind", kind, "at-altitudes")
+    made = tasking.make()
+    if made.boresight != "site":
+        raise InputError(f"tasking.{sensor}.boresight", made.boresight, "site")
+    return np.array(sorted(made.altitudes, reverse=True))
+
+
 def in_view(
     xy: Array, height: Array, here: Array, boresight: Array, view: Array
 ) -> NDArray[np.bool_]:
