@@ -134,6 +134,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
       every half second of the flight since the last call, down to the ground (``"onboard"`` alone);
       or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
 
+    - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
+      vectorization_mode="vector_entry_point")``: so many flights in kernels, with perception
+      ``"surrogate"`` unless another is asked for (not ``"onboard"``); "NextStep", "SameStep" or
+      "Disabled". Lane i with seed s flies what one environment with seed s + i does.
+
     ## Version History
 
     - v0: first version.
