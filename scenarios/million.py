@@ -14,13 +14,13 @@ import sys
 import time
 
 import numba
-from lunarsim_envs.retarget import default_scenario
-from lunarsim_envs.sites.million import Tally, batches
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
+from lunarsim_envs.retarget import default_scenario
+from lunarsim_envs.sites.million import Tally, batches
 
 # A start from which the cheapest flight takes a minute.
 _START = {"position_m": [-1500.0, 0.0, 1150.0], "velocity_m_s": [45.0, 0.0, -30.0]}

@@ -17,15 +17,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget import default_scenario
 from lunarsim_envs.sites.fit import fitted
 from lunarsim_envs.sites.looks import LookedFlight, looked_flights
 from lunarsim_envs.sites.report import beside
 from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate
-
-from lunarsim.errors import InputError
-from lunarsim.scenario import Scenario
-from lunarsim.scenario.shipped import found
 
 # Covers of rocks that are fitted, and those kept out; root seeds of both, one a cover.
 FITTED = (0.02, 0.03, 0.04, 0.055, 0.07, 0.0775, 0.085, 0.0925, 0.10, 0.125, 0.15)

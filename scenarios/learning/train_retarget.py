@@ -16,17 +16,17 @@ import time
 from pathlib import Path
 
 import gymnasium
-import lunarsim_envs
 import numpy as np
-from lunarsim_envs.agents.registry import agent_of, label
-from lunarsim_envs.sites.perception import PERCEPTIONS, lanes_of
-from lunarsim_envs.training.sites import SiteTraining, train
 
+import lunarsim_envs
 from lunarsim.errors import InputError
 from lunarsim.evaluation.comparisons import mean_difference, share_difference
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
+from lunarsim_envs.agents.registry import agent_of, label
+from lunarsim_envs.sites.perception import PERCEPTIONS, lanes_of
+from lunarsim_envs.training.sites import SiteTraining, train
 
 POLICIES = ("no-divert", "nearest-safe", "safest", "fuel-aware")
 # Root seeds of the worlds: of training, and of comparisons.

@@ -53,7 +53,7 @@ def flown():
         for i in range(4):
             if many.ended[i] != FLYING:
                 continue
-            n = many.found.count[i]
+            n = many.found.number[i]
             good = np.flatnonzero(np.isfinite(many.found.propellant[i, :n]))
             if len(good) and rng.random() < 0.4:
                 goal[i] = many.found.position[i, rng.choice(good)]
@@ -152,9 +152,7 @@ def test_what_sites_cost_is_what_the_computer_says():
     state, out = np.empty((2, 3)), np.empty((200, 4))
     f.believed(many.y[0], many.course.slip[0], many.time[0], state)
     f.reach(state, many.y[0, 13], sites, many.law, out)
-    e = Estimate(
-        0.0, state[0], state[1], np.zeros(4), np.zeros(3), many.y[0, 13], np.zeros((9, 9))
-    )
+    e = Estimate(0.0, state[0], state[1], np.zeros(4), np.zeros(3), many.y[0, 13], np.zeros((9, 9)))
     cost = guidance.cost(e, approach.end(sites, lander), lander, 1.622, approach.limits)
     assert 20 < cost.feasible.sum() < 190
     assert np.array_equal(np.isfinite(out[:, 0]), cost.feasible)
@@ -215,9 +213,7 @@ def test_a_map_is_what_numpy_draws(perception):
         key, first = m.drawn_from(many._keys[0], many._begun[0])
         places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
         course = many.course._replace(scanned=np.zeros(1, np.int64))
-        m.drawn_scan(
-            0, key, first, kept.y, kept.time, world, course, e, places, draw, axes
-        )
+        m.drawn_scan(0, key, first, kept.y, kept.time, world, course, e, places, draw, axes)
         field = e.noise[e.bank[world], 0, places[0, 0]]
         side = field.shape[0]
         r = (places[0, 1] + places[0, 3] * np.arange(rows)) % side
@@ -229,7 +225,7 @@ def test_a_map_is_what_numpy_draws(perception):
             own = kind == one
             wanted[own] = np.interp(z[own], steps, e.tables[world, 0, one])
         assert draw[1] == pytest.approx(np.sqrt(0.7))
-        assert 0.1 < wanted[seen].std()
+        assert wanted[seen].std() > 0.1
     assert kept.p[seen] == pytest.approx(wanted[seen], abs=1e-6)
     assert not kept.p[~seen].any()
 
@@ -256,12 +252,11 @@ def test_sites_are_those_that_the_computer_proposes():
     for _ in range(4):
         on(many)
     decisions = many.decisions
+    lander, approach = many.craft.dynamics.lander, SMALL.approach.make()
     for lane in range(3):
         seen = seen_by(many, lane)
         miss = seen.expected_miss
         assert miss > decisions.touchdown_sigma
-        lander = many.craft.dynamics.lander
-        approach = SMALL.approach.make()
 
         def cost_of(sites, seen=seen):
             return SMALL.guidance.make().cost(

@@ -14,9 +14,9 @@ from gymnasium.utils.env_checker import check_env
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.agents.site_network import SiteNetwork, features
+from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import parts
 from lunarsim_envs.sites.perception import PERCEPTIONS
-from lunarsim_envs.sites.vector import RetargetVectorEnv
 from lunarsim_envs.training.sites import SiteTraining, flown, start, train
 from tests.envs.site_scene import SMALL, lanes, made_up
 
@@ -78,9 +78,7 @@ def test_another_process_flies_the_same():
         "out, info = episode(made(), 4, row=2)\n"
         "print(repr(float(info['propellant_kg'])), repr(float(out[3]['sites'].sum())))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", words], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
     out, info = episode(made(), 4, row=2)
     wanted = f"{float(info['propellant_kg'])!r} {float(out[3]['sites'].sum())!r}"
     assert done.stdout.strip() == wanted
@@ -218,7 +216,7 @@ def test_the_truth_is_told_as_it_is():
     while (many.ended == 0).any():
         seen = np.isfinite(many.found.here[:, 0])
         sites = np.where(seen[:, None], np.nan, np.nan) * np.ones((8, 3))
-        good = many.found.count > 0
+        good = many.found.number > 0
         sites[good] = many.found.position[good, 0]
         many.decide(sites, np.ones(8, bool))
     assert many.safe.all() and (many.miss < 100.0).all()

@@ -50,7 +50,12 @@ class SiteFlight:
     def estimate(self):
         y = self.plain.y
         return Estimate(
-            self.time, y[:3] + self.time * self.slip, y[3:6] + self.slip, y[6:10], y[10:13], y[13],
+            self.time,
+            y[:3] + self.time * self.slip,
+            y[3:6] + self.slip,
+            y[6:10],
+            y[10:13],
+            y[13],
             np.zeros((9, 9)),
         )
 
@@ -61,10 +66,15 @@ class SiteFlight:
     def left_to(self, site):
         """Return the time-to-go to a site, s; NaN out of reach."""
         approach = self.software.approach
-        return float(self.software.guidance.cost(
-            self.estimate, approach.end(site[None], self.lander), self.lander, self.gravity,
-            approach.limits,
-        ).time_to_go[0])
+        return float(
+            self.software.guidance.cost(
+                self.estimate,
+                approach.end(site[None], self.lander),
+                self.lander,
+                self.gravity,
+                approach.limits,
+            ).time_to_go[0]
+        )
 
     def wanted(self):
         """Return the thrust acceleration of this cycle (3,)."""
@@ -84,7 +94,10 @@ class SiteFlight:
     def steered(self):
         """Give the start the attitude and thrust that guidance asks for there."""
         command = thrust_to_command(
-            self.wanted(), self.plain.y[13], self.lander, self.start.heading,
+            self.wanted(),
+            self.plain.y[13],
+            self.lander,
+            self.start.heading,
             self.software.approach.max_tilt,
         )
         self.plain.y[6:10], self.plain.y[14] = command.attitude, command.thrust

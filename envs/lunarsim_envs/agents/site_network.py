@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.whole_files import write_whole
 from lunarsim_envs.agents.contract import refuse
-from lunarsim_envs.retarget import SITES, RetargetEnv
+from lunarsim_envs.retarget import RetargetEnv
+from lunarsim_envs.sites.parts import SITES
 from lunarsim_envs.sites.sights import Sights
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ drift: the lander takes itself to be off its true place by a constant velocity t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -29,8 +29,8 @@ _TIMES, _SLOWNESS = 14, 8.0
 # Of `strain.Strain`.
 _LONGEST, _SLACK = 0.5, 0.02
 
-_survey = survey.compiled
-_advance = d.advance.compiled
+_survey = cast(Any, survey).compiled
+_advance = cast(Any, d.advance).compiled
 
 
 class Law(NamedTuple):
@@ -299,9 +299,7 @@ def begin(share, mask, keys, begun, y, loop, target, drift, control, heading, co
         course.arrival[i] = time if np.isfinite(time) else max(2.0 * way / max(speed, 1.0), 5.0)
         # The start has the attitude and the thrust that guidance asks for there.
         guide(i, y[i], 0.0, course, law, wanted)
-        y[i, 14] = steer(
-            wanted, y[i, 13], control[0], control[1], heading, control[2], attitude
-        )
+        y[i, 14] = steer(wanted, y[i, 13], control[0], control[1], heading, control[2], attitude)
         for k in range(4):
             y[i, 6 + k] = attitude[k]
             loop[i, k] = attitude[k]

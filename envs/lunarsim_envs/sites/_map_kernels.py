@@ -1,12 +1,14 @@
 """Compiled maps of a pool's worlds, and the sites to choose from on them.
 
-Maps are (n, rows, cols), row 0 south, in each lander's own frame, which has drifted off the true one
-by the time of the scan. `frame` (3,) of the pool is the centre of its cell (0, 0) and its posting.
+Maps are (n, rows, cols), row 0 south, in each lander's own frame, which has drifted off the true
+one by the time of the scan. `frame` (3,) of the pool is the centre of its cell (0, 0) and its
+posting.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -84,7 +86,7 @@ class Found(NamedTuple):
     p_safe: np.ndarray
     distance: np.ndarray
     propellant: np.ndarray
-    count: np.ndarray
+    number: np.ndarray
     here: np.ndarray
 
 
@@ -95,7 +97,9 @@ def _told(tables, world, stage, kind, z, most):
     at = (min(max(z, -most), most) + most) * ((nodes - 1) / (2.0 * most))
     low = min(int(at), nodes - 2)
     part = at - low
-    return (1.0 - part) * tables[world, stage, kind, low] + part * tables[world, stage, kind, low + 1]
+    return (1.0 - part) * tables[world, stage, kind, low] + part * tables[
+        world, stage, kind, low + 1
+    ]
 
 
 @kernel()
@@ -481,7 +485,7 @@ def look(share, mask, y, time, course, law, maps, count, separation, levels, fou
             found.p_safe[i, m] = p[o]
             found.distance[i, m] = np.hypot(sites[o, 0] - site[0], sites[o, 1] - site[1])
             found.propellant[i, m] = cost[o, 0]
-        found.count[i] = n
+        found.number[i] = n
         row, col = cell(i, site[0], site[1], maps)
         inside = 0 <= row < rows and 0 <= col < cols and maps.seen[i, row, col]
         found.here[i, 0] = aim[row, col] if inside else np.nan
@@ -510,6 +514,9 @@ def shrink(share, mask, p, seen, out):
             for b in range(cells):
                 for k in range(2):
                     out[i, k, a, b] = min(out[i, k, a, b] / max(total[a, b], 1.0), 1.0)
+
+
+shrink_here = partial(cast(Any, shrink).compiled, (0, 1))
 
 
 @kernel(shared=True)

@@ -1,7 +1,7 @@
 """Compiled choice of a site on a sparse lattice of cells, for a million descents.
 
-The cells are those of the maps that `_map_kernels` draws, every so-manieth of them, and are told the
-same of the scan; no map is kept.
+The cells are those of the maps that `_map_kernels` draws, every so-manieth of them, and are told
+the same of the scan; no map is kept.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ def _around(
         b = c + (near if k == 3 else -near if k == 4 else 0)
         x = corner[0] + b * posting - slip[0] * time
         north = corner[1] + a * posting - slip[1] * time
-        p, z = told_at(
-            a, b, x, north, y, world, stage, pool, errors, view, places, draw, axes
-        )
+        p, z = told_at(a, b, x, north, y, world, stage, pool, errors, view, places, draw, axes)
         if k == 0:
             height = z
             unseen = p < 0.0

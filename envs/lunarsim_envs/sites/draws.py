@@ -71,9 +71,7 @@ def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
     return np.asarray(mean / max(mean[0], 1e-12))
 
 
-def length_of(
-    looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]
-) -> float:
+def length_of(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> float:
     """Return where the correlation of p_safe, less the mean of each class, falls to 1 / e, m."""
     masks = [judged(look) for look in looks]
     total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)

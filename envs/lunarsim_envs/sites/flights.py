@@ -137,9 +137,8 @@ class OnboardFlight:
 class KernelFlight:
     """Flown by kernels over a pool of worlds, a lane of its own."""
 
-    simulation = None
-
     def __init__(self, lanes: SiteLanes) -> None:
+        self.simulation: Simulation | None = None
         self.lanes = lanes
         self._one = np.ones(1, np.bool_)
         self._small = shrunk(lanes.maps.p, lanes.maps.seen)
@@ -200,7 +199,7 @@ def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
     return Sights(
         place, velocity, lanes.y[:, 6:10], course.site, left,
         lanes.y[:, 13] - lanes.figures[:, 3], found.position, found.p_safe, found.distance,
-        found.propellant, found.count, found.here, maps.p, maps.seen, maps.corner, maps.posting,
+        found.propellant, found.number, found.here, maps.p, maps.seen, maps.corner, maps.posting,
         small,
     )  # fmt: skip
 
@@ -209,11 +208,12 @@ def seen_by(lanes: SiteLanes, lane: int) -> Observation:
     """Return what a policy is shown of one lane."""
     place, velocity = (one[lane] for one in lanes.believed)
     y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course
-    n = int(found.count[lane])
+    n = int(found.number[lane])
     covariance = np.zeros((9, 9))
     covariance[[3, 4], [3, 4]] = maps.stated[1] ** 2
     rows, cols = maps.p.shape[1:]
-    grid = Grid(*map(float, maps.corner[lane]), maps.posting, rows, cols)
+    west, south = map(float, maps.corner[lane])
+    grid = Grid(west, south, maps.posting, rows, cols)
     hazard_map = HazardMap(
         grid, maps.p[lane].copy(), maps.seen[lane].copy(), maps.height[lane].copy()
     )

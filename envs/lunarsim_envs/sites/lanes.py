@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
-from lunarsim._shares import Shared
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
@@ -201,7 +199,7 @@ class SiteLanes(Lanes):
                 self.found,
             )  # fmt: skip
 
-    def _run(self, kernel: Shared, microseconds: float, *given: Any) -> None:
+    def _run(self, kernel: Any, microseconds: float, *given: Any) -> None:
         """Run a kernel over the lanes; for one lane alone no thread is waited for."""
         if self.count == 1:
             kernel.compiled((0, 1), *given)

@@ -78,9 +78,7 @@ class LookedFlight:
     safe_share: float
 
 
-def looked_flights(
-    scenario: Scenario, seed: int, flights: Iterable[int]
-) -> Iterator[LookedFlight]:
+def looked_flights(scenario: Scenario, seed: int, flights: Iterable[int]) -> Iterator[LookedFlight]:
     """Fly flights of a campaign to their last scan, and yield what their mapper drew.
 
     They keep their sites, and end some seconds after that scan.

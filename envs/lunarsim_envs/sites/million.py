@@ -16,7 +16,8 @@ from lunarsim_envs.sites import _sparse_kernels as k
 from lunarsim_envs.sites.lanes import Mask, SiteLanes
 from lunarsim_envs.sites.perception import lanes_of
 
-# Lanes that fly side by side, which nothing depends on; cells between two sites of the lattice, half a side of it, m.
+# Lanes that fly side by side, which nothing depends on; cells between two sites of the lattice,
+# half a side of it, m.
 LANES, _EVERY, _REACH = 4096, 8, 24.0
 
 
@@ -58,7 +59,12 @@ class Tally:
 
 
 def batches(
-    scenario: Scenario, flights: int, seed: int, worlds: int, lanes: int = LANES, surrogate: Any = None
+    scenario: Scenario,
+    flights: int,
+    seed: int,
+    worlds: int,
+    lanes: int = LANES,
+    surrogate: Any = None,
 ) -> Iterator[Tally]:
     """Yield what came of each batch of flights.
 

@@ -91,7 +91,7 @@ def shrunk(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float3
     every = np.ones(len(p), np.bool_)
     given = every, np.ascontiguousarray(p, dtype=np.float32), seen, out
     if len(p) == 1:
-        m.shrink.compiled((0, 1), *given)
+        m.shrink_here(*given)
     else:
         m.shrink(*given)
     return out.astype(np.float32)

@@ -86,7 +86,14 @@ class Surrogate:
         held: dict[str, Any] = {
             name: getattr(self, name)
             for name in (
-                "shares", "common", "weights", "stretch", "kept", "drift", "claimed", "altitudes",
+                "shares",
+                "common",
+                "weights",
+                "stretch",
+                "kept",
+                "drift",
+                "claimed",
+                "altitudes",
             )
         }
         held |= {"tables": self.tables.astype(np.float16), "made_for": self.made_for}
@@ -113,8 +120,8 @@ class Surrogate:
                 raise ValueError(f"its format is {held['format']}")
             made = cls(
                 held["shares"], held["tables"].astype(np.float64), held["common"], held["weights"],
-                held["stretch"], float(held["kept"]), held["drift"], float(held["claimed"]), held["altitudes"],
-                str(held["made_for"]),
+                held["stretch"], float(held["kept"]), held["drift"],
+                float(held["claimed"]), held["altitudes"], str(held["made_for"]),
             )  # fmt: skip
             made._check()
         except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:

@@ -44,11 +44,11 @@ class SiteTraining:
     """
 
     hidden: int = 8
-    population: int = 24
-    elite: int = 6
-    flights: int = 48
+    population: int = 16
+    elite: int = 4
+    flights: int = 96
     generations: int = 30
-    price: float = 0.02
+    price: float = 0.006
     spread: float = 0.5
     kept: float = 0.3
     seed: int = 1
@@ -78,9 +78,7 @@ def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: in
         Width of their layers.
     """
     k, n = len(FEATURES), lanes.count
-    linear, inner, bias, outer = np.split(
-        weights, np.cumsum([k, hidden * k, hidden]), axis=1
-    )
+    linear, inner, bias, outer = np.split(weights, np.cumsum([k, hidden * k, hidden]), axis=1)
     inner = inner.reshape(n, hidden, k)
     every = np.ones(n, np.bool_)
     lanes.seed(every, keys)

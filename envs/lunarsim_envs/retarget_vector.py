@@ -127,7 +127,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         mask = np.zeros((self.num_envs, SITES + 1), np.bool_)
         mask[:, 0] = True
         n = min(SITES, found.p_safe.shape[1])
-        known = np.arange(n) < found.count[:, None]
+        known = np.arange(n) < found.number[:, None]
         mask[:, 1 : n + 1] = known & np.isfinite(found.propellant[:, :n])
         return mask
 
