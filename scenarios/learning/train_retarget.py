@@ -71,19 +71,22 @@ def flights_of(
     return safe, burnt
 
 
-def compare(agent: str, scenario: Scenario, perception: str, flights: int, worlds: int) -> None:
+def compare(
+    agent: str, policies: tuple[str, ...], scenario: Scenario, perception: str, flights: int,
+    worlds: int,
+) -> None:  # fmt: skip
     """Print agent and policies on the same flights, and pairs with the best policy."""
     print(f"\nperception {perception}, {flights} flights over {worlds} worlds")
     print(f"{'':<14} {'safe':>6}  95 % interval      propellant, kg")
     told = {}
-    for name in (*POLICIES, agent):
+    for name in (*policies, agent):
         safe, burnt = told[name] = flights_of(name, scenario, perception, flights, worlds)
         low, high = Proportion(int(safe.sum()), flights).interval
         print(
             f"{label(name):<14} {safe.mean():>6.3f}  [{low:.3f}, {high:.3f}] {burnt.mean():>14.2f}",
             flush=True,
         )
-    best = max(POLICIES, key=lambda name: (told[name][0].sum(), -told[name][1].mean()))
+    best = max(policies, key=lambda name: (told[name][0].sum(), -told[name][1].mean()))
     mine, other = told[agent], told[best]
     names = best, label(agent)
     share = share_difference(other[0], mine[0], names)
@@ -103,6 +106,9 @@ def main() -> int:
     parser.add_argument("--worlds", type=int, default=24, help="of a pool")
     parser.add_argument("--flights", type=int, default=300, help="that are compared")
     parser.add_argument(
+        "--policy", action="append", choices=POLICIES, help="to compare with; left out: all"
+    )
+    parser.add_argument(
         "--perception", action="append", choices=PERCEPTIONS, help="that are compared on"
     )
     args = parser.parse_args()
@@ -119,7 +125,8 @@ def main() -> int:
             trained(scenario, settings, args.worlds, args.out)
         agent = args.compare or str(args.out)
         for perception in args.perception or ("surrogate", "gaussian-dem"):
-            compare(agent, scenario, perception, args.flights, args.worlds)
+            policies = tuple(args.policy or POLICIES)
+            compare(agent, policies, scenario, perception, args.flights, args.worlds)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

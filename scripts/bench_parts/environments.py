@@ -103,14 +103,14 @@ def _map_time(env: gymnasium.Env[Any, Any]) -> str:
     if lanes is None:
         return ""
     taken: list[float] = []
-    scan = lanes._scan
+    scan = lanes.scan
 
     def timed(due: Any) -> None:
         begun = time.process_time()
         scan(due)
         taken.append(time.process_time() - begun)
 
-    lanes._scan = timed
+    lanes.scan = timed
     for seed in range(4):
         env.reset(seed=seed)
         ended = False

@@ -41,8 +41,8 @@ def flown():
     told, scans = [[] for _ in range(4)], [[] for _ in range(4)]
 
     class Noted(SiteLanes):
-        def _scan(self, due):
-            super()._scan(due)
+        def scan(self, due):
+            super().scan(due)
             for i in np.flatnonzero(due):
                 scans[i].append((self.time[i], self.course.site[i, 2]))
 
@@ -104,7 +104,7 @@ def test_flights_are_those_of_the_computers_laws(flown, lane):
 def test_drift_is_drawn_by_the_key(flown):
     many = flown[0]
     for i in range(many.count):
-        key = int(many._keys[i]) ^ _DRIFT
+        key = int(many.keys[i]) ^ _DRIFT
         wanted = [many.drift[k] * normal(key, 2 * k) for k in range(2)]
         assert many.course.slip[i] == pytest.approx(wanted, rel=1e-12)
 
@@ -169,7 +169,7 @@ def scanned(perception):
     before = lanes(1, scenario=SMALL.changed(decisions={"first_altitude_m": 1e4}))
     many = lanes(1, perception=perception)
     kept = {}
-    scan = many._scan
+    scan = many.scan
 
     def noted(due):
         if not kept:
@@ -180,7 +180,7 @@ def scanned(perception):
         kept.setdefault("seen", many.maps.seen[0].copy())
         kept.setdefault("height", many.maps.height[0].copy())
 
-    many._scan = noted
+    many.scan = noted
     while not kept:
         on(many)
     assert before.time[0] == 0.0
@@ -210,9 +210,9 @@ def test_a_map_is_what_numpy_draws(perception):
         wanted = layers.safe[world][row, col].astype(np.float32)
     else:
         e = many.errors
-        key, first = m.drawn_from(many._keys[0], many._begun[0])
+        key, first = m.drawn_from(many.keys[0], many.begun[0])
         places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
-        course = many.course._replace(scanned=np.zeros(1, np.int64))
+        course = f.Course(*many.course[:5], np.zeros(1, np.int64), *many.course[6:])
         m.drawn_scan(0, key, first, kept.y, kept.time, world, course, e, places, draw, axes)
         field = e.noise[e.bank[world], 0, places[0, 0]]
         side = field.shape[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import warnings
@@ -220,6 +221,45 @@ def test_the_truth_is_told_as_it_is():
         sites[good] = many.found.position[good, 0]
         many.decide(sites, np.ones(8, bool))
     assert many.safe.all() and (many.miss < 100.0).all()
+
+
+_FORKED = """
+import sys
+import gymnasium, lunarsim_envs, numba
+from lunarsim_envs import forks
+if __name__ == "__main__":
+    from tests.envs.test_sites import SMALL
+    @numba.njit(parallel=True)
+    def sums(n):
+        total = 0.0
+        for k in numba.prange(n):
+            total += k
+        return total
+    sums(100)
+    env = gymnasium.make_vec(
+        "lunarsim/Retarget-v0", num_envs=2, vectorization_mode="async", scenario=SMALL,
+        vector_kwargs={"context": sys.argv[1]},
+    )
+    env.reset(seed=1)
+    env.step([0, 0])
+    env.close()
+    print("flown")
+"""
+
+
+def test_a_forked_worker_that_would_die_says_what_to_type(tmp_path):
+    """And spawned ones fly."""
+    path = tmp_path / "forked.py"
+    path.write_text(_FORKED)
+    done = [
+        subprocess.run(
+            [sys.executable, str(path), context], capture_output=True, text=True, check=False,
+            timeout=240, env=os.environ | {"PYTHONPATH": os.getcwd()},
+        )
+        for context in ("fork", "spawn")
+    ]  # fmt: skip
+    assert "flown" not in done[0].stdout and '"context": "spawn"' in done[0].stderr
+    assert done[1].stdout.split() == ["flown"], done[1].stderr
 
 
 # --- agents -----------------------------------------------------------------------------------

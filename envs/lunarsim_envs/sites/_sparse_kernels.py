@@ -43,6 +43,27 @@ def _nearer(p, far, best_p, best_far):
     return best_p < _ENOUGH and p > best_p
 
 
+@kernel()
+def _fly_to_best(i, y, time, n, sites, p, far, course, law, told):
+    """Let a lane fly to the best of n sites that it can reach, if it can reach one."""
+    for _ in range(min(n, _TRIES)):
+        best = 0
+        for k in range(1, n):
+            if _nearer(p[k], far[k], p[best], far[best]):
+                best = k
+        if p[best] < 0.0:
+            return
+        left = time_to(y, course.slip[i], time, sites[best], law)
+        if np.isfinite(left):
+            for k in range(3):
+                course.site[i, k] = sites[best, k]
+            course.arrival[i] = time + left
+            course.decided[i] = True
+            told[i] = p[best]
+            return
+        p[best] = -1.0
+
+
 @kernel(shared=True)
 def choose(
     share, mask, keys, begun, y, time, world, target, course, law, side, every, posting, pool,
@@ -98,19 +119,4 @@ def choose(
                 sites[n, 2], p[n] = z, told_p
                 far[n] = np.hypot(sites[n, 0] - site[0], sites[n, 1] - site[1])
                 n += 1
-        for _ in range(min(n, _TRIES)):
-            best = 0
-            for k in range(1, n):
-                if _nearer(p[k], far[k], p[best], far[best]):
-                    best = k
-            if p[best] < 0.0:
-                break
-            left = time_to(y[i], course.slip[i], time[i], sites[best], law)
-            if np.isfinite(left):
-                for k in range(3):
-                    course.site[i, k] = sites[best, k]
-                course.arrival[i] = time[i] + left
-                course.decided[i] = True
-                told[i] = p[best]
-                break
-            p[best] = -1.0
+        _fly_to_best(i, y[i], time[i], n, sites, p, far, course, law, told)

@@ -15,6 +15,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim_envs import forks
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.sites.lanes import SiteLanes
@@ -69,6 +70,7 @@ class OnboardFlight:
     """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
+        forks.check()
         self.scenario = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None

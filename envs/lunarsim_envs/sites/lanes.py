@@ -189,7 +189,7 @@ class SiteLanes(Lanes):
             due = (self.course.event == f.SCAN) & (self.ended == FLYING)
             if not due.any():
                 break
-            self._scan(due)
+            self.scan(due)
             self.mapped |= due
         asked = mask & (self.ended == FLYING)
         if asked.any():
@@ -207,7 +207,7 @@ class SiteLanes(Lanes):
         with threads_for(microseconds):
             kernel(*given)
 
-    def _scan(self, due: Mask) -> None:
+    def scan(self, due: Mask) -> None:
         """Let the lanes of `due` take the scan that is due."""
         self._run(
             m.scan, _MAP * self.count, due, self._keys, self._begun, self.y, self.time, self.world,

@@ -16,6 +16,7 @@ from lunarsim.onboard.hazards.mapper import map_grid
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle import State
+from lunarsim_envs import forks
 from lunarsim_envs.sites import _map_kernels as m
 from lunarsim_envs.sites.lanes import Mask, SiteLanes
 from lunarsim_envs.sites.view import deciding_mapper
@@ -33,6 +34,7 @@ class MappedLanes(SiteLanes):
     """
 
     def __init__(self, count: int, scenario: Scenario, *given: Any, **settings: Any) -> None:
+        forks.check()
         part = gaussian_dem_of(scenario)
         self._part, self._scenario = part, scenario
         self._lidar = scenario.sensors[part.sensor].make()
@@ -46,7 +48,7 @@ class MappedLanes(SiteLanes):
             self._mappers[int(lane)] = None
         super().begin(mask)
 
-    def _scan(self, due: Mask) -> None:
+    def scan(self, due: Mask) -> None:
         for lane in np.flatnonzero(due):
             self._map(int(lane))
         m.took(due, self.time, self.course, self.maps)

@@ -120,7 +120,7 @@ class SparseLanes(SiteLanes):
         self.said = np.full(self.count, np.nan)
         super().begin(mask)
 
-    def _scan(self, due: Mask) -> None:
+    def scan(self, due: Mask) -> None:
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
             k.choose, 200.0 * self.count, due, self._keys, self._begun, self.y, self.time,
