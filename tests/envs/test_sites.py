@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -254,7 +255,7 @@ def test_a_forked_worker_that_would_die_says_what_to_type(tmp_path):
     done = [
         subprocess.run(
             [sys.executable, str(path), context], capture_output=True, text=True, check=False,
-            timeout=240, env=os.environ | {"PYTHONPATH": os.getcwd()},
+            timeout=240, env=os.environ | {"PYTHONPATH": str(Path.cwd())},
         )
         for context in ("fork", "spawn")
     ]  # fmt: skip

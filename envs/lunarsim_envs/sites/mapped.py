@@ -49,6 +49,7 @@ class MappedLanes(SiteLanes):
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
+        """Let the lanes of `due` take the scan that is due."""
         for lane in np.flatnonzero(due):
             self._map(int(lane))
         m.took(due, self.time, self.course, self.maps)

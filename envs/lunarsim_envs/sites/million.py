@@ -121,6 +121,7 @@ class SparseLanes(SiteLanes):
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
+        """Let the lanes of `due` take the scan that is due."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
             k.choose, 200.0 * self.count, due, self._keys, self._begun, self.y, self.time,
