@@ -9,6 +9,7 @@ import gymnasium
 gymnasium.register(
     id="lunarsim/Retarget-v0",
     entry_point="lunarsim_envs.retarget:RetargetEnv",
+    vector_entry_point="lunarsim_envs.retarget_vector:RetargetVectorEnv",
 )
 for _level in ("Guidance", "Control"):
     gymnasium.register(

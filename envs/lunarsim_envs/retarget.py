@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +12,20 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
-from lunarsim.onboard.policies import Decision, Observation
+from lunarsim.errors import InputError, suggestion
+from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import with_values
 from lunarsim.scenario.shipped import found
 from lunarsim.simulation import Simulation
-from lunarsim_envs.observations import FloatArray, encode, observation_space, shrink
+from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, reward_terms
+from lunarsim_envs.sites.flights import KernelFlight
+from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
+from lunarsim_envs.sites.perception import PERCEPTIONS, flight_of
 
-SITES = 20  # candidate sites that an agent may choose from
+FloatArray = NDArray[np.float32]
 
 
 def default_scenario() -> Scenario:
@@ -33,11 +39,36 @@ def default_scenario() -> Scenario:
     )
 
 
+def retarget_scenario(
+    given: Scenario | str | Path | None, changes: Mapping[str, Any] | None
+) -> Scenario:
+    """Return a scenario from itself, a path, a name or nothing, with other values of some keys.
+
+    Raises
+    ------
+    InputError
+        If it has nothing to decide on.
+    """
+    if given is None:
+        scenario = default_scenario()
+    elif isinstance(given, Scenario):
+        scenario = given
+    else:
+        scenario = Scenario.load(found(Path(given)))
+    scenario = with_values(scenario, changes or {}, "changes")
+    if not scenario.mappers:
+        raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
+    return scenario
+
+
 class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """Choose the landing site of a descending lander.
 
-    The environment steps the same `lunarsim.simulation.Simulation` as the command line: one step
-    is one decision, and the flight goes on until the next one is due.
+    One step is one decision, and the flight goes on until the next one is due. With perception
+    ``"onboard"`` the environment steps the same `lunarsim.simulation.Simulation` as the command
+    line. With any other the same laws of guidance, attitude loop, vehicle and verdict fly in
+    kernels, over a pool of worlds, a hundred times as fast; navigation is then the truth and a
+    drift (none with ``"truth"``).
 
     ## Action Space
 
@@ -47,7 +78,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
 
     ## Observation Space
 
-    A ``Dict`` of float32 arrays:
+    A ``Dict`` of float32 arrays, named parts (``observation=[...]`` chooses others):
 
     - ``estimate`` (10,): position relative to the present site (m), velocity (m/s), attitude
       quaternion (scalar last), as navigation estimates them.
@@ -57,15 +88,29 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
       propellant to reach it (kg), 1 if available. Rows without a site are zero.
     - ``to_go`` (3,): time-to-go (s), propellant left (kg), altitude above the site (m).
 
+    Also:
+
+    - ``candidates`` (20, 6): the rows of the actions: offset east and north (m), probability of
+      safety, propellant over that of the present site (kg), distance (m), 1 if available.
+    - ``site`` (4,): of the present site: probability of safety, 1 if it has been seen, propellant
+      to reach it (kg), expected miss (m).
+    - ``hazard_crop`` (2, 33, 33): probability of safety and 1 where seen, a metre apart about the
+      present site.
+
+    `lunarsim_envs.sites.parts.register` adds more.
+
     ## Rewards
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 for a safe landing, -1
     for any other end), ``propellant`` (-0.005 a kilogram burnt), ``invalid`` (-0.05).
+    ``info["cost"]``, for constrained methods, is 1 at an end that is not safe and 0 else.
 
     ## Starting State
 
     World, target, start, navigation errors and sensor noise are drawn from the seed; the flight
-    runs to the first decision (400 m above the site by default).
+    runs to the first decision (400 m above the site by default). Flown by kernels, it takes one of
+    the pool's worlds, and ``reset(options=...)`` takes ``position_m``, ``velocity_m_s``,
+    ``position_sigma_m`` and ``velocity_sigma_m_s`` of the table [start].
 
     ## Episode End
 
@@ -76,10 +121,23 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
 
     - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a shipped
       one.
+    - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.1}``.
+    - ``perception``: ``"onboard"``, the scenario's own mapper and navigation; ``"truth"``, the
+      exact safety of what the LiDAR has in view; ``"surrogate"``, a statistical model of the
+      mapper's errors in space; ``"gaussian-dem"``, that mapper on real scans.
+    - ``surrogate``: file of another surrogate, of ``scenarios/learning/fit_surrogate.py``.
+    - ``observation``: names of its parts.
+    - ``worlds``, ``world_seed``: with perception other than ``"onboard"``, how many worlds are
+      drawn, once, and their root seed; the truth about them is kept in the cache of campaigns.
     - ``weights``: `RewardWeights`.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
-      every half second of the flight since the last call, down to the ground; or None.
-      ``lunarsim_envs.video.save_video`` makes a film of such frames.
+      every half second of the flight since the last call, down to the ground (``"onboard"`` alone);
+      or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
+
+    - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
+      vectorization_mode="vector_entry_point")``: so many flights in kernels, with perception
+      ``"surrogate"`` unless another is asked for (not ``"onboard"``); "NextStep", "SameStep" or
+      "Disabled". Lane i with seed s flies what one environment with seed s + i does.
 
     ## Version History
 
@@ -96,28 +154,43 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         scenario: Scenario | str | Path | None = None,
         weights: RewardWeights | None = None,
         render_mode: str | None = None,
+        *,
+        perception: str = "onboard",
+        observation: Sequence[str] = DEFAULT,
+        changes: Mapping[str, Any] | None = None,
+        worlds: int = 16,
+        world_seed: int = 0,
+        surrogate: Any = None,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            modes = ", ".join(map(repr, self.metadata["render_modes"]))
-            raise ValueError(f"render_mode = {render_mode!r}: must be {modes} or None")
-        if scenario is None:
-            self.scenario = default_scenario()
-        elif isinstance(scenario, Scenario):
-            self.scenario = scenario
-        else:
-            self.scenario = Scenario.load(found(Path(scenario)))
-        if not self.scenario.mappers:
-            raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
+        if perception not in PERCEPTIONS:
+            raise InputError("perception", perception, suggestion(str(perception), PERCEPTIONS))
+        if perception != "onboard":
+            self.metadata = self.metadata | {"render_modes": ["rgb_array"], "render_fps": 1}
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            named = ", ".join(map(repr, modes))
+            raise ValueError(f"render_mode = {render_mode!r}: must be {named} or None")
+        self.scenario = retarget_scenario(scenario, changes)
         self.weights = weights or RewardWeights()
         self.render_mode = render_mode
+        self.perception = perception
+        self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate)
+        self.shown = ShownSites(observation)
         self.action_space = spaces.Discrete(SITES + 1)
-        self.observation_space = observation_space(SITES)
-        self.simulation: Simulation | None = None
-        self._observation: Observation | None = None
+        self.observation_space = self.shown.space
         self.frames: Frames | None = None
+        self._picture: Picture | None = None
+        if render_mode is not None and isinstance(self.flight, KernelFlight):
+            self._picture = Picture(self.flight.lanes)
+        self._begun = False
+        self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
         self._last: tuple[int | None, float | None] = (None, None)
-        self._shrunk: tuple[object, FloatArray] | None = None
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """What flies with perception "onboard"; None else, and before the first reset."""
+        return self.flight.simulation
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -125,50 +198,49 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Draw a new flight and run it to the first decision."""
         super().reset(seed=seed)
         self.frames, self._last, self._film = None, (None, None), []
-        self.simulation = Simulation(self.scenario, int(self.np_random.integers(2**62)))
-        self._to_next_decision(self.simulation)
-        if self.render_mode is not None:
+        self.flight.begin(self.np_random, options or {})
+        self._begun = True
+        if self._picture is not None:
+            self._picture.begin()
+        elif self.render_mode is not None and self.simulation is not None:
             # Axes take longer than a frame may: they are made with the flight.
-            assert self._observation is not None
-            self.frames = Frames(self.simulation, self._observation)
+            self.frames = Frames(self.simulation, self.flight.seen)
         self._take_frame()
-        return self._encode(self.simulation), self._info(self.simulation)
+        return self._encode(), self._info()
 
     def step(
         self, action: np.int64 | int
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Carry out a decision and fly on to the next one."""
-        simulation, observation = self.simulation, self._observation
-        if simulation is None or observation is None:
+        flight = self.flight
+        if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        if simulation.done:
+        if flight.verdict is not None:
             raise gymnasium.error.ResetNeeded("the flight has ended: call reset()")
         if not self.action_space.contains(action):
             raise ValueError(f"action = {action!r}: must be an integer from 0 to {SITES}")
-        mass = simulation.state.mass
-        invalid = False
-        decision = Decision.keep("agent")
+        mass, row = flight.mass, int(action) - 1
+        sights = flight.sights
+        invalid, site = False, None
         if action > 0:
-            row = int(action) - 1
-            sites = observation.candidates
-            invalid = row >= len(sites) or not bool(sites.reachable[row])
-            if not invalid:
-                decision = Decision(sites.position[row], "agent")
-        simulation.apply(decision)
-        simulation.move()
+            invalid = row >= sights.count[0] or not bool(np.isfinite(sights.cost[0, row]))
+            site = None if invalid else sights.position_of[0, row].copy()
         self._last = (0 if invalid else int(action), None)
-        self._to_next_decision(simulation)
+        self._due = flight.time + 1.0 / self.metadata["render_fps"]
+        flight.decide(site, self._each)
+        verdict = flight.verdict
         terms = reward_terms(
             self.weights,
-            ended=simulation.done,
-            safe=simulation.verdict is not None and simulation.verdict.safe,
-            burnt=mass - simulation.state.mass,
+            ended=verdict is not None,
+            safe=verdict is not None and verdict[0],
+            burnt=mass - flight.mass,
             invalid=invalid,
         )
-        info = self._info(simulation) | {"reward_terms": terms}
+        info = self._info() | {"reward_terms": terms}
+        info["cost"] = float(verdict is not None and not verdict[0])
         self._last = (self._last[0], sum(terms.values()))
         self._take_frame()
-        return self._encode(simulation), sum(terms.values()), simulation.done, False, info
+        return self._encode(), sum(terms.values()), verdict is not None, False, info
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """Return the descent, its last 60 m and the map as an image (360, 800, 3).
@@ -178,7 +250,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """
         if self.render_mode is None:
             return None
-        if self.simulation is None or self._observation is None:
+        if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         if self.render_mode == "rgb_array_list":
             film, self._film = self._film, []
@@ -188,55 +260,54 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     @property
     def seen(self) -> Observation | None:
         """What the onboard computer shows a policy now; None before the first reset."""
-        return self._observation
+        return self.flight.seen if self._begun else None
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return which actions are available (21,), as sb3-contrib's MaskablePPO asks for it."""
-        if self.simulation is None:
+        if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
-        return np.asarray(self._info(self.simulation)["action_mask"], dtype=np.bool_)
+        return self._mask().astype(np.bool_)
+
+    def _mask(self) -> NDArray[np.int8]:
+        sights = self.flight.sights
+        mask = np.zeros(SITES + 1, np.int8)
+        mask[0] = 1
+        n = min(int(sights.count[0]), SITES)
+        mask[1 : 1 + n] = np.isfinite(sights.cost[0, :n])
+        return mask
 
     def _frame(self) -> NDArray[np.uint8]:
         """Return an image of the flight as it stands."""
+        if self._picture is not None:
+            return self._picture.draw()
         assert self.frames is not None
-        assert self._observation is not None
-        return self.frames.draw(self._observation, *self._last)
+        return self.frames.draw(self.flight.seen, *self._last)
 
     def _take_frame(self) -> None:
         """Keep an image for the mode of lists."""
         if self.render_mode == "rgb_array_list":
             self._film.append(self._frame())
 
-    def _to_next_decision(self, simulation: Simulation) -> None:
-        """Fly until a decision is due, or the end."""
-        due = simulation.time + 1.0 / self.metadata["render_fps"]
-        while not (simulation.done or simulation.decision_due):
-            simulation.move()
-            # Before the first decision there is no map to show.
-            if self.frames is not None and simulation.time > due - 1e-6:
-                due += 1.0 / self.metadata["render_fps"]
-                self._take_frame()
-        self._observation = simulation.observe()
+    def _each(self) -> None:
+        """Note where the lander is, and keep an image where one is due."""
+        if self._picture is not None:
+            self._picture.note()
+        elif self.frames is not None and self.flight.time > self._due - 1e-6:
+            self._due += 1.0 / self.metadata["render_fps"]
+            self._take_frame()
 
-    def _encode(self, simulation: Simulation) -> dict[str, FloatArray]:
-        observation = self._observation
-        assert observation is not None
-        hazard_map = observation.hazard_map
-        if self._shrunk is None or self._shrunk[0] is not hazard_map:
-            self._shrunk = (hazard_map, shrink(hazard_map))
-        return encode(observation, SITES, self._shrunk[1].copy())
+    def _encode(self) -> dict[str, FloatArray]:
+        return {name: one[0] for name, one in self.shown.of(self.flight.sights).items()}
 
-    def _info(self, simulation: Simulation) -> dict[str, Any]:
-        observation = self._observation
-        assert observation is not None
-        mask = np.zeros(SITES + 1, np.int8)
-        mask[0] = 1
-        reachable = observation.candidates.reachable[:SITES]
-        mask[1 : 1 + len(reachable)] = reachable
-        info: dict[str, Any] = {"time": simulation.time, "action_mask": mask}
-        if simulation.verdict is not None:
-            info["safe"] = simulation.verdict.safe
-            info["failed"] = simulation.verdict.failed
-            wet = self.scenario.vehicle.make().wet_mass
-            info["propellant_kg"] = wet - simulation.state.mass
+    def _info(self) -> dict[str, Any]:
+        flight = self.flight
+        info: dict[str, Any] = {"time": flight.time, "action_mask": self._mask()}
+        verdict = flight.verdict
+        if verdict is not None:
+            info["safe"], info["failed"] = verdict
+            info["propellant_kg"] = self._wet_mass - flight.mass
         return info
+
+    @cached_property
+    def _wet_mass(self) -> float:
+        return float(self.scenario.vehicle.make().wet_mass)

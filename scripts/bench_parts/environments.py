@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numba
@@ -53,20 +55,84 @@ def _peer(name: str) -> float:
     return float(told[0])
 
 
-def _single(name: str) -> float:
+def _single(name: str, clock: Callable[[], float] = time.perf_counter, **settings: Any) -> float:
     """Return steps a second of one environment under random actions, resets included."""
-    env = gymnasium.make(name)
+    env = gymnasium.make(name, **settings)
     env.reset(seed=1)
     env.action_space.seed(1)
-    steps, begun = -500, time.perf_counter()
-    while time.perf_counter() - begun < _SECONDS or steps < 1:
+    steps, begun = -500, clock()
+    while clock() - begun < _SECONDS or steps < 1:
         if steps == 0:
-            begun = time.perf_counter()
+            begun = clock()
         *_, terminated, truncated, _ = env.step(env.action_space.sample())
         steps += 1
         if terminated or truncated:
             env.reset()
-    return steps / (time.perf_counter() - begun)
+    return steps / (clock() - begun)
+
+
+def _retarget() -> None:
+    """Decisions a second of a core in Retarget-v0 by perception, and what a map takes.
+
+    On one thread, by the time of the processor: other work beside it does not count.
+    """
+    name, threads = "lunarsim/Retarget-v0", numba.get_num_threads()
+    numba.set_num_threads(1)
+    coarse = {"mappers.dem.posting_m": 0.4}
+    for words, wanted, settings in (
+        ("truth", 1000, {"perception": "truth"}),
+        ("surrogate", 1000, {"perception": "surrogate"}),
+        ("gaussian-dem", 100, {"perception": "gaussian-dem"}),
+        ("gaussian-dem, cells of 0.4 m", 100, {"perception": "gaussian-dem", "changes": coarse}),
+        ("onboard", None, {}),
+    ):
+        given: dict[str, Any] = settings | ({"worlds": 8} if settings else {})
+        env = gymnasium.make(name, **given)
+        rate = _single(name, time.process_time, **given)
+        asked = "" if wanted is None else f" (asked: {wanted})"
+        print(f"  {name}, {words}: {rate:,.1f} steps/s a core{asked}{_map_time(env)}")
+    numba.set_num_threads(threads)
+    for count in (16, 64):
+        many = _batch_of_choices(count)
+        print(f"  {name}, surrogate, {count} lanes on {threads} threads: {many:,.0f} steps/s")
+
+
+def _map_time(env: gymnasium.Env[Any, Any]) -> str:
+    """Return in words what a map takes that kernels or a mapper draw, ms; nothing for others."""
+    lanes = getattr(env.unwrapped.flight, "lanes", None)  # type: ignore[attr-defined]
+    if lanes is None:
+        return ""
+    taken: list[float] = []
+    scan = lanes.scan
+
+    def timed(due: Any) -> None:
+        begun = time.process_time()
+        scan(due)
+        taken.append(time.process_time() - begun)
+
+    lanes.scan = timed
+    for seed in range(4):
+        env.reset(seed=seed)
+        ended = False
+        while not ended:
+            *_, ended, _, _ = env.step(0)
+    return f", {1e3 * float(np.median(taken[2:])):.1f} ms a map"
+
+
+def _batch_of_choices(count: int) -> float:
+    """Return decisions a second of all lanes of Retarget-v0 together, new flights included."""
+    vector = gymnasium.make_vec(
+        "lunarsim/Retarget-v0", num_envs=count, vectorization_mode="vector_entry_point", worlds=8
+    )
+    vector.reset(seed=1)
+    keep = np.zeros(count, int)
+    for _ in range(4):
+        vector.step(keep)
+    steps, begun = 0, time.perf_counter()
+    while time.perf_counter() - begun < _SECONDS:
+        vector.step(keep)
+        steps += 1
+    return steps * count / (time.perf_counter() - begun)
 
 
 def _batch(name: str, count: int) -> float:
@@ -103,5 +169,6 @@ def envs() -> None:
                 f"steps/s, {many / lander:.1f} of LunarLander (asked: {wanted}), "
                 f"{many / rate:,.0f} simulated s/s"
             )
+    _retarget()
     again = _peer("LunarLander-v3")
     print(f"  LunarLander-v3 once more: {again:,.0f} steps/s")

@@ -9,7 +9,8 @@ import numpy as np
 
 from lunarsim.simulation.loop import make_policy
 from lunarsim_envs.agents.contract import refuse
-from lunarsim_envs.retarget import SITES, RetargetEnv
+from lunarsim_envs.retarget import RetargetEnv
+from lunarsim_envs.sites.parts import SITES
 
 
 class PolicyAgent:

@@ -15,6 +15,7 @@ from lunarsim_envs.agents.network import Network, NetworkAgent
 from lunarsim_envs.agents.own import own_agent
 from lunarsim_envs.agents.policies import PolicyAgent
 from lunarsim_envs.agents.simple import Hover, Random, Zero
+from lunarsim_envs.agents.site_network import SiteNetwork, SiteNetworkAgent, is_site_network
 from lunarsim_envs.agents.stored import StoredAgent
 
 BUILT_IN: dict[str, Any] = {
@@ -95,9 +96,7 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any]) -> Agent:
     check(given)
     if _is_file(given):
         path = Path(given)
-        if path.suffix == ".npz":
-            return NetworkAgent(env, Network.load(path), given)
-        return StoredAgent(env, path)
+        return _network(env, path, given) if path.suffix == ".npz" else StoredAgent(env, path)
     if ":" in given:
         made: Agent = own_agent(env, given)
         return made
@@ -105,5 +104,12 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any]) -> Agent:
         built: Agent = BUILT_IN[given](env)
         return built
     if given in shipped():
-        return NetworkAgent(env, Network.load(shipped()[given]), given)
+        return _network(env, shipped()[given], given)
     return LawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)
+
+
+def _network(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:
+    """Return the network of a file: one that chooses sites, or one that flies."""
+    if is_site_network(path):
+        return SiteNetworkAgent(env, SiteNetwork.load(path), name)
+    return NetworkAgent(env, Network.load(path), name)

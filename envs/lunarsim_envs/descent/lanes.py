@@ -207,6 +207,16 @@ class Lanes:
     def _flights(self) -> k.Flights:
         return k.Flights(self.world, self.time, self.ended, self.failed, self.told)
 
+    @property
+    def keys(self) -> NDArray[np.uint64]:
+        """Key of each lane (n,)."""
+        return self._keys
+
+    @property
+    def begun(self) -> NDArray[np.int64]:
+        """How many flights each lane has begun with its key (n,)."""
+        return self._begun
+
     def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
         """Give lanes their keys, from which all of their later flights are drawn."""
         self._keys[mask] = keys

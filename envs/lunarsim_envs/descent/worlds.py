@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from lunarsim.grid import Grid, bytes_in_words
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.worlds import build_world
+from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
 
 # Distance of the posts of ground with rocks, and of relief, m.
@@ -59,9 +61,14 @@ class Worlds:
         """
         if count < 1:
             raise InputError("worlds", count, "at least 1")
+        drawn = (build_world(scenario, Streams(flight_seed(seed, k))) for k in range(count))
+        return cls.about(scenario, count, drawn)
+
+    @classmethod
+    def about(cls, scenario: Scenario, count: int, drawn: Iterable[World]) -> Worlds:
+        """Keep the ground about the targets of worlds that have been drawn, `count` of them."""
         grounds, reliefs, grids = [], [], None
-        for k in range(count):
-            world = build_world(scenario, Streams(flight_seed(seed, k)))
+        for world in drawn:
             if grids is None:
                 grids = _grids(scenario, world.terrain)
                 size = 4.0 * count * sum(g.rows * g.cols for g in grids)

@@ -1,0 +1,197 @@
+"""Many descents that choose their sites at once, in kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.scenario import Scenario
+from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.descent.options import take
+from lunarsim_envs.retarget import retarget_scenario
+from lunarsim_envs.rewards import RewardWeights
+from lunarsim_envs.sites.flights import sights_of
+from lunarsim_envs.sites.parts import DEFAULT, SITES, Shown, ShownSites
+from lunarsim_envs.sites.perception import lanes_of
+from lunarsim_envs.sites.sights import MAP_CELLS, Sights, shrunk
+
+Mask = NDArray[np.bool_]
+_MODE = gymnasium.vector.AutoresetMode
+
+
+class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """Many of `RetargetEnv` at once, flown by kernels; perception is the surrogate by default.
+
+    Lane i with seed s flies what one environment with seed s + i flies, bit for bit, with any
+    number of lanes and threads.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
+        scenario: Scenario | str | Path | None = None,
+        weights: RewardWeights | None = None,
+        *,
+        perception: str = "surrogate",
+        observation: Sequence[str] = DEFAULT,
+        changes: Mapping[str, Any] | None = None,
+        worlds: int = 16,
+        world_seed: int = 0,
+        surrogate: Any = None,
+    ) -> None:
+        self.scenario = retarget_scenario(scenario, changes)
+        self.lanes = lanes_of(num_envs, perception, self.scenario, worlds, world_seed, surrogate)
+        self.weights = weights or RewardWeights()
+        self.shown = ShownSites(observation)
+        self.num_envs = num_envs
+        self.autoreset_mode = _MODE(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_action_space = spaces.Discrete(SITES + 1)
+        self.single_observation_space = self.shown.space
+        batch = gymnasium.vector.utils.batch_space
+        self.action_space = batch(self.single_action_space, num_envs)
+        self.observation_space = batch(self.single_observation_space, num_envs)
+        self.render_mode = None
+        self._small = np.zeros((num_envs, 2, MAP_CELLS, MAP_CELLS), np.float32)
+        self._rngs: list[np.random.Generator | None] = [None] * num_envs
+        self._due = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Shown, dict[str, Any]]:
+        """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
+        left = dict(options or {})
+        given = left.pop("reset_mask", None)
+        mask = np.ones(self.num_envs, np.bool_) if given is None else np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] = {given!r}: must be {self.num_envs} of true and false, "
+                "at least one true"
+            )
+        for lane, one in self._seeds(seed, mask):
+            if one is not None or self._rngs[lane] is None:
+                self._rngs[lane] = seeding.np_random(one)[0]
+        take(left, self.lanes, mask)
+        self._begin(mask)
+        self._due[mask] = False
+        return self._observe(), self._info()
+
+    def _seeds(self, seed: Any, mask: Mask) -> list[tuple[int, int | None]]:
+        lanes = [int(lane) for lane in np.flatnonzero(mask)]
+        if seed is None:
+            return [(lane, None) for lane in lanes]
+        if isinstance(seed, (int, np.integer)):
+            return [(lane, int(seed) + lane) for lane in lanes]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed of length {len(seed)}: must be one for each of {self.num_envs}")
+        return [(lane, seed[lane]) for lane in lanes]
+
+    def _begin(self, mask: Mask) -> None:
+        keys = np.zeros(self.num_envs, np.uint64)
+        for lane in np.flatnonzero(mask):
+            rng = self._rngs[int(lane)]
+            assert rng is not None
+            keys[lane] = rng.integers(2**64, size=1, dtype=np.uint64)[0]
+        self.lanes.seed(mask, keys[mask])
+        self.lanes.begin(mask)
+        self._shrink(mask)
+
+    def _shrink(self, mask: Mask) -> None:
+        """Take the maps of the lanes of `mask` together, if they are shown."""
+        if mask.any() and any(part.name == "hazard_map" for part in self.shown.parts):
+            maps = self.lanes.maps
+            self._small[mask] = shrunk(maps.p[mask], maps.seen[mask])
+
+    @property
+    def sights(self) -> Sights:
+        """What all landers are shown, as arrays."""
+        return sights_of(self.lanes, self._small)
+
+    def _observe(self) -> Shown:
+        return self.shown.of(self.sights)
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return which actions are available (n, 21)."""
+        found = self.lanes.found
+        mask = np.zeros((self.num_envs, SITES + 1), np.bool_)
+        mask[:, 0] = True
+        n = min(SITES, found.p_safe.shape[1])
+        known = np.arange(n) < found.number[:, None]
+        mask[:, 1 : n + 1] = known & np.isfinite(found.propellant[:, :n])
+        return mask
+
+    def _info(self) -> dict[str, Any]:
+        every = np.ones(self.num_envs, np.bool_)
+        told = {"time": self.lanes.time.copy(), "action_mask": self.action_masks().astype(np.int8)}
+        return told | {f"_{name}": every for name in told}
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
+        """Carry out decisions in all lanes, and fly on to the next ones."""
+        lanes = self.lanes
+        chosen = np.asarray(actions)
+        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
+            raise ValueError(
+                f"actions of shape {chosen.shape} and type {chosen.dtype}: must be "
+                f"{self.num_envs} integers from 0 to {SITES}"
+            )
+        if chosen.min() < 0 or chosen.max() > SITES:
+            raise ValueError(f"actions from {chosen.min()} to {chosen.max()}: must be 0 to {SITES}")
+        moved = lanes.ended == FLYING
+        if (~moved & ~self._due).any():
+            raise gymnasium.error.ResetNeeded(
+                "a lane's flight is not in the air: call reset(), with its reset_mask"
+            )
+        rows = np.arange(self.num_envs)
+        invalid = ~self.action_masks()[rows, chosen]
+        sites = np.full((self.num_envs, 3), np.nan)
+        flown = moved & ~invalid & (chosen > 0)
+        sites[flown] = lanes.found.position[rows[flown], chosen[flown] - 1]
+        mass = lanes.y[:, 13].copy()
+        lanes.decide(sites, moved)
+        self._shrink(lanes.mapped)
+        over = moved & (lanes.ended != FLYING)
+        terms = self._terms(moved, over, invalid, mass - lanes.y[:, 13])
+        rewards = np.sum(list(terms.values()), axis=0)
+        info = self._told(terms, moved, over)
+        if self.autoreset_mode is _MODE.NEXT_STEP:
+            if self._due.any():
+                self._begin(self._due)
+            self._due = over
+        elif self.autoreset_mode is _MODE.SAME_STEP and over.any():
+            info |= {"final_obs": self._observe(), "_final_obs": over}
+            left = ("_reward_terms", "_cost", "final_obs", "_final_obs")
+            info["final_info"] = {name: info[name] for name in info if name not in left}
+            info["_final_info"] = over
+            self._begin(over)
+        return self._observe(), rewards, over, np.zeros_like(over), info | self._info()
+
+    def _terms(self, moved: Mask, over: Mask, invalid: Mask, burnt: Any) -> dict[str, Any]:
+        w = self.weights
+        terms = {
+            "touchdown": np.where(over, np.where(self.lanes.safe, w.safe, w.unsafe), 0.0),
+            "propellant": w.propellant * burnt,
+            "invalid": np.where(invalid, w.invalid, 0.0),
+        }
+        return {name: np.where(moved, term, 0.0) for name, term in terms.items()}
+
+    def _told(self, terms: dict[str, Any], moved: Mask, over: Mask) -> dict[str, Any]:
+        info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
+        info |= {"cost": np.where(over & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
+        if over.any():
+            info |= {"safe": self.lanes.safe & over, "_safe": over}
+            info |= {"failed": np.where(over, self.lanes.failed, 0), "_failed": over}
+            info |= {"propellant_kg": np.where(over, self.lanes.burnt, 0.0), "_propellant_kg": over}
+        return info

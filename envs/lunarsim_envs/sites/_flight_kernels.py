@@ -1,0 +1,377 @@
+"""Compiled flights to a site: guidance, the cost of other sites, and the way to the next event.
+
+The laws are those of the onboard computer (`PathGuidance`, `VerticalDescent`, `Strain`,
+`divert_cost`), the vehicle and the touchdown are those of `descent`. What navigation errs by is a
+drift: the lander takes itself to be off its true place by a constant velocity times the time flown.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from lunarsim._jit import kernel
+from lunarsim.onboard.control._kernels import steer
+from lunarsim.onboard.guidance._kernels import MASS, terms
+from lunarsim.onboard.guidance._reach_kernels import survey
+from lunarsim_envs.descent import _kernels as d
+
+# What stops a lane: nothing, a scan, a decision.
+NOTHING, SCAN, DECIDE = 0, 1, 2
+APPROACH, VERTICAL = 0, 1
+# Of a lane that waits while others of its block fly on.
+_WAITING = 9
+# Sets the draws of drift apart from others.
+_DRIFT = np.uint64(0xA0761D6478BD642F)
+# Of `divert.divert_cost`.
+_TIMES, _SLOWNESS = 14, 8.0
+# Of `strain.Strain`.
+_LONGEST, _SLACK = 0.5, 0.02
+
+_survey = cast(Any, survey).compiled
+_advance = cast(Any, d.advance).compiled
+
+
+class Law(NamedTuple):
+    """Guidance as kernels take it, SI.
+
+    `powers` (2,) of the paths; `asked` (2, 3): velocity and acceleration at the end of the
+    approach; `above` (3,): its end over a site. `figures` (7,): see `guidance._kernels.measure`,
+    its mass unused. `rough`, `table`: samples of a path. `bounds`: greatest thrust over dry mass,
+    dry mass, exhaust velocity, reserve. `ends`: altitude and time-to-go where the approach ends.
+    `descent` (9,): frequency, damping, gain of speed, leans (2), heights (2), slip, slowest; then
+    the speed of the descent, downward negative. `window`: least and greatest altitude of decisions,
+    interval. `scans`: altitudes, falling. `cycle` in steps.
+    """
+
+    powers: np.ndarray
+    asked: np.ndarray
+    above: np.ndarray
+    figures: np.ndarray
+    rough: np.ndarray
+    table: np.ndarray
+    bounds: np.ndarray
+    ends: np.ndarray
+    descent: np.ndarray
+    window: np.ndarray
+    scans: np.ndarray
+    lag: float
+    least: float
+    max_tilt: float
+    most_thrust: float
+    stand: float
+    cycle: int
+
+
+class Course(NamedTuple):
+    """Where lanes fly to and how they stand (n, ...).
+
+    `site` (n, 3), local frame; `arrival`, `due` (next decision), `strained` (since when, NaN:
+    not), s; `phase`, `scanned` (scans so far), `event`; `decided`; `answer` (n, 7): acceleration as
+    the vehicle gives it, the one asked for, since when; `path` (n, 8): since when, duration and
+    terms of the path that is flown out; `slip` (n, 2): velocity of the drift, m/s.
+    """
+
+    site: np.ndarray
+    arrival: np.ndarray
+    due: np.ndarray
+    strained: np.ndarray
+    phase: np.ndarray
+    scanned: np.ndarray
+    event: np.ndarray
+    decided: np.ndarray
+    answer: np.ndarray
+    path: np.ndarray
+    slip: np.ndarray
+
+
+@kernel()
+def believed(y, slip, time, out):
+    """Write position and velocity as the lander takes them to be (2, 3)."""
+    for k in range(3):
+        out[0, k] = y[k]
+        out[1, k] = y[3 + k]
+    for k in range(2):
+        out[0, k] += slip[k] * time
+        out[1, k] += slip[k]
+
+
+@kernel()
+def reach(state, mass, sites, law, out):
+    """Write what it takes to fly to sites (m, 3): propellant, kg, and time-to-go, s (m, 4).
+
+    inf and NaN where a site is out of reach; see `divert.divert_cost`.
+    """
+    m = len(sites)
+    targets = np.empty((m, 3))
+    first, last, likely = np.empty(m), np.empty(m), np.empty(m)
+    speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
+    gravity, dry, exhaust = law.figures[0], law.bounds[1], law.bounds[2]
+    most = law.bounds[0] + gravity
+    end_speed = np.sqrt(np.sum(law.asked[0] ** 2))
+    held = exhaust * np.log(max(mass / dry, 1.0))
+    for n in range(m):
+        gap = 0.0
+        for k in range(3):
+            targets[n, k] = sites[n, k] + law.above[k]
+            gap += (targets[n, k] - state[0, k]) ** 2
+        gap = np.sqrt(gap)
+        fastest = 2.0 * gap / (speed + np.sqrt(speed * speed + 2.0 * most * gap) + 1e-12)
+        first[n] = max(fastest, 1.0)
+        last[n] = max((held + speed + end_speed) / gravity, first[n])
+        likely[n] = min(last[n], _SLOWNESS * max(gap / max(speed, 5.0), first[n]))
+    figures = law.figures.copy()
+    figures[MASS] = mass
+    _survey(
+        (0, 1), state, targets, law.asked, first, likely, _TIMES, law.rough, law.table, law.powers,
+        figures, out,
+    )  # fmt: skip
+    for n in range(m):
+        if not np.isfinite(out[n, 0]) and likely[n] < last[n]:
+            _survey(
+                (0, 1), state, targets[n : n + 1], law.asked, np.array([max(first[n], likely[n])]),
+                last[n : n + 1], _TIMES, law.rough, law.table, law.powers, figures, out[n : n + 1],
+            )  # fmt: skip
+        burnt = mass * -np.expm1(-out[n, 0] / exhaust)
+        if burnt <= mass - dry - law.bounds[3]:
+            out[n, 0] = burnt
+        else:
+            out[n, 0] = np.inf
+            out[n, 1] = np.nan
+
+
+@kernel()
+def time_to(y, slip, time, site, law):
+    """Return the time-to-go to a site (3,), s; NaN out of reach."""
+    state, out = np.empty((2, 3)), np.empty((1, 4))
+    believed(y, slip, time, state)
+    reach(state, y[13], site.reshape((1, 3)), law, out)
+    return out[0, 1]
+
+
+@kernel()
+def _approach(i, state, time, course, law, wanted):
+    """Write the thrust acceleration of the approach (3,); see `PathGuidance.command`."""
+    answer, path = course.answer[i], course.path[i]
+    if law.lag > 0.0 and not np.isnan(answer[6]):
+        keep = np.exp(-(time - answer[6]) / law.lag)
+        for k in range(3):
+            answer[k] = answer[3 + k] + keep * (answer[k] - answer[3 + k])
+    answer[6] = time
+    left = course.arrival[i] - time - law.lag
+    if left >= law.least or np.isnan(path[0]):
+        ahead, target, x = np.empty((2, 3)), np.empty(3), np.empty((2, 3))
+        for k in range(3):
+            a = answer[k]
+            ahead[0, k] = state[0, k] + law.lag * (state[1, k] + 0.5 * law.lag * a)
+            ahead[1, k] = state[1, k] + law.lag * a
+            target[k] = course.site[i, k] + law.above[k]
+        left = max(left, law.least)
+        terms(ahead, target, law.asked, left, law.powers, x)
+        path[0], path[1] = time, left
+        for k in range(3):
+            path[2 + k] = (law.powers[0] + 1.0) * x[0, k]
+            path[5 + k] = (law.powers[1] + 1.0) * x[1, k]
+    share = max(path[1] - (time - path[0]), 0.0) / path[1]
+    low, high = share ** law.powers[0], share ** law.powers[1]
+    for k in range(3):
+        wanted[k] = law.asked[1, k] + path[2 + k] * low + path[5 + k] * high
+        answer[3 + k] = wanted[k]
+    wanted[2] += law.figures[0]
+
+
+@kernel()
+def leaning(height, full, descent):
+    """Return the tangent of the greatest lean at a height; see `VerticalDescent._leaning`."""
+    share = min(max(height / full, 0.0), 1.0)
+    return np.tan(descent[4] + share * (descent[3] - descent[4]))
+
+
+@kernel()
+def vertical(state, end, descent, gravity, wanted):
+    """Write the thrust acceleration of the last metres (3,); see `VerticalDescent.command`."""
+    frequency, damping, planned = descent[0], descent[1], descent[9]
+    height = state[0, 2] - end[2]
+    speed = np.hypot(state[1, 0], state[1, 1])
+    excess = max(speed - descent[7], 0.0)
+    stopping = excess / (0.5 * gravity * leaning(height, descent[5], descent))
+    asked = planned
+    if excess > 0.0 and -planned * stopping > height:
+        asked = min(-height / stopping, descent[8] * planned)
+    lean = leaning(height, descent[5] if asked == planned else descent[6], descent)
+    up = max(gravity + descent[2] * (asked - state[1, 2]), 0.3 * gravity)
+    for k in range(2):
+        off = state[0, k] - end[k]
+        wanted[k] = -(frequency**2) * off - 2.0 * damping * frequency * state[1, k]
+    size = np.hypot(wanted[0], wanted[1])
+    if size > up * lean:
+        wanted[0] *= up * lean / size
+        wanted[1] *= up * lean / size
+    wanted[2] = up
+
+
+@kernel()
+def _strains(i, wanted, mass, time, course, law):
+    """Tell whether commands have been beyond the limits for too long; see `Strain.lasts`."""
+    side = np.hypot(wanted[0], wanted[1])
+    lean = np.arctan2(side, wanted[2])
+    push = mass * np.hypot(side, wanted[2])
+    if lean <= (1.0 + _SLACK) * law.max_tilt and push <= (1.0 + _SLACK) * law.most_thrust:
+        course.strained[i] = np.nan
+        return False
+    if np.isnan(course.strained[i]):
+        course.strained[i] = time
+    if time - course.strained[i] < _LONGEST - 1e-9:
+        return False
+    course.strained[i] = np.nan
+    return True
+
+
+@kernel()
+def guide(i, y, time, course, law, wanted):
+    """Write what guidance asks a lane's vehicle for (3,), m/s^2; see `OnboardComputer.command`."""
+    state = np.empty((2, 3))
+    slip, site = course.slip[i], course.site[i]
+    believed(y, slip, time, state)
+    altitude = state[0, 2] - site[2] - law.stand
+    left = course.arrival[i] - time
+    if course.phase[i] == APPROACH and (altitude <= law.ends[0] or left <= law.ends[1]):
+        course.phase[i] = VERTICAL
+    if course.phase[i] == APPROACH:
+        _approach(i, state, time, course, law, wanted)
+        if _strains(i, wanted, y[13], time, course, law):
+            longer = time_to(y, slip, time, site, law)
+            if longer > left:
+                course.arrival[i] = time + longer
+    else:
+        end = np.empty(3)
+        for k in range(3):
+            end[k] = site[k]
+        end[2] += law.stand
+        vertical(state, end, law.descent, law.figures[0], wanted)
+
+
+@kernel()
+def due(i, y, time, course, law):
+    """Return what stops a lane now: a scan, a decision or nothing."""
+    altitude = y[2] - course.site[i, 2] - law.stand
+    done = course.scanned[i]
+    if done < len(law.scans) and altitude <= law.scans[done]:
+        return SCAN
+    if (
+        course.phase[i] == APPROACH
+        and law.window[0] <= altitude <= law.window[1]
+        and time >= course.due[i] - 1e-9
+    ):
+        return DECIDE
+    return NOTHING
+
+
+@kernel(shared=True)
+def begin(share, mask, keys, begun, y, loop, target, drift, control, heading, course, law):
+    """Set courses of the flights of `mask` (n,), which `descent._kernels.begin` has begun.
+
+    `drift` (2,) is the standard deviation of the drift's velocity, m/s; `control` as
+    `descent._kernels.Vehicle` has it.
+    """
+    wanted, attitude = np.empty(3), np.empty(4)
+    for i in range(share[0], len(y), share[1]):
+        if not mask[i]:
+            continue
+        key = np.uint64(keys[i]) ^ _DRIFT
+        for k in range(2):
+            course.slip[i, k] = drift[k] * d.normal(key, 4 * (begun[i] - 1) + 2 * k)
+        for k in range(3):
+            course.site[i, k] = target[i, k]
+        course.phase[i], course.scanned[i], course.event[i] = APPROACH, 0, NOTHING
+        course.decided[i] = False
+        course.due[i] = 0.0
+        course.strained[i] = np.nan
+        for k in range(7):
+            course.answer[i, k] = 0.0
+        course.answer[i, 6] = np.nan
+        course.path[i, 0] = np.nan
+        time = time_to(y[i], course.slip[i], 0.0, course.site[i], law)
+        # Nothing within the limits: flown all the same, twice the way over the speed.
+        way = np.sqrt(np.sum((course.site[i] + law.above - y[i, :3]) ** 2))
+        speed = np.sqrt(np.sum(y[i, 3:6] ** 2))
+        course.arrival[i] = time if np.isfinite(time) else max(2.0 * way / max(speed, 1.0), 5.0)
+        # The start has the attitude and the thrust that guidance asks for there.
+        guide(i, y[i], 0.0, course, law, wanted)
+        y[i, 14] = steer(wanted, y[i, 13], control[0], control[1], heading, control[2], attitude)
+        for k in range(4):
+            y[i, 6 + k] = attitude[k]
+            loop[i, k] = attitude[k]
+        for k in range(7):
+            course.answer[i, k] = 0.0
+        course.answer[i, 6] = np.nan
+        course.path[i, 0] = np.nan
+        course.strained[i] = np.nan
+
+
+@kernel(shared=True)
+def decide(share, mask, time, y, sites, course, law, refused):
+    """Carry out decisions of the lanes in `mask` (n,): a row of `sites` (n, 3), NaN keeps the site.
+
+    Writes where a site was out of reach; see `OnboardComputer.apply`.
+    """
+    for i in range(share[0], len(y), share[1]):
+        if not mask[i]:
+            continue
+        course.due[i] = time[i] + law.window[2]
+        course.event[i] = NOTHING
+        first = not course.decided[i]
+        course.decided[i] = True
+        refused[i] = False
+        keeps = np.isnan(sites[i, 0])
+        if keeps and not first:
+            continue
+        goal = course.site[i] if keeps else sites[i]
+        left = time_to(y[i], course.slip[i], time[i], goal, law)
+        if not np.isfinite(left):
+            refused[i] = not keeps
+            continue
+        for k in range(3):
+            course.site[i, k] = goal[k]
+        course.arrival[i] = time[i] + left
+
+
+@kernel(shared=True)
+def fly(share, y, loop, width, dt, limit, vehicle, grounds, flights, course, law):
+    """Fly every lane in flight that nothing stops to its next event, or to its end."""
+    wanted = np.zeros((width, 3))
+    n = len(y)
+    for b in range(share[0], (n + width - 1) // width, share[1]):
+        low, high = b * width, min((b + 1) * width, n)
+        own = d.Vehicle(
+            vehicle.figures[low:high], vehicle.drawn[low:high], vehicle.inertia, vehicle.rig,
+            vehicle.control, vehicle.heading, vehicle.pads, vehicle.disc, vehicle.spacing,
+            vehicle.limits, vehicle.com_height,
+        )  # fmt: skip
+        here = d.Flights(
+            flights.world[low:high], flights.time[low:high], flights.ended[low:high],
+            flights.failed[low:high], flights.told[low:high],
+        )  # fmt: skip
+        while True:
+            flying = 0
+            for i in range(low, high):
+                if flights.ended[i] != d.FLYING:
+                    continue
+                if course.event[i] == NOTHING:
+                    course.event[i] = due(i, y[i], flights.time[i], course, law)
+                if course.event[i] != NOTHING:
+                    flights.ended[i] = _WAITING
+                    continue
+                flying += 1
+                guide(i, y[i], flights.time[i], course, law, wanted[i - low])
+            if flying > 0:
+                _advance(
+                    (0, 1), y[low:high], loop[low:high], wanted, True, law.cycle, dt, limit, width,
+                    own, grounds, here,
+                )  # fmt: skip
+            for i in range(low, high):
+                if flights.ended[i] == _WAITING:
+                    flights.ended[i] = d.FLYING
+            if flying == 0:
+                break

@@ -1,0 +1,122 @@
+"""Compiled choice of a site on a sparse lattice of cells, for a million descents.
+
+The cells are those of the maps that `_map_kernels` draws, every so-manieth of them, and are told
+the same of the scan; no map is kept.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+from lunarsim_envs.sites._flight_kernels import NOTHING, time_to
+from lunarsim_envs.sites._map_kernels import drawn_from, drawn_scan, told_at
+
+# A site this safe will do; sites that are tried for reach.
+_ENOUGH, _TRIES = 0.95, 6
+
+
+@kernel(inline=True)
+def _around(
+    r, c, near, corner, posting, slip, time, y, world, stage, pool, errors, view, places, draw, axes
+):
+    """Return the mean p_safe of a cell and four `near` cells from it, -1 not seen; its height."""
+    total, height, unseen = 0.0, 0.0, False
+    for k in range(5):
+        a = r + (near if k == 1 else -near if k == 2 else 0)
+        b = c + (near if k == 3 else -near if k == 4 else 0)
+        x = corner[0] + b * posting - slip[0] * time
+        north = corner[1] + a * posting - slip[1] * time
+        p, z = told_at(a, b, x, north, y, world, stage, pool, errors, view, places, draw, axes)
+        if k == 0:
+            height = z
+            unseen = p < 0.0
+        total += max(p, 0.0)
+    return (-1.0 if unseen else 0.2 * total), height
+
+
+@kernel()
+def _nearer(p, far, best_p, best_far):
+    """Tell whether a site is to be preferred: the nearest that will do, else the safest."""
+    if p >= _ENOUGH:
+        return best_p < _ENOUGH or far < best_far
+    return best_p < _ENOUGH and p > best_p
+
+
+@kernel()
+def _fly_to_best(i, y, time, n, sites, p, far, course, law, told):
+    """Let a lane fly to the best of n sites that it can reach, if it can reach one."""
+    for _ in range(min(n, _TRIES)):
+        best = 0
+        for k in range(1, n):
+            if _nearer(p[k], far[k], p[best], far[best]):
+                best = k
+        if p[best] < 0.0:
+            return
+        left = time_to(y, course.slip[i], time, sites[best], law)
+        if np.isfinite(left):
+            for k in range(3):
+                course.site[i, k] = sites[best, k]
+            course.arrival[i] = time + left
+            course.decided[i] = True
+            told[i] = p[best]
+            return
+        p[best] = -1.0
+
+
+@kernel(shared=True)
+def choose(
+    share, mask, keys, begun, y, time, world, target, course, law, side, every, posting, pool,
+    errors, view, told,
+):  # fmt: skip
+    """Let the lanes of `mask` (n,) scan, and fly to the site that the lattice shows to be best.
+
+    Parameters
+    ----------
+    side, every, posting
+        Cells along a side of the map, between two sites, and their size, m.
+    told
+        Takes p_safe of the site that is flown to then (n,); NaN: nothing was seen.
+    """
+    count = (side - 1) // every + 1
+    places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
+    corner = np.empty(2)
+    sites, p, far = np.empty((count * count, 3)), np.empty(count * count), np.empty(count * count)
+    near = max(int(0.5 / posting + 0.5), 1)
+    for i in range(share[0], len(y), share[1]):
+        if not mask[i]:
+            continue
+        for k in range(2):
+            corner[k] = target[i, k] - 0.5 * (side - 1) * posting
+        key, first = drawn_from(keys[i], begun[i])
+        stage = drawn_scan(
+            i, key, first, y[i], time[i], world[i], course, errors, places, draw, axes
+        )
+        site = course.site[i].copy()
+        here_r = int(np.floor((site[1] - corner[1]) / posting + 0.5))
+        here_c = int(np.floor((site[0] - corner[0]) / posting + 0.5))
+        stay, height = _around(
+            here_r, here_c, near, corner, posting, course.slip[i], time[i], y[i], world[i], stage,
+            pool, errors, view, places, draw, axes,
+        )  # fmt: skip
+        told[i] = stay if stay >= 0.0 else np.nan
+        if stay >= 0.0:
+            course.site[i, 2] = height
+        course.scanned[i] += 1
+        course.event[i] = NOTHING
+        if stay >= _ENOUGH:
+            continue
+        n = 0
+        for r in range(0, side, every):
+            for c in range(0, side, every):
+                told_p, z = _around(
+                    r, c, near, corner, posting, course.slip[i], time[i], y[i], world[i], stage,
+                    pool, errors, view, places, draw, axes,
+                )  # fmt: skip
+                if told_p <= stay:
+                    continue
+                sites[n, 0], sites[n, 1] = corner[0] + c * posting, corner[1] + r * posting
+                sites[n, 2], p[n] = z, told_p
+                far[n] = np.hypot(sites[n, 0] - site[0], sites[n, 1] - site[1])
+                n += 1
+        _fly_to_best(i, y[i], time[i], n, sites, p, far, course, law, told)

@@ -1,0 +1,93 @@
+"""Maps that a surrogate draws the plain way, and how far their errors reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim_envs.sites import hazard
+from lunarsim_envs.sites.looks import Look, LookedFlight
+from lunarsim_envs.sites.surrogate import Surrogate
+
+Array = NDArray[np.float64]
+
+_LAGS = np.arange(0, 33)
+
+
+def judged(look: Look) -> NDArray[np.bool_]:
+    """Tell which sites the last scan of a look has judged, and of which the truth is known."""
+    return np.asarray(look.viewed & look.observed & (look.kind != hazard.UNKNOWN))
+
+
+def drawn_like(
+    surrogate: Surrogate, flight: LookedFlight, rng: np.random.Generator
+) -> list[NDArray[np.float32]]:
+    """Return maps that the surrogate draws in the place of a flight's, NaN where nothing is judged.
+
+    The plain way, cell by cell as the kernel does it.
+    """
+    posting = flight.looks[0].posting
+    errors = surrogate.errors(np.array([flight.safe_share]), posting)
+    noise, nodes = errors.noise[errors.bank[0]], errors.tables.shape[3]
+    side = noise.shape[2]
+    steps = np.linspace(-errors.most, errors.most, nodes)
+    out, last, whole = [], None, None
+    for look in flight.looks:
+        one = noise[look.stage, rng.integers(noise.shape[1])]
+        one = np.roll(one, tuple(rng.integers(side, size=2)), (0, 1))
+        one = one[: look.kind.shape[0], : look.kind.shape[1]].astype(np.float64)
+        mean = rng.standard_normal()
+        if last is not None and whole is not None:
+            fresh = np.sqrt(1.0 - errors.kept**2)
+            one = errors.kept * last + fresh * one
+            mean = errors.kept * whole + fresh * mean
+        last, whole = one, mean
+        common = errors.common[0, look.stage]
+        z = np.sqrt(common) * mean + np.sqrt(1.0 - common) * one
+        p = np.full(look.kind.shape, np.nan, np.float32)
+        for c in np.unique(look.kind[judged(look)]):
+            own = judged(look) & (look.kind == c)
+            p[own] = np.interp(z[own], steps, errors.tables[0, look.stage, c])
+        out.append(p)
+    return out
+
+
+def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
+    """Return the correlation of fields with themselves at so many cells, less their means."""
+    top, count = np.zeros(len(lags)), np.zeros(len(lags))
+    for one in fields:
+        if np.isnan(one).all():
+            continue
+        field = one - np.nanmean(one)
+        for k, lag in enumerate(lags):
+            for moved in (field[lag:, :] * field[: field.shape[0] - lag, :],
+                          field[:, lag:] * field[:, : field.shape[1] - lag]):  # fmt: skip
+                known = np.isfinite(moved)
+                top[k] += moved[known].sum()
+                count[k] += known.sum()
+    mean = top / np.maximum(count, 1.0)
+    return np.asarray(mean / max(mean[0], 1e-12))
+
+
+def length_of(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> float:
+    """Return where the correlation of p_safe, less the mean of each class, falls to 1 / e, m."""
+    masks = [judged(look) for look in looks]
+    total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)
+    for look, one, mask in zip(looks, maps, masks, strict=True):
+        np.add.at(total, look.kind[mask], one[mask])
+        np.add.at(count, look.kind[mask], 1.0)
+    means = total / np.maximum(count, 1.0)
+    fields = []
+    for look, one, mask in zip(looks, maps, masks, strict=True):
+        field = np.full(mask.shape, np.nan)
+        field[mask] = one[mask] - means[look.kind[mask]]
+        fields.append(field)
+    falls = correlation(fields, _LAGS)
+    below = np.flatnonzero(falls < np.exp(-1.0))
+    if not len(below):
+        return float("nan")
+    k = int(below[0])
+    part = (falls[k - 1] - np.exp(-1.0)) / (falls[k - 1] - falls[k])
+    return float((k - 1 + part) * looks[0].posting)

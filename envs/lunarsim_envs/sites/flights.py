@@ -1,0 +1,240 @@
+"""One flight that an agent decides in: flown by the whole simulation, or by kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.policies import Candidates, Decision, Observation
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim_envs import forks
+from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.descent.options import take
+from lunarsim_envs.sites.lanes import SiteLanes
+from lunarsim_envs.sites.sights import Sights, shrunk
+
+Array = NDArray[np.float64]
+
+
+class SiteFlight(Protocol):
+    """A flight from one decision to the next."""
+
+    simulation: Simulation | None
+
+    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+        """Draw a new flight and fly it to its first decision."""
+        ...
+
+    def decide(self, site: Array | None, each: Callable[[], None]) -> None:
+        """Fly to a site (3,), or on to the present one; to the next decision or the end.
+
+        `each` is called once a cycle, where there are any.
+        """
+        ...
+
+    @property
+    def seen(self) -> Observation:
+        """What a policy is shown now."""
+        ...
+
+    @property
+    def sights(self) -> Sights:
+        """The same as arrays."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Since the start, s."""
+        ...
+
+    @property
+    def mass(self) -> float:
+        """True one, kg."""
+        ...
+
+    @property
+    def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
+        """Whether the flight ended safe, and what it failed; None while it lasts."""
+        ...
+
+
+class OnboardFlight:
+    """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        forks.check()
+        self.scenario = scenario
+        self.simulation: Simulation | None = None
+        self._seen: Observation | None = None
+        self._small: tuple[object, NDArray[np.float32]] | None = None
+
+    @property
+    def _flown(self) -> Simulation:
+        assert self.simulation is not None
+        return self.simulation
+
+    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+        """Draw a new flight and fly it to its first decision."""
+        for key, value in options.items():
+            raise InputError(
+                f"options.{key}", value, "no option: with perception 'onboard' there are none"
+            )
+        self.simulation = Simulation(self.scenario, int(rng.integers(2**62)))
+        self._on(lambda: None)
+
+    def decide(self, site: Array | None, each: Callable[[], None]) -> None:
+        """Carry out a decision and fly on."""
+        flown = self._flown
+        flown.apply(Decision.keep("agent") if site is None else Decision(site, "agent"))
+        flown.move()
+        self._on(each)
+
+    def _on(self, each: Callable[[], None]) -> None:
+        flown = self._flown
+        while not (flown.done or flown.decision_due):
+            flown.move()
+            each()
+        self._seen = flown.observe()
+
+    @property
+    def seen(self) -> Observation:
+        """What a policy is shown now."""
+        assert self._seen is not None
+        return self._seen
+
+    @property
+    def sights(self) -> Sights:
+        """The same as arrays."""
+        hazard_map = self.seen.hazard_map
+        if self._small is None or self._small[0] is not hazard_map:
+            small = shrunk(hazard_map.p_safe[None], hazard_map.observed[None])
+            self._small = (hazard_map, small)
+        return Sights.of(self.seen, self._small[1])
+
+    @property
+    def time(self) -> float:
+        """Since the start, s."""
+        return self._flown.time
+
+    @property
+    def mass(self) -> float:
+        """True one, kg."""
+        return self._flown.state.mass
+
+    @property
+    def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
+        """Whether the flight ended safe, and what it failed."""
+        verdict = self._flown.verdict
+        return None if verdict is None else (verdict.safe, verdict.failed)
+
+
+class KernelFlight:
+    """Flown by kernels over a pool of worlds, a lane of its own."""
+
+    def __init__(self, lanes: SiteLanes) -> None:
+        self.simulation: Simulation | None = None
+        self.lanes = lanes
+        self._one = np.ones(1, np.bool_)
+        self._small = shrunk(lanes.maps.p, lanes.maps.seen)
+        self._sights: Sights | None = None
+
+    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+        """Draw a new flight and fly it to its first decision."""
+        self._sights = None
+        take(options, self.lanes, self._one)
+        self.lanes.seed(self._one, rng.integers(2**64, size=1, dtype=np.uint64))
+        self.lanes.begin(self._one)
+        self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
+
+    def decide(self, site: Array | None, each: Callable[[], None]) -> None:
+        """Carry out a decision and fly on."""
+        goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
+        self.lanes.decide(goal, self._one)
+        self._sights = None
+        if self.lanes.mapped[0]:
+            self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
+        each()
+
+    @property
+    def seen(self) -> Observation:
+        """What a policy is shown now."""
+        return seen_by(self.lanes, 0)
+
+    @property
+    def sights(self) -> Sights:
+        """The same as arrays."""
+        if self._sights is None:
+            self._sights = sights_of(self.lanes, self._small)
+        return self._sights
+
+    @property
+    def time(self) -> float:
+        """Since the start, s."""
+        return float(self.lanes.time[0])
+
+    @property
+    def mass(self) -> float:
+        """True one, kg."""
+        return float(self.lanes.y[0, 13])
+
+    @property
+    def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
+        """Whether the flight ended safe, and what it failed."""
+        if self.lanes.ended[0] == FLYING:
+            return None
+        return bool(self.lanes.safe[0]), self.lanes.words(0)
+
+
+def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
+    """Return what the landers of all lanes are shown; `small` (n, 2, 48, 48) are their maps."""
+    place, velocity = lanes.believed
+    course, found, maps = lanes.course, lanes.found, lanes.maps
+    left = np.maximum(course.arrival - lanes.time, 0.0)
+    return Sights(
+        place, velocity, lanes.y[:, 6:10], course.site, left,
+        lanes.y[:, 13] - lanes.figures[:, 3], found.position, found.p_safe, found.distance,
+        found.propellant, found.number, found.here, maps.p, maps.seen, maps.corner, maps.posting,
+        small,
+    )  # fmt: skip
+
+
+def seen_by(lanes: SiteLanes, lane: int) -> Observation:
+    """Return what a policy is shown of one lane."""
+    place, velocity = (one[lane] for one in lanes.believed)
+    y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course
+    n = int(found.number[lane])
+    covariance = np.zeros((9, 9))
+    covariance[[3, 4], [3, 4]] = maps.stated[1] ** 2
+    rows, cols = maps.p.shape[1:]
+    west, south = map(float, maps.corner[lane])
+    grid = Grid(west, south, maps.posting, rows, cols)
+    hazard_map = HazardMap(
+        grid, maps.p[lane].copy(), maps.seen[lane].copy(), maps.height[lane].copy()
+    )
+    p_here, cost_here, miss = map(float, found.here[lane])
+    return Observation(
+        time=float(lanes.time[lane]),
+        estimate=Estimate(
+            float(lanes.time[lane]), place, velocity, y[6:10].copy(), y[10:13].copy(),
+            float(y[13]), covariance,
+        ),
+        hazard_map=hazard_map,
+        candidates=Candidates(
+            found.position[lane, :n].copy(), found.p_safe[lane, :n].copy(),
+            found.distance[lane, :n].copy(), found.propellant[lane, :n].copy(),
+        ),
+        site=course.site[lane].copy(),
+        site_p_safe=p_here,
+        site_propellant=cost_here,
+        time_to_go=float(course.arrival[lane] - lanes.time[lane]),
+        propellant=float(y[13] - lanes.figures[lane, 3]),
+        expected_miss=miss,
+    )  # fmt: skip

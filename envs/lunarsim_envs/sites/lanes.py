@@ -1,0 +1,248 @@
+"""Landers side by side that choose their sites: guidance, perception and verdict in kernels."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._jit import threads_for
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.path_law import PathLaw
+from lunarsim.onboard.guidance.paths import PathShape
+from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.policies.candidates import _LEVELS
+from lunarsim.scenario import Scenario
+from lunarsim_envs.descent.lanes import FLYING, Craft, Lanes
+from lunarsim_envs.sites import _flight_kernels as f
+from lunarsim_envs.sites import _map_kernels as m
+from lunarsim_envs.sites.pool import SitePool
+from lunarsim_envs.sites.view import deciding_mapper, scan_altitudes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# What a lane and cycle take, microseconds; what a map of a lane does.
+_CYCLE, _MAP = 6.0, 2000.0
+_WIDTH = 16
+
+
+def law_of(scenario: Scenario, craft: Craft) -> f.Law:
+    """Return a scenario's guidance as kernels take it.
+
+    Raises
+    ------
+    InputError
+        If it has parts that only the whole simulation flies.
+    """
+    software = scenario.software()
+    guidance, approach, window = software.guidance, software.approach, software.decisions
+    _refuse_others(scenario, guidance)
+    lander = craft.dynamics.lander
+    gravity = scenario.gravity_m_s2
+    lag = software.control.response_time + lander.thrust_lag
+    down = VerticalDescent.behind(lag, gravity)
+    limits = approach.limits
+    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+    end = approach.end(np.zeros(3), lander)
+    figures = np.array([
+        gravity, lander.wet_mass, lander.exhaust_velocity, lander.thrust_min + margin,
+        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+    ])  # fmt: skip
+    descent = np.array([
+        down.frequency, down.damping, down.speed_gain, down.lean, down.lean_low, down.lean_height,
+        down.low_height, down.slip, down.slowest, -approach.vertical_speed,
+    ])  # fmt: skip
+    clock = scenario.simulation.make()
+    return f.Law(
+        np.array(guidance.shape.powers), np.array([end.velocity, end.acceleration]),
+        np.asarray(end.position, dtype=np.float64), figures, samples(guidance.shape, 8),
+        samples(guidance.shape, 24),
+        np.array([
+            lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,
+            limits.reserve,
+        ]),
+        np.array([max(approach.vertical_altitude, approach.takeover_altitude), approach.ends_at]),
+        descent,
+        np.array([window.last_altitude, window.first_altitude, window.interval]),
+        scan_altitudes(scenario), lag, guidance.least_time_to_go, approach.max_tilt,
+        lander.thrust_max, lander.com_height, clock.steps,
+    )  # fmt: skip
+
+
+def samples(shape: PathShape, count: int) -> Array:
+    """Return share of the time that is left and its powers along a path (count + 1, 3)."""
+    left = 1.0 - np.arange(count + 1) / count
+    return np.column_stack((left, left**shape.low, left**shape.high))
+
+
+def _refuse_others(scenario: Scenario, guidance: Any) -> None:
+    plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
+    if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
+        kind = scenario.guidance.kind
+        raise InputError("guidance.kind", kind, "apollo or e-guidance: laws that kernels fly")
+    for table in ("braking", "window", "descent", "variation", "prior_map"):
+        if getattr(scenario, table) is not None:
+            raise InputError(table, "given", "left out: kernels do not fly it")
+    if not scenario.approach.make().free:
+        raise InputError("approach.time_to_go_s", "given", "left out: the cheapest is taken")
+
+
+class SiteLanes(Lanes):
+    """Landers side by side, flown to sites that somebody chooses.
+
+    Parameters
+    ----------
+    count
+        Of lanes n.
+    scenario
+        What flies.
+    pool
+        Over which worlds.
+    errors
+        Of perception; see `surrogate`.
+    view
+        See `view.view_of`.
+    drift, claimed
+        Standard deviation of the velocity of the drift, east and north (2,), and what navigation
+        says of it, m/s.
+    posting
+        Of the maps, m.
+
+    Attributes
+    ----------
+    course, maps, found
+        See the kernels.
+    refused
+        Whether the last decision of each was out of reach (n,).
+    """
+
+    levels: ClassVar[Array] = np.array(_LEVELS)
+    keeps_maps: ClassVar[bool] = True
+
+    def __init__(
+        self, count: int, scenario: Scenario, pool: SitePool, *, errors: m.Errors, view: Array,
+        drift: Array, claimed: float, posting: float,
+    ) -> None:  # fmt: skip
+        craft = Craft.of(scenario)
+        clock = scenario.simulation.make()
+        super().__init__(count, craft, pool.grounds, guided=True, rate=1.0 / clock.cycle)
+        self.pool, self.errors, self.view = pool, errors, view
+        self.law = law_of(scenario, craft)
+        self.decisions = scenario.decisions.make()
+        size = scenario.mappers[deciding_mapper(scenario)].make().size
+        cells = max(1, round(size / posting)) if self.keeps_maps else 1
+        self.drift = np.asarray(drift, dtype=np.float64)
+        approach = scenario.approach.make()
+        stated = np.array([
+            self.decisions.touchdown_sigma, claimed,
+            approach.vertical_altitude / approach.vertical_speed,
+        ])  # fmt: skip
+        self.course = _course(count)
+        self.maps = _maps(count, cells, posting, stated)
+        self.found = _found(count, self.decisions.candidates + len(self.levels))
+        self.refused = np.zeros(count, np.bool_)
+        self._control = self._vehicle.control
+
+    def begin(self, mask: Mask) -> None:
+        """Draw a new flight in every lane of `mask` (n,), and fly it to its first decision."""
+        super().begin(mask)
+        self._run(
+            f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y, self._loop,
+            self.target, self.drift, self._control, self.craft.heading, self.course, self.law,
+        )  # fmt: skip
+        maps = self.maps
+        half = 0.5 * (maps.p.shape[1] - 1) * maps.posting
+        maps.corner[mask] = self.target[mask, :2] - half
+        maps.p[mask], maps.seen[mask], maps.aim[mask] = 0.0, False, 0.0
+        maps.height[mask] = np.nan
+        maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
+        self.refused[mask] = False
+        self.mapped = mask.copy()
+        self._on(mask)
+
+    def decide(self, sites: Array, mask: Mask) -> None:
+        """Carry out decisions in the lanes of `mask`, and fly on to the next, or to the end.
+
+        Parameters
+        ----------
+        sites
+            Where to land (n, 3), local frame; NaN keeps the site.
+        """
+        mask = mask & (self.ended == FLYING)
+        self._run(
+            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, self.course, self.law,
+            self.refused,
+        )  # fmt: skip
+        self.mapped = np.zeros(self.count, np.bool_)
+        self._on(mask)
+
+    def _on(self, mask: Mask) -> None:
+        """Fly on, with scans on the way, and look at what there is to choose."""
+        while True:
+            self._run(
+                f.fly, 10.0 * _CYCLE * self.count, self.y, self._loop, min(_WIDTH, self.count),
+                self.craft.dynamics.step, self.craft.limit, self._vehicle, self._grounds,
+                self._flights, self.course, self.law,
+            )  # fmt: skip
+            due = (self.course.event == f.SCAN) & (self.ended == FLYING)
+            if not due.any():
+                break
+            self.scan(due)
+            self.mapped |= due
+        asked = mask & (self.ended == FLYING)
+        if asked.any():
+            self._run(
+                m.look, _MAP * self.count, asked, self.y, self.time, self.course, self.law,
+                self.maps, self.decisions.candidates, self.decisions.separation, self.levels,
+                self.found,
+            )  # fmt: skip
+
+    def _run(self, kernel: Any, microseconds: float, *given: Any) -> None:
+        """Run a kernel over the lanes; for one lane alone no thread is waited for."""
+        if self.count == 1:
+            kernel.compiled((0, 1), *given)
+            return
+        with threads_for(microseconds):
+            kernel(*given)
+
+    def scan(self, due: Mask) -> None:
+        """Let the lanes of `due` take the scan that is due."""
+        self._run(
+            m.scan, _MAP * self.count, due, self._keys, self._begun, self.y, self.time, self.world,
+            self.course, self.maps, self.pool.layers, self.errors, self.view,
+        )  # fmt: skip
+
+    @property
+    def believed(self) -> tuple[Array, Array]:
+        """Position and velocity as the landers take them to be (n, 3), local frame."""
+        slip, place = self.course.slip, self.y[:, :3].copy()
+        velocity = self.y[:, 3:6].copy()
+        place[:, :2] += slip * self.time[:, None]
+        velocity[:, :2] += slip
+        return place, velocity
+
+
+def _course(n: int) -> f.Course:
+    return f.Course(
+        np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.full(n, np.nan), np.zeros(n, np.int64),
+        np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.bool_), np.zeros((n, 7)),
+        np.full((n, 8), np.nan), np.zeros((n, 2)),
+    )  # fmt: skip
+
+
+def _maps(n: int, cells: int, posting: float, stated: Array) -> m.Maps:
+    shape = (n, cells, cells)
+    return m.Maps(
+        np.zeros((n, 2)), posting, np.zeros(shape, np.float32), np.zeros(shape, np.bool_),
+        np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32), np.full(n, np.nan), stated,
+        np.zeros(n),
+    )  # fmt: skip
+
+
+def _found(n: int, most: int) -> m.Found:
+    return m.Found(
+        np.zeros((n, most, 3)), np.zeros((n, most)), np.zeros((n, most)), np.zeros((n, most)),
+        np.zeros(n, np.int64), np.full((n, 3), np.nan),
+    )  # fmt: skip

@@ -1,0 +1,110 @@
+"""Landers flown by kernels whose maps a real mapper draws from real scans."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
+from lunarsim.onboard.hazards.mapper import map_grid
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.scenario import Scenario
+from lunarsim.vehicle import State
+from lunarsim_envs import forks
+from lunarsim_envs.sites import _map_kernels as m
+from lunarsim_envs.sites.lanes import Mask, SiteLanes
+from lunarsim_envs.sites.view import deciding_mapper
+
+Array = NDArray[np.float64]
+
+
+class MappedLanes(SiteLanes):
+    """As `SiteLanes`; scans are rays over the true ground, and a Gaussian DEM draws the maps.
+
+    Raises
+    ------
+    InputError
+        If the scenario's mapper that decides is another.
+    """
+
+    def __init__(self, count: int, scenario: Scenario, *given: Any, **settings: Any) -> None:
+        forks.check()
+        part = gaussian_dem_of(scenario)
+        self._part, self._scenario = part, scenario
+        self._lidar = scenario.sensors[part.sensor].make()
+        self._rocks = scenario.expected_rocks.make()
+        self._mappers: list[GaussianDemMapper | None] = [None] * count
+        super().__init__(count, scenario, *given, **(settings | {"posting": part.posting}))
+
+    def begin(self, mask: Mask) -> None:
+        """Draw a new flight in every lane of `mask` (n,), and fly it to its first decision."""
+        for lane in np.flatnonzero(mask):
+            self._mappers[int(lane)] = None
+        super().begin(mask)
+
+    def scan(self, due: Mask) -> None:
+        """Let the lanes of `due` take the scan that is due."""
+        for lane in np.flatnonzero(due):
+            self._map(int(lane))
+        m.took(due, self.time, self.course, self.maps)
+
+    def _map(self, i: int) -> None:
+        """Let a lane scan, and draw its map."""
+        mapper = self._mappers[i]
+        if mapper is None:
+            mapper = self._mappers[i] = GaussianDemMapper(
+                map_grid(self.target[i], self._part.size, self._part.posting, self.lander),
+                self.lander, safety=self._part.safety, refit=self._part.calibration(),
+                rocks=self._rocks,
+            )  # fmt: skip
+        y, time = self.y[i], float(self.time[i])
+        place, velocity = (one[i] for one in self.believed)
+        seed = (int(self._keys[i]), int(self._begun[i]), int(self.course.scanned[i]))
+        limit = self._lidar.calibration().gimbal_limit
+        mount = gimbal_mount(y[6:10], self.course.site[i] - place, limit)
+        scan: LidarScan = self._lidar.measure(
+            self.pool.worlds[self.world[i]], State.from_vector(y), time,
+            np.random.default_rng(seed), mount,
+        )  # fmt: skip
+        covariance = np.zeros((9, 9))
+        mapper.update(
+            scan,
+            Estimate(time, place, velocity, y[6:10].copy(), y[10:13].copy(), y[13], covariance),
+        )
+        mapper.refresh(time)
+        drawn = mapper.hazard_map()
+        self.maps.corner[i] = drawn.grid.x0, drawn.grid.y0
+        self.maps.p[i] = np.where(drawn.observed, drawn.p_safe, np.float32(0.0))
+        self.maps.seen[i] = drawn.observed
+        if drawn.elevation is not None:
+            self.maps.height[i] = drawn.elevation
+
+    @property
+    def lander(self) -> Any:
+        """The vehicle's figures."""
+        return self.craft.dynamics.lander
+
+
+def gaussian_dem_of(scenario: Scenario) -> GaussianDemMapping:
+    """Return the settings of the Gaussian DEM that decides.
+
+    Raises
+    ------
+    InputError
+        If another mapper does.
+    """
+    name = deciding_mapper(scenario)
+    part = scenario.mappers[name].make()
+    if not isinstance(part, GaussianDemMapping):
+        kind = scenario.mappers[name].kind
+        raise InputError(
+            f"mappers.{name}.kind", kind,
+            "gaussian-dem; perception='onboard' flies any mapper",
+        )  # fmt: skip
+    return part

@@ -1,0 +1,86 @@
+"""How landers that choose their sites perceive: by choice, from the truth to the whole computer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.scenario import Scenario
+from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
+from lunarsim_envs.sites.lanes import SiteLanes
+from lunarsim_envs.sites.mapped import MappedLanes, gaussian_dem_of
+from lunarsim_envs.sites.pool import SitePool
+from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact
+from lunarsim_envs.sites.view import view_of
+
+# The first is flown by the whole simulation, the others by kernels.
+PERCEPTIONS = ("onboard", "truth", "surrogate", "gaussian-dem")
+# Cells of maps that kernels draw, m.
+_POSTING = 0.4
+
+
+def flight_of(
+    perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any
+) -> SiteFlight:
+    """Return what flies one descent.
+
+    Raises
+    ------
+    InputError
+        If there is no such perception, or it cannot be had with this scenario.
+    """
+    if perception == "onboard":
+        return OnboardFlight(scenario)
+    return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate))
+
+
+def lanes_of(
+    count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any
+) -> SiteLanes:
+    """Return landers side by side.
+
+    Parameters
+    ----------
+    count
+        Of lanes.
+    perception
+        One of `PERCEPTIONS` but the first.
+    scenario, worlds, world_seed
+        See `SitePool.of`.
+    surrogate
+        A `Surrogate` or the path of its file; None: the one that comes with the package.
+
+    Raises
+    ------
+    InputError
+        If it cannot be had.
+    """
+    if perception not in PERCEPTIONS[1:]:
+        near = suggestion(str(perception), PERCEPTIONS)
+        if perception == "onboard":
+            near = "truth, surrogate or gaussian-dem: the whole computer flies one at a time"
+        raise InputError("perception", perception, near)
+    if isinstance(surrogate, Surrogate):
+        model = surrogate
+    else:
+        model = Surrogate.load(SHIPPED if surrogate is None else Path(surrogate))
+    view = view_of(scenario)
+    if perception == "surrogate":
+        model.check(scenario)
+    elif perception == "gaussian-dem":
+        gaussian_dem_of(scenario)
+    pool = SitePool.of(scenario, worlds, world_seed)
+    if perception == "truth":
+        return SiteLanes(
+            count, scenario, pool, errors=exact(), view=view, drift=np.zeros(2), claimed=0.0,
+            posting=_POSTING,
+        )  # fmt: skip
+    errors = exact() if perception == "gaussian-dem" else model.errors(pool.shares, _POSTING)
+    kind = MappedLanes if perception == "gaussian-dem" else SiteLanes
+    return kind(
+        count, scenario, pool, errors=errors, view=view, drift=model.drift,
+        claimed=model.claimed, posting=_POSTING,
+    )  # fmt: skip

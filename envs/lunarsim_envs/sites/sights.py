@@ -1,0 +1,97 @@
+"""What landers that choose their sites are shown, side by side: the stuff of observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.onboard.policies import Observation
+from lunarsim_envs.sites import _map_kernels as m
+
+Array = NDArray[np.float64]
+
+# Cells along a side of the map as a whole, and about the site; distance of the latter, m.
+MAP_CELLS, CROP_CELLS, CROP_SPACING = 48, 33, 1.0
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Of n landers, local frames, SI.
+
+    Attributes
+    ----------
+    position, velocity, attitude
+        As navigation estimates them (n, 3), (n, 3), (n, 4).
+    site
+        Flown to now (n, 3).
+    time_to_go, propellant
+        To the end of the approach, s; left, kg (n,).
+    position_of, p_safe, distance, cost
+        Sites to choose from (n, m, 3), probability of a safe landing, distance from the site flown
+        to, propellant to reach them, inf out of reach (n, m).
+    count
+        How many of them there are (n,).
+    here
+        p_safe at the site flown to (NaN: not seen), propellant to reach it, expected miss (n, 3).
+    p, seen, corner, posting
+        Maps (n, rows, cols), the centres of their cells (0, 0) (n, 2), side of a cell.
+    small
+        Mean p_safe and share seen of equal blocks (n, 2, 48, 48).
+    """
+
+    position: Array
+    velocity: Array
+    attitude: Array
+    site: Array
+    time_to_go: Array
+    propellant: Array
+    position_of: Array
+    p_safe: Array
+    distance: Array
+    cost: Array
+    count: NDArray[np.int64]
+    here: Array
+    p: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    corner: Array
+    posting: float
+    small: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, observation: Observation, small: NDArray[np.float32]) -> Sights:
+        """Return what one policy is shown, and its map in blocks (1, 2, 48, 48)."""
+        o, c, e = observation, observation.candidates, observation.estimate
+        grid = o.hazard_map.grid
+
+        def one(value: object) -> Array:
+            return np.asarray(value, dtype=np.float64)[None]
+
+        return cls(
+            one(e.position), one(e.velocity), one(e.attitude), one(o.site), one(o.time_to_go),
+            one(o.propellant), one(c.position), one(c.p_safe), one(c.distance), one(c.propellant),
+            np.array([len(c)]), one((o.site_p_safe, o.site_propellant, o.expected_miss)),
+            o.hazard_map.p_safe[None], o.hazard_map.observed[None], one((grid.x0, grid.y0)),
+            grid.posting, small,
+        )  # fmt: skip
+
+    @property
+    def crop(self) -> NDArray[np.float32]:
+        """p_safe and whether seen about the site flown to, a metre apart (n, 2, 33, 33)."""
+        out = np.empty((len(self.site), 2, CROP_CELLS, CROP_CELLS), np.float32)
+        p = np.ascontiguousarray(self.p, dtype=np.float32)
+        m.crop(p, self.seen, self.corner, self.posting, self.site, CROP_SPACING, out)
+        return out
+
+
+def shrunk(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return mean p_safe and share seen of equal blocks of maps (n, 2, 48, 48)."""
+    out = np.zeros((len(p), 2, MAP_CELLS, MAP_CELLS))
+    every = np.ones(len(p), np.bool_)
+    given = every, np.ascontiguousarray(p, dtype=np.float32), seen, out
+    if len(p) == 1:
+        m.shrink_here(*given)
+    else:
+        m.shrink(*given)
+    return out.astype(np.float32)

@@ -1,0 +1,106 @@
+"""Fly very many descents in kernels, and print how often they fail.
+
+    python scenarios/million.py                    # 1,000,000 of some 60 s
+    python scenarios/million.py --flights 10000
+
+Six degrees of freedom, guidance, perception by the surrogate of the Gaussian DEM, a decision after
+every scan, and the verdict of the touchdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+import numba
+
+from lunarsim.errors import InputError
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.shipped import found
+from lunarsim_envs.retarget import default_scenario
+from lunarsim_envs.sites.million import Tally, batches
+
+# A start from which the cheapest flight takes a minute.
+_START = {"position_m": [-1500.0, 0.0, 1150.0], "velocity_m_s": [45.0, 0.0, -30.0]}
+
+
+def scenario_of(name: str | None, step: float) -> Scenario:
+    """Return the scenario that is flown, at a step of the integration (s)."""
+    given = default_scenario() if name is None else Scenario.load(found(name))
+    clock = {"step_s": step}
+    if name is None:
+        return given.changed(rocks={"cover": 0.12}, start=_START, simulation=clock)
+    return given.changed(simulation=clock)
+
+
+def bar(done: int, total: int, begun: float) -> None:
+    """Show on a screen how far it is."""
+    if not sys.stderr.isatty():
+        return
+    share = done / total
+    spent = time.perf_counter() - begun
+    left = spent * (1.0 - share) / max(share, 1e-9)
+    filled = "#" * round(30 * share)
+    print(f"\r[{filled:<30}] {done:,} of {total:,}, {left:.0f} s left ", end="", file=sys.stderr)
+
+
+def table(tally: Tally, seconds: float) -> str:
+    """Return what is printed of all flights."""
+    n = tally.flights
+    lines = [
+        f"{n:,} descents of {tally.seconds / n:.1f} s in {seconds:.1f} s on "
+        f"{numba.get_num_threads()} threads: {n / seconds:,.0f} a second, "
+        f"{tally.seconds / seconds:,.0f} simulated s/s",
+        f"propellant of safe landings: {tally.propellant / max(tally.safe, 1):.2f} kg",
+        "", f"{'':<18} {'flights':>9} {'rate':>9}  95 % interval",
+    ]  # fmt: skip
+    for name, count in (("not safe", n - tally.safe), *tally.failed.items()):
+        low, high = Proportion(count, n).interval
+        lines.append(f"{name:<18} {count:>9,} {count / n:>9.5f}  [{low:.5f}, {high:.5f}]")
+    lines += ["", "told p_safe       flights    landed safe  95 % interval"]
+    for k in range(10):
+        count, safe = int(tally.told[k]), int(tally.told_safe[k])
+        if count:
+            low, high = Proportion(safe, count).interval
+            lines.append(
+                f"{k / 10:.1f} to {(k + 1) / 10:.1f} {count:>14,} {safe / count:>14.4f}  "
+                f"[{low:.4f}, {high:.4f}]"
+            )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Fly, and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--flights", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--worlds", type=int, default=32, help="that flights meet")
+    parser.add_argument("--scenario", help="file or name; left out: rolling ground, 12 %% rocks")
+    parser.add_argument("--step", type=float, default=0.02, help="of the integration, s")
+    args = parser.parse_args()
+    try:
+        if args.seed < 0:
+            raise InputError("--seed", args.seed, "0 or more")
+        scenario = scenario_of(args.scenario, args.step)
+        # The first flights wait for compilation and worlds; they are not counted.
+        print("preparing worlds and kernels", file=sys.stderr, flush=True)
+        next(batches(scenario, min(max(args.flights, 1), 64), args.seed, args.worlds))
+        begun, tally = time.perf_counter(), None
+        for one in batches(scenario, args.flights, args.seed, args.worlds):
+            tally = one if tally is None else tally + one
+            bar(tally.flights, args.flights, begun)
+        seconds = time.perf_counter() - begun
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    assert tally is not None
+    print(table(tally, seconds))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""A flight to a site, cycle by cycle: the computer's own laws about a lander flown plainly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.onboard.control.thrust import thrust_to_command
+from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.strain import Strain
+from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.navigation.estimate import Estimate
+from tests.reference.descent import Lander
+
+
+class SiteFlight:
+    """One lander that keeps to sites it is given; what it believes drifts at a constant velocity.
+
+    Parameters
+    ----------
+    y
+        State at the start (15,), attitude and thrust aside: those are what guidance asks for.
+    site, slip
+        Where it is to land (3,), and the velocity of the drift (2,).
+    scenario, dynamics
+        Settings, gravity and the step.
+    """
+
+    def __init__(self, y, site, slip, scenario, dynamics):
+        self.scenario, self.software = scenario, scenario.software()
+        self.lander, self.gravity = dynamics.lander, dynamics.gravity
+        self.slip, self.site, self.time, self.low = np.array([*slip, 0.0]), site.copy(), 0.0, False
+        control = self.software.control
+        self.lag = control.response_time + self.lander.thrust_lag
+        self.start = scenario.start.make()
+        self.plain = Lander(
+            y, dynamics, control.gains, self.start.heading, self.software.approach.max_tilt
+        )
+        self.strain = Strain()
+        self.vertical = VerticalDescent.behind(self.lag, self.gravity)
+        self.arrival = self.left_to(self.site)
+        self.law = self._law()
+
+    def _law(self):
+        g = self.software.guidance
+        return PathGuidance(
+            g.shape, self.gravity, lead=self.lag, least_time_to_go=g.least_time_to_go
+        )
+
+    @property
+    def estimate(self):
+        y = self.plain.y
+        return Estimate(
+            self.time,
+            y[:3] + self.time * self.slip,
+            y[3:6] + self.slip,
+            y[6:10],
+            y[10:13],
+            y[13],
+            np.zeros((9, 9)),
+        )
+
+    @property
+    def altitude(self):
+        return self.plain.y[2] - self.site[2] - self.lander.com_height
+
+    def left_to(self, site):
+        """Return the time-to-go to a site, s; NaN out of reach."""
+        approach = self.software.approach
+        return float(
+            self.software.guidance.cost(
+                self.estimate,
+                approach.end(site[None], self.lander),
+                self.lander,
+                self.gravity,
+                approach.limits,
+            ).time_to_go[0]
+        )
+
+    def wanted(self):
+        """Return the thrust acceleration of this cycle (3,)."""
+        approach, e = self.software.approach, self.estimate
+        self.low = self.low or approach.over(self.altitude, self.arrival - self.time)
+        if self.low:
+            return self.vertical.command(e, approach.ground(self.site, self.lander), self.time)
+        end = approach.end(self.site, self.lander)
+        asked = self.law.command(e, end, self.time, self.arrival - self.time)
+        most = approach.max_tilt, self.lander.thrust_max
+        if self.strain.lasts(asked, e.mass, most, self.time):
+            left = self.left_to(self.site)
+            if left > self.arrival - self.time:
+                self.arrival = self.time + left
+        return asked
+
+    def steered(self):
+        """Give the start the attitude and thrust that guidance asks for there."""
+        command = thrust_to_command(
+            self.wanted(),
+            self.plain.y[13],
+            self.lander,
+            self.start.heading,
+            self.software.approach.max_tilt,
+        )
+        self.plain.y[6:10], self.plain.y[14] = command.attitude, command.thrust
+        self.law, self.strain = self._law(), Strain()
+
+    def cycle(self, steps):
+        """Fly a cycle; yield the state after each step."""
+        yield from self.plain.guided(self.wanted(), steps)
+        self.time += steps * self.plain.d.step
