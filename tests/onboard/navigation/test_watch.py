@@ -131,7 +131,7 @@ def test_a_drift_that_comes_again_and_again_is_lost():
 def test_without_patience_the_first_drift_is_lost():
     watch = Watch(replace(SPEEDS, drift_patience=0))
     found = verdicts(watch, whitened(np.random.default_rng(6), 30, np.array([0.0, 0.0, 2.0])))
-    assert found.number(Verdict.WELL) < 30
+    assert found.count(Verdict.WELL) < 30
     assert set(found) == {Verdict.WELL, Verdict.DRIFT}
     assert watch.lost
 
@@ -164,7 +164,7 @@ def test_drifts_far_apart_are_explained_each():
         shift = np.array([1.8, 0.0, 0.0]) if jumped else 0.0
         found.append(watch.note(0.1 * k, next(whitened(rng, 1, shift))))
         jumped = jumped and found[-1] is Verdict.WELL
-    assert found.number(Verdict.DRIFT) == 6
+    assert found.count(Verdict.DRIFT) == 6
     assert set(found) == {Verdict.WELL, Verdict.DRIFT}
     assert not watch.lost
 
