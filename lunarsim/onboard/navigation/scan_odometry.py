@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation import odometry_noise as noise
 from lunarsim.onboard.navigation.error_state import KEY, POSE
 from lunarsim.onboard.navigation.parts import Shared
-from lunarsim.onboard.navigation.registration import Fit, fit, solved, together
+from lunarsim.onboard.navigation.registration import fit, solved
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import Surface
@@ -27,9 +28,6 @@ _TURNS = 1e-3
 # A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
 # slopes its squares no longer hold, and what is found then moves them farther.
 _AFRESH = 0.05
-# The differences of two scans scatter by no less than this share of what is taken beforehand; and
-# tell this many times less than they scatter, since the slopes that weigh them err too.
-_LEAST_SCATTER, _SLOPES = 0.01, 1.5
 
 
 def key_block() -> dict[str, Array]:
@@ -126,24 +124,24 @@ class ScanOdometry:
             return False
         # A scan from nearer covers less ground: it need only lie on the one kept.
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
-        here = seen.jacobian(new.position[j], new.normal[j])
-        there = key.seen.jacobian(key.surface.position[i], new.normal[j])
         own = self.shared.scanner(sensor)
         both = np.concatenate((POSE, np.arange(state.head)[state.block(KEY)], own))
-        of_scanner = (here - there)[:, 6 : 6 + len(own)]
-        jacobian = np.hstack((here[:, :6], -there[:, :6], of_scanner))
+        prior = state.covariance[np.ix_(both, both)]
+        middle = new.position[j].mean(axis=0)
+        normal = noise.slopes(new.normal[j], key.surface.normal[i])
+        jacobian = _differences(seen, key.seen, new.position[j], normal, own)
         residual = key.surface.position[i, 2] - new.position[j, 2]
         variance = np.full(len(i), self.settings.odometry_sigma**2)
-        prior = state.covariance[np.ix_(both, both)]
         result = fit(jacobian, residual, variance, prior)
         if not self.settings.believes(result):
+            self._share = 0.0
             return False
         left = residual - jacobian @ solved(result, prior)
-        scatter = _scatter(result, (new.row[j], new.col[j]), left, variance)
-        middle = new.position[j].mean(axis=0) - key.surface.position.mean(axis=0)
-        ways = np.stack((seen.position - key.seen.position, middle))
-        alike = _second_order(prior, ways)
-        scatter += result.used * alike / variance[0]
+        scatter = noise.scatter(result, (new.row[j], new.col[j]), left, variance)
+        ways = np.stack(
+            (seen.position - key.seen.position, middle - key.surface.position.mean(axis=0))
+        )
+        scatter += result.used * noise.second_order(prior, ways) / variance[0]
         found = state.inform(
             both, result.information / scatter, result.vector / scatter,
             chance=self.settings.chance,
@@ -165,31 +163,16 @@ class ScanOdometry:
         self._key = self._key.moved(change)
 
 
-def _scatter(
-    result: Fit, squares: tuple[NDArray[np.int64], NDArray[np.int64]], left: Array, variance: Array
-) -> float:
-    """Return the variance of two scans' differences by what a fit leaves of them.
+def _differences(
+    new: SeenScan, old: SeenScan, points: Array, normals: Array, scanner: NDArray[np.int64]
+) -> Array:
+    """Return how points (m, 3) of a scan move along vectors (m, 3) against those of an earlier one.
 
-    Over that taken beforehand: of single squares, or of their sums over blocks if that is more.
+    With the errors of the pose, of the pose kept, and of the scanner, both have the same (m, d).
     """
-    single = max(result.misfit, _LEAST_SCATTER**2)
-    return _SLOPES * single * max(together(squares, left, single * variance), 1.0)
-
-
-def _second_order(prior: Array, ways: Array) -> float:
-    """Return the variance of what the fit, being linear, has wrong, alike in all squares, m^2.
-
-    Directions that are not known turn the ways (2, 3) that the lander and the ground seen have gone
-    between the two scans; half the square of the angle moves their ends.
-
-    Parameters
-    ----------
-    prior
-        Covariance of the pose, the pose kept, and the scanner's errors.
-    """
-    angles = 0.5 * float(np.trace(prior[3:6, 3:6]) + np.trace(prior[9:12, 9:12]))
-    angles += float(np.trace(prior[13:16, 13:16]))
-    return float((0.5 * angles) ** 2 * np.sum(ways**2))
+    here, there = new.jacobian(points, normals), old.jacobian(points, normals)
+    of_scanner = (here - there)[:, 6 : 6 + len(scanner)]
+    return np.hstack((here[:, :6], -there[:, :6], of_scanner))
 
 
 def plausible(scan: LidarScan) -> LidarScan:

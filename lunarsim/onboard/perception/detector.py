@@ -84,7 +84,8 @@ class DetectorSettings:
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
-        if not (len(self.look_sigma) == 2 and all(0.0 < v < np.inf for v in self.look_sigma)):
+        pair = np.atleast_1d(self.look_sigma)
+        if not (len(pair) == 2 and np.isfinite(pair).all() and (pair > 0.0).all()):
             raise InputError("detector.look_sigma", self.look_sigma, "two positive numbers")
         low, high = self.canny
         if not 0.0 < low < high < np.inf:

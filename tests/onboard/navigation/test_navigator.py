@@ -160,6 +160,28 @@ def test_odometry_slows_the_drift(world):
     assert grown[True] < 0.5 * grown[False]
 
 
+@pytest.mark.parametrize("relief", [0.0, 0.005])
+def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relief):
+    """The noise of slopes is all that level ground has, and once passed for slopes.
+
+    Velocities were off by 19 deviations then.
+    """
+    grid = Grid.centred((0.0, 0.0), 300.0, 1.0)
+    x, y = np.meshgrid(grid.x, grid.y)
+    waves = World(Terrain(Heightfield(grid, 2.0 * relief * np.sin(x / 2) * np.cos(y / 2))), 9.81)
+    nowhere = PriorMap(Grid(1e5, 1e5, 1.0, 4, 4), np.zeros((4, 4)), 0.1)
+    nees = Consistency()
+    for seed in range(4):
+        errors = StartSigmas(30.0, 0.3, np.deg2rad(0.5))
+        descent = Descent(waves, seed, nowhere, errors).fly(4.0, aim=np.zeros(3))
+        found = descent.estimate()
+        off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
+        assert (np.abs(off) < 4.5 * np.sqrt(own.diagonal())).all()
+        nees = nees.plus(normalised_square(off, own), 3)
+    # On ground that is quite level errors are up to twice what is said.
+    assert nees.ratio < (4.0 if relief == 0.0 else nees.bounds(0.999)[1])
+
+
 def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
     """Ranges all too long by the same hardly show in a comparison of two scans.
 

@@ -102,6 +102,13 @@ class TrackerSettings:
         for name in ("least_radius", "radius_wander", "radius_doubt"):
             if not getattr(self, name) >= 0.0:
                 raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
+        shares = np.ravel((*np.atleast_1d(self.view_wander), self.common_pixels))
+        if not (len(shares) == 4 and np.isfinite(shares).all() and (shares >= 0.0).all()):
+            given = (self.view_wander, self.common_pixels)
+            raise InputError(
+                "tracker.view_wander, tracker.common_pixels", given,
+                "three numbers and one, 0 or positive",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)
