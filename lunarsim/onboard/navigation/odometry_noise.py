@@ -5,24 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.navigation.registration import Fit, together
-
 Array = NDArray[np.float64]
 
-# Deviations by which chance may make slopes of two scans alike.
-_BY_CHANCE = 3.0
-# The differences of two scans scatter by no less than this share of what is taken beforehand; and
-# tell this many times less than they scatter, since the slopes that weigh them err too.
-_LEAST_SCATTER, _SLOPES = 0.01, 1.5
+# Squares of deviations by which a slope must stand out from the noise.
+_STANDS_OUT = 6.0
+# Squares err by no less, m.
+_LEAST = 3e-4
 
 
 def slopes(new: Array, old: Array) -> Array:
     """Return the normals (m, 3) by which two scans are compared.
 
     Slopes of a scan have its noise, which on smooth ground is all there is: it would look like
-    ground that tells where it lies (errors in variables; Fuller 1987, section 1.1). What both scans
-    have in common is none of it, so slopes are drawn to their mean by the share of their variance
-    that the two have not in common.
+    ground that tells where it lies (errors in variables; Fuller 1987, section 1.1). How much of it
+    there is shows where the two differ; slopes are drawn to the usual one by so much, and those
+    that do not stand out are it.
 
     Parameters
     ----------
@@ -30,26 +27,28 @@ def slopes(new: Array, old: Array) -> Array:
         Normals (-dz/dx, -dz/dy, 1) of the same squares in both scans (m, 3).
     """
     slope = 0.5 * (new[:, :2] + old[:, :2])
-    middle = slope.mean(axis=0)
-    a, b = new[:, :2] - new[:, :2].mean(axis=0), old[:, :2] - old[:, :2].mean(axis=0)
-    common, own = float(np.mean(a * b)), float(np.mean((slope - middle) ** 2))
-    # By chance the slopes of two level scans have this much in common.
-    chance = _BY_CHANCE * float(np.sqrt(np.mean(a**2) * np.mean(b**2) / (2 * len(a))))
-    share = min(max(common - chance, 0.0) / own, 1.0) if own > 0.0 else 0.0
+    middle = np.median(slope, axis=0)
+    off = slope - middle
+    noise = (1.4826 * float(np.median(np.abs(new[:, :2] - old[:, :2])))) ** 2 / 4.0
+    stands = np.maximum(1.0 - _STANDS_OUT * noise / np.maximum(np.sum(off**2, axis=1), 1e-300), 0.0)
     out = np.ones_like(new)
-    out[:, :2] = middle + share * (slope - middle)
+    out[:, :2] = middle + stands[:, None] * off
     return out
 
 
-def scatter(
-    result: Fit, squares: tuple[NDArray[np.int64], NDArray[np.int64]], left: Array, variance: Array
-) -> float:
-    """Return the variance of two scans' differences by what a fit leaves of them.
+def variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
+    """Return by what squares (m,) err, m^2, as what a fit leaves of them (m,) shows.
 
-    Over that taken beforehand: of single squares, or of their sums over blocks if that is more.
+    Steep ones, on the edges of rocks, err by more: what is seen there hangs on from where.
     """
-    single = max(result.misfit, _LEAST_SCATTER**2)
-    return _SLOPES * single * max(together(squares, left, single * variance), 1.0)
+    square = left**2
+    steep = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
+    flat = used & (steep <= np.median(steep[used]))
+    least = max(float(np.mean(square[flat])), _LEAST**2)
+    rest = used & ~flat
+    more = float(np.sum(steep[rest]))
+    growth = max(float(np.sum(square[rest])) - least * int(rest.sum()), 0.0)
+    return np.asarray(least + (growth / more if more > 0.0 else 0.0) * steep)
 
 
 def second_order(prior: Array, ways: Array) -> float:

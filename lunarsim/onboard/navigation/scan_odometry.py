@@ -14,7 +14,7 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation import odometry_noise as noise
 from lunarsim.onboard.navigation.error_state import KEY, POSE
 from lunarsim.onboard.navigation.parts import Shared
-from lunarsim.onboard.navigation.registration import fit, solved
+from lunarsim.onboard.navigation.registration import fit, solved, together
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import Surface
@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 # No return comes from farther, m.
 _FARTHEST = 20_000.0
+# Deviations beyond which what a fit leaves of a square is not noise; squares tell this many times
+# less than they err by, since the slopes that weigh them err too.
+_FAR_OFF, _SLOPES = 3.0, 1.5
 # A mount differs from a rotation by rounding alone.
 _TURNS = 1e-3
 # A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
@@ -137,15 +140,18 @@ class ScanOdometry:
             self._share = 0.0
             return False
         left = residual - jacobian @ solved(result, prior)
-        scatter = noise.scatter(result, (new.row[j], new.col[j]), left, variance)
+        used = np.abs(left) <= _FAR_OFF * self.settings.odometry_sigma
+        variance = _SLOPES * noise.variances(normal, left, used)
         ways = np.stack(
             (seen.position - key.seen.position, middle - key.surface.position.mean(axis=0))
         )
-        scatter += result.used * noise.second_order(prior, ways) / variance[0]
+        variance += result.used * noise.second_order(prior, ways)
+        exact = fit(jacobian[used], residual[used], variance[used], prior)
+        squares = new.row[j][used], new.col[j][used]
+        alike = max(together(squares, left[used], variance[used]), 1.0)
         found = state.inform(
-            both, result.information / scatter, result.vector / scatter,
-            chance=self.settings.chance,
-        )  # fmt: skip
+            both, exact.information / alike, exact.vector / alike, chance=self.settings.chance
+        )
         self.shared.judge(sensor, "scans", found, time)
         if not found.taken:
             # Either scan may be the wrong one: the next is compared with this.
