@@ -63,8 +63,7 @@ def candidate_sites(
 
     They are the `count` safest eligible cells at least `separation` metres apart, the nearest
     eligible cell at each of a few levels of safety, and the sites that the mapper has ranked. Where
-    the safest of them out of reach is safer than all in reach, those out of reach give way to
-    others chosen among the cells that can be reached; they stay where nothing else can.
+    the safest is out of reach, all that are give way to others in reach, if there are any.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard import computer as computer_module
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.hazards import HazardMap
@@ -18,6 +19,9 @@ from lunarsim.onboard.policies import Observation
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.library import NearestSafe, Safest, SafestOrAbort
 from lunarsim.onboard.policies.reach import Reach
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import TINY_FLIGHT
 
 G = 1.622
 LANDER = Lander()
@@ -173,3 +177,30 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
     assert poor.reachable.all()
     assert SafestOrAbort().decide(told(poor, 0.02)).abort
     assert not Safest().decide(told(poor, 0.02)).abort
+
+
+@pytest.mark.parametrize("window", [None, {"forward_deg": 180.0, "highest_deg": 60.0}])
+def test_the_computer_hands_its_reach_to_policy_and_candidates(monkeypatch, window):
+    """What no window shows is out of reach, though law and engine could fly there."""
+    asked = []
+    real = computer_module.candidate_sites
+
+    def spied(*given, **named):
+        asked.append(named["reach"])
+        return real(*given, **named)
+
+    monkeypatch.setattr(computer_module, "candidate_sites", spied)
+    tables = {} if window is None else {"window": window}
+    simulation = Simulation(Scenario.from_dict(TINY_FLIGHT | tables), 4, "no-divert")
+    while not simulation.computer.mapped:
+        simulation.step()
+    asked.clear()
+    seen = simulation.computer.observe()
+    assert asked == [seen.reach]
+    ground_seen = seen.reach.grid.contains(seen.hazard_map.grid.centres())
+    assert ground_seen.all()
+    centres = np.column_stack((seen.reach.grid.centres().reshape(-1, 2),
+                               np.full(seen.reach.reachable.size, seen.site[2])))  # fmt: skip
+    assert simulation.computer.cost_of(centres).feasible.mean() > 0.9
+    assert seen.reach.reachable.mean() > 0.9 if window is None else not seen.reach.reachable.any()
+    assert seen.reach.at(seen.site[:2]) == (window is None)
