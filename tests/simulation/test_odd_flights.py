@@ -147,3 +147,17 @@ def test_what_thrusters_burn_is_taken_from_the_dry_mass():
         simulation.step()
     assert computer.mass == pytest.approx(dry - loop.spent, abs=1e-2)
     assert [name for _, name, _ in computer.telemetry].count("tanks-empty") == 1
+
+
+def test_thrusters_that_run_out_are_recorded_once():
+    jets = {
+        "vehicle": {"kind": "jet-lander", "thrusters": {"propellant_kg": 0.05}},
+        "control": {"kind": "phase-plane"},
+    }
+    simulation = Simulation(blind(**jets), 1, "no-divert")
+    flight = simulation.run()
+    assert whole(flight)
+    assert names(flight).count("thruster-tanks-empty") == 1
+    assert simulation.computer.attitude_loop.spent > 0.05
+    # What is ordered from then on is not burnt.
+    assert simulation.computer.mass == pytest.approx(flight.trajectory["mass"][-1], abs=0.5)
