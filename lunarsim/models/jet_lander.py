@@ -103,9 +103,29 @@ class JetLander(Lander):
                 "vehicle.engine.gap_to_n", gap.gap_to,
                 f"a gap within the throttle range of {self.thrust_min} to {self.thrust_max} N",
             )  # fmt: skip
-
+        for name in ("com_dry", "com_full"):
+            self._check_com(f"vehicle.{name}_m", getattr(self, name))
         for fill in np.linspace(0.02, 1.0, 50) if self.slosh.tanks else ():
             self._check_slosh(float(fill))
+
+    def _check_com(self, field: str, com: tuple[float, float, float]) -> None:
+        """Refuse a centre of mass about which the engine turns the lander whatever is done."""
+        engine = self.engine
+        arm = engine.pivot_depth + com[2]
+        if engine.gimbal_limit > 0.0 and arm < 0.0:
+            raise InputError(
+                field, com, f"above the engine's pivot, which is at {-engine.pivot_depth} m"
+            )
+        # About body x the centre's north counts, about y its east.
+        swung = abs(arm) * np.tan(engine.gimbal_limit)
+        for aside, torque in ((com[1], self.torque_max[0]), (com[0], self.torque_max[1])):
+            most = swung + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
+            if abs(aside) > most:
+                raise InputError(
+                    field, com,
+                    f"within {most:.3g} m of the engine's line on that side: neither gimbal nor "
+                    "thrusters hold what lies beyond, even at the least thrust",
+                )  # fmt: skip
 
     def _check_slosh(self, fill: float) -> None:
         """Refuse tanks whose swinging liquid is more than the lander has there."""

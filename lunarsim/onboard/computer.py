@@ -283,7 +283,10 @@ class OnboardComputer:
         least = self.lander.dry_mass
         if isinstance(self.attitude_loop, JetLoop):
             # Thrusters burn from tanks of their own, which the dry mass counts as full.
-            pulses = self.attitude_loop.spent
+            held = self.attitude_loop.vehicle.thrusters.propellant
+            pulses = min(self.attitude_loop.spent, held)
+            if pulses == held and self._pulses < held:
+                self._note(measurements.time, "thruster-tanks-empty", {"altitude": self.altitude})
             burnt, least = burnt + pulses - self._pulses, least - pulses
             self._pulses = pulses
             for number in self.attitude_loop.watch.failed[self._jets_out :]:

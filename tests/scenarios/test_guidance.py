@@ -46,4 +46,7 @@ def test_reach_shrinks_on_the_way_down(script, tmp_path):
     assert done.exit_code == 0, done.output
     areas = [float(line.split()[4]) for line in done.output.splitlines() if "km^2" in line]
     assert areas[0] > 2.0 * areas[1] > 0.0
+    # Of the square that is surveyed, 6.5 heights wide, in km^2.
+    assert all(0.05 * (6.5 * up) ** 2 < 1e6 * a < (6.5 * up) ** 2
+               for up, a in zip((450.0, 200.0), areas, strict=True))  # fmt: skip
     assert cv2.imread(str(out)).std() > 20

@@ -127,3 +127,37 @@ def test_a_start_below_its_target_is_refused():
     with pytest.raises(InputError) as refused:
         Simulation(blind(start={"position_m": [-120.0, 0.0, 4.0]}), 1, "no-divert")
     assert refused.value.field == "start.position_m"
+
+
+def test_what_thrusters_burn_is_taken_from_the_dry_mass():
+    """Their tanks are full at the dry mass: below it by what they spent, the engine's are empty."""
+    jets = {"vehicle": {"kind": "jet-lander"}, "control": {"kind": "phase-plane"}}
+    simulation = Simulation(blind(**jets), 1, "no-divert")
+    for _ in range(30):
+        simulation.step()
+    computer = simulation.computer
+    loop, dry = computer.attitude_loop, computer.lander.dry_mass
+    computer.mass = dry + 0.3
+    loop.spent += 4.0
+    simulation.step()
+    assert dry - loop.spent < computer.mass < dry - 3.0
+    assert "tanks-empty" not in [name for _, name, _ in computer.telemetry]
+    computer.mass = dry - loop.spent + 0.05
+    for _ in range(4):
+        simulation.step()
+    assert computer.mass == pytest.approx(dry - loop.spent, abs=1e-2)
+    assert [name for _, name, _ in computer.telemetry].count("tanks-empty") == 1
+
+
+def test_thrusters_that_run_out_are_recorded_once():
+    jets = {
+        "vehicle": {"kind": "jet-lander", "thrusters": {"propellant_kg": 0.05}},
+        "control": {"kind": "phase-plane"},
+    }
+    simulation = Simulation(blind(**jets), 1, "no-divert")
+    flight = simulation.run()
+    assert whole(flight)
+    assert names(flight).count("thruster-tanks-empty") == 1
+    assert simulation.computer.attitude_loop.spent > 0.05
+    # What is ordered from then on is not burnt.
+    assert simulation.computer.mass == pytest.approx(flight.trajectory["mass"][-1], abs=0.5)

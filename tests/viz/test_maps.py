@@ -17,6 +17,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz import maps
+from lunarsim.viz import reach as viz_reach
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import new_figure
 from lunarsim.world import World
@@ -213,3 +214,48 @@ def test_outlines_of_reach_part_what_is_in_reach_from_what_is_not(flown):
     without = cost.at(outline + error[:2] - 60.0 * beyond)
     assert within.mean() > 0.9
     assert without.mean() < 0.1
+
+
+def test_reach_is_told_for_the_rows_that_decisions_fall_in(flown):
+    """To the row: heights of the pads' foot above the site, after the first map."""
+    record = flown[0]
+    t, scenario = record.trajectory, Scenario.from_toml(record.scenario)
+    height = t["estimated_z"] - t["site_z"] - scenario.vehicle.make().com_height
+    first, last = rows_of_decisions(record)
+    assert np.all(np.diff(height[first : last + 1]) < 0.0)
+    third = (last - first) // 3
+    early, late = first + third, last - third
+    bounds = {"first_altitude_m": float(height[early]) + 0.01,
+              "last_altitude_m": float(height[late]) - 0.01}  # fmt: skip
+    narrow = replace(record, scenario=scenario.changed(decisions=bounds).to_toml())
+    assert rows_of_decisions(narrow) == (early, late)
+    mapped = replace(record.first_map, time=float(t["time"][early + 2]))
+    assert rows_of_decisions(replace(narrow, first_map=mapped)) == (early + 2, late)
+
+
+def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_ground(flown, monkeypatch):
+    record, asked = flown[0], []
+    record = replace(record, maps={
+        name: replace(kept, error=np.array([3.0, -2.0, 0.0])) for name, kept in record.maps.items()
+    })  # fmt: skip
+
+    def spied(flight, row, grid):
+        asked.append(grid)
+        return reach_in(flight, row, grid)
+
+    monkeypatch.setattr(viz_reach, "reach_in", spied)
+    draw_reach(new_figure(4.0, 4.0).subplots(), record, (-90.0, 30.0, -20.0, 40.0))
+    assert len(asked) == 2
+    for grid in asked:
+        assert grid.centre == pytest.approx((-27.0, 8.0))
+        assert (grid.cols, grid.rows) == (100, 50)
+        assert grid.posting == pytest.approx(1.2)
+    # Higher ground at the site is told apart from the level of the site elsewhere.
+    row = rows_of_decisions(record)[0]
+    lifted = replace(record.hazard_map, elevation=record.hazard_map.elevation + np.float32(30.0))
+    raised = replace(record, maps={
+        name: replace(kept, hazard_map=lifted) for name, kept in record.maps.items()
+    })  # fmt: skip
+    grid = Grid.centred(record.sites[row, :2], 4.0, 1.0)
+    costs = [reach_in(flight, row, grid).propellant for flight in (record, raised)]
+    assert np.all(np.abs(costs[0] - costs[1]) > 0.05)

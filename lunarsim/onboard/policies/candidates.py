@@ -62,8 +62,8 @@ def candidate_sites(
     """Return the sites that a policy may choose from, and what each costs to reach.
 
     They are the `count` safest eligible cells at least `separation` metres apart, the nearest
-    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked. If
-    none of these can be reached they are chosen among the cells that can.
+    eligible cell at each of a few levels of safety, and the sites that the mapper has ranked. Where
+    the safest is out of reach, all that are give way to others in reach, if there are any.
 
     Parameters
     ----------
@@ -87,16 +87,16 @@ def candidate_sites(
     reach
         Where the lander can still land.
     """
-    grid = hazard_map.grid
-    position, source = _sites(hazard_map, aim, site, count, separation, mapper)
+    grid, rules = hazard_map.grid, (site, count, separation, mapper)
+    position, source = _sites(hazard_map, aim, *rules)
     ranked, own = _ranked(hazard_map, scoreboard)
     position, score = np.vstack((position, ranked)), np.append(np.full(len(position), np.nan), own)
     source += [f"{mapper}: ranked"] * len(own)
     cost = cost_of(position)
-    if reach is not None and len(position) > 0 and not cost.feasible.any():
-        aim = np.where(reach.at(grid.centres()), aim, np.float32(0.0))
-        position, source = _sites(hazard_map, aim, site, count, separation, mapper)
-        score, cost = np.full(len(position), np.nan), cost_of(position)
+    if reach is not None and _beaten(aim[grid.cell(position[:, :2])], cost.feasible):
+        near = _sites(hazard_map, np.where(reach.at(grid.centres()), aim, np.float32(0.0)), *rules)
+        position, score, source = _in_their_stead((position, score, source), cost.feasible, near)
+        cost = cost_of(position)
     p_safe = aim[grid.cell(position[:, :2])].astype(np.float64)
     if miss_of is not None:
         p_safe = hazard_map.dispersed_at(position[:, :2], miss_of(cost.time_to_go))
@@ -106,6 +106,29 @@ def candidate_sites(
         position, p_safe[order], np.hypot(*(position[:, :2] - site[:2]).T), cost.propellant[order],
         hazard_map.value_at(position[:, :2]), score[order], tuple(source[i] for i in order),
     )  # fmt: skip
+
+
+def _beaten(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
+    """Tell whether of sites (n,) one out of reach is safer than all in reach, which leave room."""
+    best = float(np.max(aim[feasible], initial=0.0))
+    return best < _LEVELS[0] and best < float(np.max(aim[~feasible], initial=0.0))
+
+
+def _in_their_stead(
+    sites: tuple[Array, Array, list[str]], feasible: NDArray[np.bool_],
+    more: tuple[Array, list[str]],
+) -> tuple[Array, Array, list[str]]:  # fmt: skip
+    """Return sites, scores and sources with others for those out of reach, if there are any."""
+    (position, score, source), (found, told) = sites, more
+    kept = np.flatnonzero(feasible)
+    new = ~(found[:, None, :2] == position[None, kept, :2]).all(axis=2).any(axis=1)
+    if not new.any():
+        return sites
+    return (
+        np.vstack((position[kept], found[new])),
+        np.append(score[kept], np.full(int(new.sum()), np.nan)),
+        [source[i] for i in kept] + [told[i] for i in np.flatnonzero(new)],
+    )
 
 
 def _sites(

@@ -7,7 +7,7 @@ many log-odds between ground of value 0 and of value 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -189,7 +189,7 @@ class SafestOrAbort(Safest):
         Probability of a safe landing below which the lander climbs away.
     altitude
         Estimated height of the centre of mass above the site under which it does so, m: above, the
-        map may still change.
+        map may still change. A site out of reach counts as none from there on.
     """
 
     least: float = quantity(0.5, ge=0, le=1, help="probability below which it climbs away")
@@ -198,10 +198,12 @@ class SafestOrAbort(Safest):
 
     def decide(self, observation: Observation) -> Decision:
         """Decide as `Safest`, then abort if neither that site nor the present one will do."""
-        chosen = super().decide(observation)
         height = float(observation.estimate.position[2] - observation.site[2])
         if height > self.altitude:
-            return chosen
+            return super().decide(observation)
+        if np.isinf(observation.site_propellant):
+            observation = replace(observation, site_p_safe=0.0)
+        chosen = super().decide(observation)
         stay = _safe_to_stay(observation)
         # A site that nobody has looked at is no reason to land there.
         p = chosen.details["p_safe"] if chosen.site is not None else np.nan_to_num(stay, nan=0.0)

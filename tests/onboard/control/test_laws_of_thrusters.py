@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.frames import (
     quat_from_rotation_vector,
     quat_rotate,
@@ -360,6 +361,45 @@ def test_a_mass_beside_the_engines_line_leans_the_body_and_not_the_thrust():
     assert np.array_equal(loop(QuaternionFeedback(), fixed, target=target).target, target)
     short = JetLander(com_dry=COM, com_full=COM, engine=Engine(gimbal_limit=0.02))
     assert np.abs(loop(QuaternionFeedback(), short).gimbal) == pytest.approx([0.02, 0.02])
+
+
+def test_what_the_engine_is_swung_by_is_set_once():
+    """From then on the trim moves it; the body leans by what the mass now asks for."""
+    lander = JetLander(com_dry=COM, com_full=(-0.05, 0.02, 0.3))
+    target = quat_from_rotation_vector([0.1, -0.2, 0.4])
+    made = loop(QuaternionFeedback(), lander, target=target)
+    before = made.target.copy()
+    made.gimbal = np.array([0.01, -0.02])
+    made.begin(Command(2400.0, target), LEVEL, 1100.0)
+    assert made.gimbal.tolist() == [0.01, -0.02]
+    assert np.abs(made.target - before).max() > 1e-3
+    # An engine above the centre of mass is not swung: it would have to push the other way.
+    high = JetLander(com_dry=COM, com_full=COM, engine=Engine(pivot_depth=0.0, gimbal_limit=0.1))
+    object.__setattr__(high, "com_dry", (0.06, -0.04, -0.3))
+    object.__setattr__(high, "com_full", (0.06, -0.04, -0.3))
+    above = loop(QuaternionFeedback(), high, target=target)
+    assert not above.gimbal.any()
+    assert np.array_equal(above.target, target)
+
+
+@pytest.mark.parametrize("name", ["com_dry", "com_full"])
+def test_a_centre_of_mass_that_nothing_holds_is_refused(name):
+    """About an engine at its least thrust: swung to its limit, and thrusters against the rest."""
+    plain = JetLander()
+    for axis, torque in ((1, plain.torque_max[0]), (0, plain.torque_max[1])):
+        most = 0.8 * np.tan(plain.engine.gimbal_limit) + torque / plain.thrust_min
+        for sense in (1.0, -1.0):
+            com = np.zeros(3)
+            com[axis] = sense * (most - 1e-6)
+            JetLander(**{name: tuple(com)})
+            com[axis] = sense * (most + 1e-6)
+            with pytest.raises(InputError, match="engine's line") as refused:
+                JetLander(**{name: tuple(com)})
+            assert refused.value.field == f"vehicle.{name}_m"
+    JetLander(**{name: (0.0, 0.0, -0.79)})
+    JetLander(**{name: (0.0, 0.0, -0.81)}, engine=Engine(gimbal_limit=0.0))
+    with pytest.raises(InputError, match="pivot"):
+        JetLander(**{name: (0.0, 0.0, -0.81)})
 
 
 def test_the_watch_knows_what_a_swung_engine_does_about_the_mass():

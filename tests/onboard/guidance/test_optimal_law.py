@@ -7,6 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from lunarsim.errors import InputError
 from lunarsim.models.gravity import RoundMoon
@@ -138,24 +141,46 @@ def test_a_divert_is_planned_at_once():
     assert flight.events == []
 
 
-@pytest.mark.parametrize("which", range(8))
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_is_not_finite_is_refused(which, value):
-    state = [*R, *V, 1500.0, 30.0]
+bad = st.sampled_from([np.nan, np.inf, -np.inf])
+lengths = arrays(np.float64, 3, elements=st.floats(-1000.0, 1000.0))
+speeds = arrays(np.float64, 3, elements=st.floats(-50.0, 50.0))
+
+
+@settings(max_examples=300)
+@given(value=bad, which=st.integers(0, 7), r=lengths, v=speeds, left=st.floats(-100.0, 1e3))
+def test_what_is_not_finite_is_refused(value, which, r, v, left):
+    state = [*r, *v, 1500.0, left]
     state[which] = value
     flight = OptimalLaw().build(BRIEFING, 0.3)
     with pytest.raises(InputError, match="guidance"):
         flight.command(estimate(state[:3], state[3:6], state[6]), END, 0.0, state[7])
 
 
-def test_states_that_nobody_lands_from_still_have_finite_commands():
-    rng = np.random.default_rng(8)
-    for _ in range(12):
-        scale = 10.0 ** rng.uniform(-1.0, 5.0)
-        here = estimate(scale * rng.normal(size=3), 0.1 * scale * rng.normal(size=3))
-        flight = OptimalLaw(intervals=10).build(BRIEFING, rng.choice([0.0, 0.4]))
+def all_finite(count, seed=8):
+    """Ask from states near and absurd alike; return how many had a plan."""
+    rng, planned = np.random.default_rng(seed), 0
+    for _ in range(count):
+        scale = 10.0 ** rng.uniform(-3.0, 6.0)
+        mass = rng.choice([LANDER.dry_mass, LANDER.dry_mass + 1.0, 1300.0, 1500.0])
+        here = estimate(scale * rng.normal(size=3), 0.1 * scale * rng.normal(size=3), mass)
+        left = rng.choice([-1e3, -1.0, 0.0, 1e-9, 0.05, 1.0, 30.0, 1e4])
+        flight = OptimalLaw(intervals=8).build(BRIEFING, rng.choice([0.0, 0.4]))
         for t in (0.0, 0.1, 1.2):
-            assert np.isfinite(flight.command(here, END, t, rng.choice([0.5, 30.0]) - t)).all()
+            got = flight.command(here, END, t, left - t)
+            assert got.shape == (3,)
+            assert np.isfinite(got).all(), (here, left, t)
+        assert np.isfinite(flight.arrival)
+        planned += flight.plans > 0
+    return planned
+
+
+def test_states_that_nobody_lands_from_still_have_finite_commands():
+    all_finite(30)
+
+
+@pytest.mark.slow
+def test_ten_thousand_states_never_give_a_command_that_is_not_finite():
+    assert all_finite(10_000) > 100
 
 
 def test_reach_is_told_by_the_law_that_it_falls_back_to():

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard import computer as computer_module
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Observation
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.library import NearestSafe, Safest, SafestOrAbort
 from lunarsim.onboard.policies.reach import Reach
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import TINY_FLIGHT
 
 G = 1.622
 LANDER = Lander()
@@ -74,6 +81,58 @@ def test_a_small_map_keeps_its_cells():
     assert reach.grid == ground(20, 30, 0.5).grid
 
 
+def test_a_survey_of_cells_that_do_not_come_out_even_leaves_none_out():
+    """302 columns in fifths are 60.4: rounded down, the outermost cells would lie beyond it."""
+    hazard_map = ground(500, 302, 0.5)
+    reach = Reach.under(hazard_map, np.zeros(3), Costs())
+    assert reach.grid.shape == (100, 61)
+    assert reach.grid.contains(hazard_map.grid.centres()).all()
+
+
+def test_one_poor_site_in_reach_does_not_hide_better_ones():
+    """The safest is out of reach, a poor spot nearest; good ground lies in reach too."""
+    grid = Grid.centred((0.0, 0.0), 400.0, 2.0)
+    x, y = grid.x[None, :], grid.y[:, None]
+    p = np.where(np.hypot(x - 150.0, y) < 40.0, 0.999, 0.0)
+    p[(x > 10.0) & (x < 20.0) & (np.abs(y) < 8.0)] = 0.9
+    site = np.array([-10.0, 0.0, 0.0])
+    p[(np.abs(x) < 2.0) & (np.abs(y) < 2.0)] = 0.6  # nearest at 0.5
+    p = p.astype(np.float32)
+    hazard_map = HazardMap(
+        grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32)
+    )  # fmt: skip
+    costs = Costs()
+    reach = Reach.under(hazard_map, site, costs)
+
+    def asked(given, count=4, board=None):
+        return candidate_sites(
+            hazard_map, given, site, costs, count=count, separation=3.0, reach=reach,
+            mapper="dem", scoreboard=board,
+        )  # fmt: skip
+
+    seen = asked(p)
+    assert seen.reachable.all()
+    assert seen.p_safe[0] == pytest.approx(0.9)
+    assert 0.6 in seen.p_safe.round(6)  # what was in reach stays
+    assert len(np.unique(seen.position, axis=0)) == len(seen)
+    assert len(seen.source) == len(seen) == len(seen.score)
+    # Ranked sites in reach keep their scores, those out of reach go.
+    board = Scoreboard(np.array([[4.0, 4.0, 0.0], [150.0, 0.0, 0.0]]), np.array([0.3, 0.1]), 0.5)
+    ranked = asked(p, board=board)
+    assert ranked.score[np.isfinite(ranked.score)].tolist() == [0.3]
+    mine = int(np.flatnonzero(np.isfinite(ranked.score))[0])
+    assert ranked.source[mine] == "dem: ranked"
+    assert ranked.position[mine].tolist() == [4.0, 4.0, 0.0]
+    # Where what is in reach is as safe, or nothing is, all stay as they were.
+    good = np.where(p == np.float32(0.6), np.float32(0.995), p)
+    assert not asked(good).reachable.all()
+    assert asked(good).reachable.any()
+    far = np.where(p > 0.99, p, np.float32(0.0))
+    assert len(asked(far)) > 0
+    assert not asked(far).reachable.any()
+    assert len(asked(np.zeros_like(p))) == 0
+
+
 def test_where_no_site_will_do_others_are_looked_for_within_reach():
     """Safest ground far away and out of reach; less safe ground, but good, within it."""
     grid = Grid.centred((0.0, 0.0), 400.0, 2.0)
@@ -107,10 +166,41 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
         assert decision.site is not None
         assert told(seen, 0.02).reach.at(decision.site[:2])
         assert policy.decide(told(blind, 0.02)).site is None
-    # Nothing safe within reach is answered by climbing away.
+    # Nothing safe within reach is answered by climbing away, however safe the site out of reach is.
     assert SafestOrAbort().decide(told(blind, 0.02)).abort
+    assert SafestOrAbort().decide(told(blind, 0.999)).abort
+    assert not SafestOrAbort(altitude=60.0).decide(told(blind, 0.999)).abort
+    assert not SafestOrAbort().decide(replace(told(blind, 0.999), site_propellant=9.0)).abort
+    assert SafestOrAbort().decide(told(seen, 0.999)).site is not None
     nowhere = np.where(p == np.float32(0.97), np.float32(0.1), p)
     poor = candidate_sites(hazard_map, nowhere, site, costs, count=4, separation=3.0, reach=reach)
     assert poor.reachable.all()
     assert SafestOrAbort().decide(told(poor, 0.02)).abort
     assert not Safest().decide(told(poor, 0.02)).abort
+
+
+@pytest.mark.parametrize("window", [None, {"forward_deg": 180.0, "highest_deg": 60.0}])
+def test_the_computer_hands_its_reach_to_policy_and_candidates(monkeypatch, window):
+    """What no window shows is out of reach, though law and engine could fly there."""
+    asked = []
+    real = computer_module.candidate_sites
+
+    def spied(*given, **named):
+        asked.append(named["reach"])
+        return real(*given, **named)
+
+    monkeypatch.setattr(computer_module, "candidate_sites", spied)
+    tables = {} if window is None else {"window": window}
+    simulation = Simulation(Scenario.from_dict(TINY_FLIGHT | tables), 4, "no-divert")
+    while not simulation.computer.mapped:
+        simulation.step()
+    asked.clear()
+    seen = simulation.computer.observe()
+    assert asked == [seen.reach]
+    ground_seen = seen.reach.grid.contains(seen.hazard_map.grid.centres())
+    assert ground_seen.all()
+    centres = np.column_stack((seen.reach.grid.centres().reshape(-1, 2),
+                               np.full(seen.reach.reachable.size, seen.site[2])))  # fmt: skip
+    assert simulation.computer.cost_of(centres).feasible.mean() > 0.9
+    assert seen.reach.reachable.mean() > 0.9 if window is None else not seen.reach.reachable.any()
+    assert seen.reach.at(seen.site[:2]) == (window is None)
