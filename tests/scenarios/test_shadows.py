@@ -16,6 +16,22 @@ from lunarsim.scenario import Scenario
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
+def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
+    study = script("shadows", "looks")
+    monkeypatch.setattr(study, "FAR", 45.0)
+    monkeypatch.setattr(study, "LAG", 5)
+    done = CliRunner().invoke(study.main, ["--fields", "1"])
+    assert done.exit_code == 0, done.output
+    rows = [line.split("│")[1:-1] for line in done.output.splitlines() if line.startswith("│")]
+    assert len(rows) >= 3
+    for row in rows:
+        along, across, over, over_across = (float(cell) for cell in row[2:])
+        assert 0.1 < along < 1.5 and 0.05 < across < 0.5
+        assert over == pytest.approx(along / 0.36, rel=0.25)
+        assert over_across == pytest.approx(across / 0.15, rel=0.25)
+    assert "nan" not in done.output
+
+
 def test_rates_fall_with_size(script, tmp_path):
     rates = script("shadows", "rates")
     done = CliRunner().invoke(
