@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.scenario import Scenario
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import take
+from lunarsim_envs.resets import lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
 from lunarsim_envs.rewards import RewardWeights
 from lunarsim_envs.sites.flights import sights_of
@@ -72,30 +73,14 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Shown, dict[str, Any]]:
         """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
         left = dict(options or {})
-        given = left.pop("reset_mask", None)
-        mask = np.ones(self.num_envs, np.bool_) if given is None else np.asarray(given)
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise ValueError(
-                f"options['reset_mask'] = {given!r}: must be {self.num_envs} of true and false, "
-                "at least one true"
-            )
-        for lane, one in self._seeds(seed, mask):
+        mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
+        for lane, one in zip(np.flatnonzero(mask), lane_seeds(seed, mask), strict=True):
             if one is not None or self._rngs[lane] is None:
                 self._rngs[lane] = seeding.np_random(one)[0]
         take(left, self.lanes, mask)
         self._begin(mask)
         self._due[mask] = False
         return self._observe(), self._info()
-
-    def _seeds(self, seed: Any, mask: Mask) -> list[tuple[int, int | None]]:
-        lanes = [int(lane) for lane in np.flatnonzero(mask)]
-        if seed is None:
-            return [(lane, None) for lane in lanes]
-        if isinstance(seed, (int, np.integer)):
-            return [(lane, int(seed) + lane) for lane in lanes]
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed of length {len(seed)}: must be one for each of {self.num_envs}")
-        return [(lane, seed[lane]) for lane in lanes]
 
     def _begin(self, mask: Mask) -> None:
         keys = np.zeros(self.num_envs, np.uint64)

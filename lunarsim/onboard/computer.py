@@ -22,6 +22,7 @@ from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.apollo import followed_time
+from lunarsim.onboard.guidance.arrival import time_at_gate
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import DivertCost
@@ -188,6 +189,10 @@ class OnboardComputer:
             self.approach.limits,
         )
         return cost
+
+    def _admissible_time(self, site: Array) -> float:
+        """Return the best time-to-go to a site (3,) within all limits, s; NaN without any."""
+        return float(self.cost_of(site[None, :]).time_to_go[0])
 
     def _designable(self, sites: Array, estimate: Estimate) -> DivertCost:
         """Return what sites cost (n, 3); those that are not seen through a window are out of reach.
@@ -428,7 +433,7 @@ class OnboardComputer:
         if self._barred:
             self._refuse(site, "navigation is lost")
             return False
-        time_to_go = float(self.cost_of(site[None, :]).time_to_go[0])
+        time_to_go = self._admissible_time(site)
         if not np.isfinite(time_to_go):
             self._refuse(site, "out of reach")
             return False
@@ -450,7 +455,7 @@ class OnboardComputer:
         A divert does so anyway. Without this a lander that keeps its site would fly on the
         time-to-go of the start, and diverts would seem to save propellant.
         """
-        time_to_go = float(self.cost_of(self.site[None, :]).time_to_go[0])
+        time_to_go = self._admissible_time(self.site)
         if np.isfinite(time_to_go):
             self._arrival = self.time + time_to_go
 
@@ -461,7 +466,7 @@ class OnboardComputer:
         """
         if not self.approach.free or isinstance(self.guidance, PlansArrival):
             return
-        time_to_go = float(self.cost_of(self.site[None, :]).time_to_go[0])
+        time_to_go = self._admissible_time(self.site)
         if self.time_to_go < time_to_go < np.inf:
             later = time_to_go - self.time_to_go
             self._arrival = self.time + time_to_go
@@ -477,36 +482,21 @@ class OnboardComputer:
         self.phase = APPROACH
         told = {"altitude": self.altitude}
         self._note(self.time, "approach", told)
-        if self.approach.jerk is not None:
-            guess = self.approach.time_to_go or self._plain_time()
-            self._arrival = self.time + self._followed(guess, share=np.inf)
-            return
-        fixed = self.approach.time_to_go
-        time_to_go = fixed or float(self.cost_of(self.site[None, :]).time_to_go[0])
-        if not np.isfinite(time_to_go):
-            # Nothing within the limits: fly there all the same, as long as height and speed want.
-            time_to_go = self._plain_time()
+        gate = self.approach.end(self.site, self.lander)
+        admissible = self._admissible_time(self.site) if self.approach.free else float("nan")
+        left, within = time_at_gate(self.approach, self.estimate, gate, admissible)
+        if not within:
             self._note(self.time, "approach-out-of-limits", told)
-        self._arrival = self.time + time_to_go
-
-    def _followed(self, guess: float, share: float = 1.0 / 3.0) -> float:
-        """Return the time-to-go of the approach by its jerk; see `followed_time`."""
-        end = self.approach.end(self.site, self.lander)
-        return followed_time(self.estimate, end, self.approach.jerk, guess, share=share)
-
-    def _plain_time(self) -> float:
-        """Return a time-to-go by way and speed alone, s: twice the way over the speed now."""
-        end = self.approach.end(self.site, self.lander)
-        way = float(np.linalg.norm(end.position - self.estimate.position))
-        speed = float(np.linalg.norm(self.estimate.velocity))
-        return max(2.0 * way / max(speed, 1.0), 5.0)
+        self._arrival = self.time + left
 
     def command(self) -> Command:
         """Return what vehicle and sensors are to do until the next cycle."""
         if self.phase == BRAKING:
             self._end_braking()
         if self.phase == APPROACH and self.approach.jerk is not None:
-            self._arrival = self.time + self._followed(self.time_to_go)
+            gate = self.approach.end(self.site, self.lander)
+            left = followed_time(self.estimate, gate, self.approach.jerk, self.time_to_go)
+            self._arrival = self.time + left
         if self.phase == APPROACH and self.approach.over(self.altitude, self.time_to_go):
             self.phase = VERTICAL
             self._note(self.time, "vertical-descent", {"altitude": self.altitude})

@@ -15,6 +15,7 @@ from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim_envs.descent.lanes import FLYING, LANDED
+from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
 from lunarsim_envs.sites.flights import seen_by
@@ -238,12 +239,12 @@ def test_a_spread_map_is_that_of_the_computer():
     held = HazardMap(Grid(0.0, 0.0, 0.4, 60, 50), p, seen)
     for miss in (0.1, 0.3, 0.9, 3.0):
         out, work = np.empty_like(p), np.empty_like(p)
-        m.spread(p, seen, miss / 0.4, out, work, np.empty(200, np.float32))
+        choice.spread(p, seen, miss / 0.4, out, work, np.empty(200, np.float32))
         assert out == pytest.approx(held.dispersed(miss), abs=2e-6)
         cells = rng.integers((60, 50), size=(40, 2))
         xy = held.grid.centre_of(cells[:, 0], cells[:, 1])
         plain = held.dispersed_at(xy, np.full(40, miss))
-        found = [m.spread_at(p, seen, *map(int, cell), miss / 0.4) for cell in cells]
+        found = [choice.spread_at(p, seen, *map(int, cell), miss / 0.4) for cell in cells]
         assert found == pytest.approx(plain, abs=2e-6)
 
 

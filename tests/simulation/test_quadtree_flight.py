@@ -111,7 +111,9 @@ def test_the_local_frame_never_jumps():
     assert np.abs(np.diff(offsets, axis=0)).max() > 3.0
     stride = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)
     flown = np.linalg.norm(rows[1:, 3:], axis=1) * simulation.scenario.simulation.cycle_s
-    assert (stride < flown + 0.5).all()
+    # Its first two scans tell of a tilt, 450 m from the ground (1.2 to 1.6 m an axis till then).
+    assert stride[0] < flown[0] + 0.36
+    assert (stride[1:] < flown[1:] + 0.35).all()
     # The site is where the briefed target is now known to lie.
     target = simulation.computer.briefing.target
     assert simulation.site[:2] == pytest.approx((target + offsets[-1])[:2])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_whole
+from lunarsim.whole_files import write_arrays_whole
 from lunarsim_envs.agents.contract import refuse
 from lunarsim_envs.descent.env import DescentEnv
 
@@ -62,12 +62,7 @@ class Network:
         held |= {f"bias_{i}": b for i, b in enumerate(self.biases)}
         held |= {"far": self.far, "near": self.near, "rate": np.float64(self.rate)}
         held |= {"format": _FORMAT, "level": self.level, "parts": list(self.parts)}
-
-        def write(part: Path) -> None:
-            with part.open("wb") as file:
-                np.savez_compressed(file, **held)
-
-        write_whole(path, write)
+        write_arrays_whole(path, held)
 
     @classmethod
     def load(cls, path: Path) -> Network:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_whole
+from lunarsim.whole_files import write_arrays_whole
 from lunarsim_envs.agents.contract import refuse
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.parts import SITES
@@ -101,12 +101,7 @@ class SiteNetwork:
         held: dict[str, Any] = {
             name: getattr(self, name) for name in ("linear", "inner", "bias", "outer")
         }
-
-        def write(part: Path) -> None:
-            with part.open("wb") as file:
-                np.savez_compressed(file, **held, format=FORMAT)
-
-        write_whole(path, write)
+        write_arrays_whole(path, held | {"format": FORMAT})
 
     @classmethod
     def load(cls, path: Path) -> SiteNetwork:

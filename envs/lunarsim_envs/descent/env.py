@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.picture import Picture
+from lunarsim_envs.resets import lane_seeds, reset_mask
 
 Shown = NDArray[np.float32]
 
@@ -119,8 +120,8 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Shown, dict[str, Any]]:
         """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
         left = dict(options or {})
-        mask = self._mask(left.pop("reset_mask", None))
-        self.descents.seed(mask, self._seeds(seed, mask))
+        mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
+        self.descents.seed(mask, lane_seeds(seed, mask))
         self.descents.begin(mask, left)
         self._due[mask] = False
         return self.descents.observe(), self._hidden()
@@ -129,31 +130,6 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         told = self.descents.hidden()
         every = np.ones(self.num_envs, np.bool_)
         return told | {f"_{name}": every for name in told}
-
-    def _mask(self, given: Any) -> NDArray[np.bool_]:
-        if given is None:
-            return np.ones(self.num_envs, np.bool_)
-        mask = np.asarray(given)
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise ValueError(
-                f"options['reset_mask'] = {given!r}: must be {self.num_envs} of true and false, "
-                "at least one true"
-            )
-        return mask
-
-    def _seeds(
-        self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]
-    ) -> Sequence[int | None]:
-        """Return the seed of each lane of the mask."""
-        lanes = np.flatnonzero(mask)
-        if seed is None:
-            return [None] * len(lanes)
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + int(lane) for lane in lanes]
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed of length {len(seed)}: must be one for each of {self.num_envs}")
-        each = [seed[int(lane)] for lane in lanes]
-        return [None if one is None else int(one) for one in each]
 
     def step(
         self, actions: ArrayLike

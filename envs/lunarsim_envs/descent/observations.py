@@ -12,8 +12,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError, suggestion
+from lunarsim.errors import InputError
 from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.named_parts import named_parts
 
 Array = NDArray[np.float64]
 
@@ -126,14 +127,7 @@ class Shown:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        if isinstance(names, str) or not len(names):
-            raise InputError("observation", names, "a list of at least one part")
-        for name in names:
-            if name not in PARTS:
-                raise InputError("observation", name, suggestion(name, PARTS))
-        if len(set(names)) < len(names):
-            raise InputError("observation", list(names), "each part once")
-        self.parts = [PARTS[name] for name in names]
+        self.parts = named_parts("observation", names, PARTS)
         sizes = [p.size for p in self.parts]
         ends = np.cumsum(sizes)
         self.places = {

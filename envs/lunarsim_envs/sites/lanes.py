@@ -15,6 +15,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import _LEVELS
 from lunarsim.scenario import Scenario
 from lunarsim_envs.descent.lanes import FLYING, Craft, Lanes
+from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
 from lunarsim_envs.sites.pool import SitePool
@@ -194,7 +195,7 @@ class SiteLanes(Lanes):
         asked = mask & (self.ended == FLYING)
         if asked.any():
             self._run(
-                m.look, _MAP * self.count, asked, self.y, self.time, self.course, self.law,
+                choice.look, _MAP * self.count, asked, self.y, self.time, self.course, self.law,
                 self.maps, self.decisions.candidates, self.decisions.separation, self.levels,
                 self.found,
             )  # fmt: skip
@@ -241,8 +242,8 @@ def _maps(n: int, cells: int, posting: float, stated: Array) -> m.Maps:
     )  # fmt: skip
 
 
-def _found(n: int, most: int) -> m.Found:
-    return m.Found(
+def _found(n: int, most: int) -> choice.Found:
+    return choice.Found(
         np.zeros((n, most, 3)), np.zeros((n, most)), np.zeros((n, most)), np.zeros((n, most)),
         np.zeros(n, np.int64), np.full((n, 3), np.nan),
     )  # fmt: skip

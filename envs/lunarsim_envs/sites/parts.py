@@ -13,7 +13,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError, suggestion
+from lunarsim.errors import InputError
+from lunarsim_envs.named_parts import named_parts
 from lunarsim_envs.sites.sights import CROP_CELLS, MAP_CELLS, Sights
 
 Array = NDArray[Any]
@@ -178,14 +179,7 @@ class ShownSites:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        if isinstance(names, str) or not len(names):
-            raise InputError("observation", names, "a list of at least one part")
-        for name in names:
-            if name not in PARTS:
-                raise InputError("observation", name, suggestion(name, PARTS))
-        if len(set(names)) < len(names):
-            raise InputError("observation", list(names), "each part once")
-        self.parts = [PARTS[name] for name in names]
+        self.parts = named_parts("observation", names, PARTS)
         self._bounds = {part.name: (part.space.low, part.space.high) for part in self.parts}
 
     @property

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim.whole_files import write_whole
+from lunarsim.whole_files import write_arrays_whole
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites._map_kernels import Errors
 from lunarsim_envs.sites.view import deciding_mapper
@@ -97,12 +97,7 @@ class Surrogate:
             )
         }
         held |= {"tables": self.tables.astype(np.float16), "made_for": self.made_for}
-
-        def write(part: Path) -> None:
-            with part.open("wb") as file:
-                np.savez_compressed(file, **held, format=_FORMAT)
-
-        write_whole(path, write)
+        write_arrays_whole(path, held | {"format": _FORMAT})
 
     @classmethod
     def load(cls, path: Path) -> Surrogate:

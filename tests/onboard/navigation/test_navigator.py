@@ -146,6 +146,7 @@ def test_rocks_that_are_tracked_hold_the_lander(world):
 
 def test_odometry_slows_the_drift(world):
     grown = {}
+    nees = Consistency()
     for scans in (True, False):
         gaps = []
         for seed in range(12):
@@ -156,8 +157,13 @@ def test_odometry_slows_the_drift(world):
             descent.fly(4.0, aim=np.zeros(3), scans=scans)
             gaps.append(np.linalg.norm((descent.error() - first)[:3]))
             assert names(descent) == []
+            if scans:
+                found = descent.estimate()
+                off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
+                nees = nees.plus(normalised_square(off, own), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
     assert grown[True] < 0.5 * grown[False]
+    assert nees.ratio < nees.bounds(0.999)[1]
 
 
 @pytest.mark.parametrize("relief", [0.0, 0.005])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
@@ -14,7 +13,6 @@ from lunarsim.messages.measurements import AltimeterReading
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import planar
 from lunarsim.onboard.navigation.aids import Aids, blocks_of
-from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
@@ -262,33 +260,6 @@ def test_a_wrong_altitude_changes_nothing(reading):
     f.take("altimeter", AltimeterReading(1.0, reading, 1.0), 1.0)
     assert np.array_equal(f.covariance, p)
     assert np.array_equal(f.inertial.position, z)
-
-
-def test_covariance_update_is_the_same_on_any_number_of_threads():
-    rng = np.random.default_rng(3)
-    w = rng.standard_normal((40, 1000))
-    states = rng.permutation(1000)[:300]
-    before = numba.get_num_threads()
-    results = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            p = 1e4 * np.eye(1000)
-            subtract_square(p, w)
-            some = 1e4 * np.eye(1000)
-            subtract_rows(some, w[:, states].T, w, states)
-            results.append((p, some))
-    finally:
-        numba.set_num_threads(before)
-    (p, some), (other, some_other) = results
-    expected = 1e4 * np.eye(1000) - w.T @ w
-    assert np.array_equal(p, other)
-    assert np.array_equal(some, some_other)
-    assert np.allclose(p, expected, atol=1e-9)
-    rest = np.setdiff1d(np.arange(1000), states)
-    expected[np.ix_(rest, rest)] = 1e4 * np.eye(len(rest))
-    assert np.allclose(some, expected, atol=1e-9)
-    assert np.array_equal(some, some.T)
 
 
 def test_closed_forms_of_two_rows():

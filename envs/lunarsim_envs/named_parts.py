@@ -1,0 +1,28 @@
+"""Parts of an observation chosen by name from a registry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+from lunarsim.errors import InputError, suggestion
+
+Part = TypeVar("Part")
+
+
+def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> list[Part]:
+    """Return the parts of some names, in their order.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or comes twice, or there is none; `field` names what was given.
+    """
+    if isinstance(names, str) or not len(names):
+        raise InputError(field, names, "a list of at least one part")
+    for name in names:
+        if name not in known:
+            raise InputError(field, name, suggestion(name, known))
+    if len(set(names)) < len(names):
+        raise InputError(field, list(names), "each part once")
+    return [known[name] for name in names]

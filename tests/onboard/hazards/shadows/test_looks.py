@@ -1,0 +1,105 @@
+"""What is noise of a look, and what lasts, in how rocks are tracked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.shadows import TrackerSettings
+from lunarsim.onboard.perception.detector import detect_rocks
+from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
+
+
+def twice(change, **settings):
+    """Follow the same rocks by pictures as they are, and as changed; return both trackers."""
+    terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
+    out = []
+    for changed in (False, True):
+        tracker = tracker_at((-30.0, 0.0, 60.0), **settings)
+        outcomes = []
+        for k in range(3):
+            state, camera, counts = picture(terrain, (-30.0 + k, 0.0, 60.0))
+            error = np.zeros(15)
+            error[:3] = state.position - tracker.filter.inertial.position
+            tracker.filter.inertial.correct(error)
+            seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+            if changed:
+                seen = change(seen, k)
+            outcomes.append(tracker.update(seen, camera, SUN, 0.1 * k))
+        out.append((tracker, outcomes))
+    return out
+
+
+def test_what_lasts_from_look_to_look_is_no_noise_of_the_filter():
+    """What a shape may be off by decides what is paired, not how rocks are begun or corrected."""
+
+    def more(seen, _):
+        return replace(seen, pixel_covariance=1.1 * seen.pixel_covariance)
+
+    (one, found), (other, same) = twice(more)
+    assert one.filter.count > 10 and found[-1].degrees > 20
+    assert [o.nis for o in found] == [o.nis for o in same]
+    assert np.array_equal(one.filter.covariance, other.filter.covariance)
+
+    def noisier(seen, _):
+        return replace(seen, look_covariance=1.1 * seen.look_covariance)
+
+    (one, found), (other, same) = twice(noisier)
+    assert same[-1].nis < found[-1].nis
+    grown = np.diagonal(other.filter.rock_covariance() - one.filter.rock_covariance(), 0, 1, 2)
+    assert (grown[:, :2] > 0.0).all()
+
+
+def test_a_pair_that_is_off_beside_the_others_is_left_out():
+    def shift(seen, k):
+        pixel = seen.pixel.copy()
+        if k == 2:
+            pixel[3] += [1.6, 0.0]
+        return replace(seen, pixel=pixel)
+
+    (_, found), (_, shifted) = twice(shift)
+    assert shifted[-1].taken
+    assert shifted[-1].degrees == found[-1].degrees - 2
+
+
+def test_an_error_that_a_picture_shares_counts_as_much_as_it_is_told_to():
+    def shift(seen, k):
+        return replace(seen, pixel=seen.pixel + [0.4, -0.3]) if k == 2 else seen
+
+    _, (_, alone) = twice(shift, common_pixels=0.0)
+    _, (_, shared) = twice(shift, common_pixels=3.0)
+    assert shared[-1].degrees == alone[-1].degrees > 20
+    assert shared[-1].nis < 0.5 * alone[-1].nis
+
+
+@pytest.mark.parametrize(("wander", "axis"), [((0.5, 0.0, 0.0), 0), ((0.0, 0.5, 0.0), 1)])
+def test_centres_wander_along_the_sun_and_across_as_each_is_told(wander, axis):
+    terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
+    start = (-30.0, 0.0, 60.0)
+    tracker = follow(terrain, [start], tracker_at(start, view_wander=wander))
+    before = tracker.filter.rock_covariance()
+    error = np.zeros(15)
+    error[:3] = [20.0, 15.0, 0.0]
+    tracker.filter.inertial.correct(error)
+    # A picture in which nothing is dark.
+    state, camera = at(tracker.filter.inertial.position)
+    bright = np.full((camera.height, camera.width), 120, np.uint8)
+    tracker.update(detect_rocks(bright, camera, state, SUN, model=MODEL), camera, SUN, 0.1)
+    level = SUN[:2] / np.hypot(*SUN[:2])
+    axes = np.array([level, [-level[1], level[0]]])
+    more = (tracker.filter.rock_covariance() - before)[:, :2, :2]
+    grown = np.einsum("ai,nij,aj->na", axes, more, axes)
+    assert (grown[:, axis] > 1e-4).all()
+    assert np.abs(grown[:, 1 - axis]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "given", [{"view_wander": 0.2}, {"view_wander": (0.2, 0.1, np.nan)},
+              {"view_wander": (0.2, -0.1, 0.2)}, {"common_pixels": np.nan}],
+)  # fmt: skip
+def test_shares_that_cannot_be_are_refused(given):
+    with pytest.raises(InputError, match=r"tracker\."):
+        TrackerSettings(**given)

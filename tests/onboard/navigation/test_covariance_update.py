@@ -1,0 +1,35 @@
+"""A symmetric covariance less a product: plain, by blocks, by rows, on any number of threads."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+
+
+def test_covariance_update_is_the_same_on_any_number_of_threads():
+    rng = np.random.default_rng(3)
+    w = rng.standard_normal((40, 1000))
+    states = rng.permutation(1000)[:300]
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(threads)
+            p = 1e4 * np.eye(1000)
+            subtract_square(p, w)
+            some = 1e4 * np.eye(1000)
+            subtract_rows(some, w[:, states].T, w, states)
+            results.append((p, some))
+    finally:
+        numba.set_num_threads(before)
+    (p, some), (other, some_other) = results
+    expected = 1e4 * np.eye(1000) - w.T @ w
+    assert np.array_equal(p, other)
+    assert np.array_equal(some, some_other)
+    assert np.allclose(p, expected, atol=1e-9)
+    rest = np.setdiff1d(np.arange(1000), states)
+    expected[np.ix_(rest, rest)] = 1e4 * np.eye(len(rest))
+    assert np.allclose(some, expected, atol=1e-9)
+    assert np.array_equal(some, some.T)
