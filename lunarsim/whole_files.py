@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Write a file beside `path`, bring it to the disk, and rename it to `path`.
@@ -35,6 +33,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_arrays_whole(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write a compressed ``.npz`` of arrays by name whole."""
+    import numpy as np  # here alone: the command line's `--help` waits for this file
 
     def write(part: Path) -> None:
         with part.open("wb") as file:
