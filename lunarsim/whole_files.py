@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
@@ -29,17 +28,6 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-
-
-def write_arrays_whole(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write a compressed ``.npz`` of arrays by name whole."""
-    import numpy as np  # here alone: the command line's `--help` waits for this file
-
-    def write(part: Path) -> None:
-        with part.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-
-    write_whole(path, write)
 
 
 def write_text_whole(path: Path, text: str) -> None:

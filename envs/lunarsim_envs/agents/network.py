@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_arrays_whole
+from lunarsim.whole_arrays import write_arrays_whole
 from lunarsim_envs.agents.contract import refuse
 from lunarsim_envs.descent.env import DescentEnv
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim.whole_files import write_arrays_whole
+from lunarsim.whole_arrays import write_arrays_whole
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites._map_kernels import Errors
 from lunarsim_envs.sites.view import deciding_mapper
