@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,42 @@ def _free(clarabel: float) -> None:
         )
 
 
+def _rigid() -> None:
+    """Print a rigid body's descent by cone programs, from nothing and a second later, and by IPOPT."""
+    from scipy.spatial.transform import Rotation
+
+    from lunarsim.models.lander import Lander
+    from lunarsim.optimal.six_dof import RigidDescent, Successive, carried_on, shoot
+    from lunarsim.vehicle.state import State
+
+    programs, cold, warm, counts, by_ipopt, more = Successive(30), [], [], [], [], []
+    for n in range(8):
+        point = _descent(np.random.default_rng(n))
+        lean = Rotation.from_euler("y", -15.0, degrees=True).as_quat()
+        rigid = RigidDescent(
+            Lander(), State(point.position, point.velocity, lean, np.zeros(3), point.mass, 2400.0),
+            point.end_position, point.end_velocity, thrust_min=point.thrust_min,
+            thrust_max=point.thrust_max, max_tilt=point.max_tilt, max_rate=np.deg2rad(15.0),
+            glideslope=point.glideslope,
+        )  # fmt: skip
+        first = programs.solve(rigid)
+        times, states = first.flown()
+        after = State.from_vector(states[np.searchsorted(times, 1.0)])
+        later = programs.solve(replace(rigid, start=after), carried_on(first, 1.0))
+        cold.append(1e3 * first.seconds)
+        warm.append(1e3 * later.seconds)
+        counts.append(later.iterations)
+        if n < 3:
+            other = shoot(rigid, 30)
+            by_ipopt.append(1e3 * other.seconds)
+            more.append(first.propellant / other.propellant - 1.0)
+    print(
+        f"  rigid body, 30 intervals: cone programs {np.median(cold[1:]):.0f} ms from nothing, "
+        f"{np.median(warm):.0f} ms a second later ({np.median(counts):.0f} programs); IPOPT "
+        f"{np.median(by_ipopt):.0f} ms, {1e2 * np.max(np.abs(more)):.2f} % apart at most"
+    )
+
+
 def optimal() -> None:
     """Optimal descents: fixed and free final time, one thread, against Clarabel from nothing."""
     from lunarsim.optimal.collocation import collocate
@@ -109,3 +146,4 @@ def optimal() -> None:
         f"  collocation by IPOPT, free final time {took:7.0f} ms; propellant {path.propellant:.3f} "
         f"and {other.propellant:.3f} kg"
     )
+    _rigid()

@@ -1,0 +1,190 @@
+"""The structure of the programs of successive convexification, and what fills it.
+
+Variables: states at nodes 1 to N, commands, the length of an interval, virtual controls. Equalities:
+tangents of the motion, and the end. Inequalities: bounds of commands, mass and time, tangents of the
+limits. All matrices keep their pattern, so that a solver may be updated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES
+from lunarsim.optimal.six_dof.scale import EFFORT, LIMITS, Scale
+
+Array = NDArray[np.float64]
+
+# Price of virtual controls, against the mass at the end as a share of the start's.
+_VIRTUAL = 1e6
+# Mass and thrust have none: they follow commands by themselves, and mass is what counts.
+_EXEMPT = (13, 14)
+
+_STEPS = len(SHARES)
+_END = (0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12)  # upright, at rest: heading and thrust are free
+_FAR = 1e3  # a bound that never binds, in units
+
+
+class Tangents(Protocol):
+    """A path in units: states (n + 1, 15), shares of commands (n, 4), length of an interval.
+
+    `values` are ends of intervals and limits in them (n, 35), `tangents` their derivatives
+    (n, 35, 20).
+    """
+
+    x: Array
+    v: Array
+    length: float
+    values: Array
+    tangents: Array
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A quadratic program: ``x P x / 2 + c x``, ``A x = b``, ``G x <= h``."""
+
+    p: Any
+    c: Array
+    a: Any
+    b: Array
+    g: Any
+    h: Array
+
+
+class _Pattern:
+    """A sparse matrix whose entries are given in another order than it keeps them."""
+
+    def __init__(self, rows: Array, columns: Array, shape: tuple[int, int]) -> None:
+        order = sparse.coo_matrix(
+            (np.arange(1, len(rows) + 1, dtype=np.float64), (rows, columns)), shape=shape
+        ).tocsc()
+        self._order = order.data.astype(np.int64) - 1
+        self._matrix = order
+
+    def filled(self, data: Array) -> Any:
+        """Return the matrix with these entries, CSC."""
+        m = self._matrix
+        return sparse.csc_matrix((data[self._order], m.indices, m.indptr), shape=m.shape)
+
+
+class Layout:
+    """Where everything stands, for N intervals.
+
+    Parameters
+    ----------
+    n
+        Intervals.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.first_control = STATES * n
+        self.length = self.first_control + CONTROLS * n
+        helped = (STATES - len(_EXEMPT)) * n
+        self.virtual = slice(self.length + 1, self.length + 1 + helped)
+        self.count = self.virtual.stop
+        self._inputs = self._columns()
+        self._a, self._g = self._equalities(), self._inequalities()
+
+    def _columns(self) -> Array:
+        """Return the variables that each interval depends on (n, 20); -1: the start."""
+        n = self.n
+        states = np.arange(-STATES, STATES * (n - 1)).reshape(n, STATES)
+        states[0] = -1
+        controls = self.first_control + np.arange(CONTROLS * n).reshape(n, CONTROLS)
+        return np.column_stack((states, controls, np.full(n, self.length)))
+
+    def _blocks(self, rows: int) -> tuple[Array, Array, Array]:
+        """Return rows, columns and which are kept of a block of rows an interval."""
+        n = self.n
+        r = np.broadcast_to(np.arange(rows * n).reshape(n, rows, 1), (n, rows, 20)).ravel()
+        c = np.broadcast_to(self._inputs[:, None, :], (n, rows, 20)).ravel()
+        return r, c, c >= 0
+
+    def _equalities(self) -> _Pattern:
+        n = self.n
+        r, c, keep = self._blocks(STATES)
+        nodes = np.arange(STATES * n)
+        helped = nodes[~np.isin(nodes % STATES, _EXEMPT)]
+        ends = STATES * (n - 1) + np.array(_END)
+        rows = np.concatenate((r[keep], nodes, helped, STATES * n + np.arange(len(_END))))
+        own = self.virtual.start + np.arange(len(helped))
+        columns = np.concatenate((c[keep], nodes, own, ends))
+        return _Pattern(rows, columns, (STATES * n + len(_END), self.count))
+
+    def _inequalities(self) -> _Pattern:
+        n = self.n
+        r, c, keep = self._blocks(_STEPS * LIMITS)
+        begun = _STEPS * LIMITS * n
+        controls = self.first_control + np.arange(CONTROLS * n)
+        mass = STATES * (n - 1) + 13
+        columns = np.concatenate((controls, controls, [self.length, self.length, mass]))
+        rows = np.concatenate((r[keep], begun + np.arange(len(columns))))
+        return _Pattern(
+            rows, np.concatenate((c[keep], columns)), (begun + len(columns), self.count)
+        )
+
+    def fill(self, scale: Scale, point: Tangents, step: float) -> Filled:
+        """Return the program at a path.
+
+        Parameters
+        ----------
+        scale
+            The descent.
+        point
+            The path and its tangents.
+        step
+            Price of steps, of the kind of `_VIRTUAL`.
+        """
+        x, v, length, tangents = point.x, point.v, point.length, point.tangents
+        n = self.n
+        keep = self._inputs >= 0
+        known = np.column_stack((x[:-1], v, np.full(n, length)))
+        # At its own path a tangent has its value; the start does not move.
+        rest = point.values - np.einsum("nij,nj->ni", tangents, np.where(keep, known, 0.0))
+        low, high = scale.bounds(n)
+        (low_x, low_v, _), (high_x, _, _) = (Scale.split(z, n) for z in (low, high))
+        some = np.broadcast_to(keep[:, None, :], tangents.shape)
+        motion, held = tangents[:, :STATES], tangents[:, STATES:]
+        ones, helped = np.ones(STATES * n), self.virtual.stop - self.virtual.start
+        a = self._a.filled(
+            np.concatenate((-motion[some[:, :STATES]], ones, -ones[:helped], np.ones(len(_END))))
+        )
+        b = np.concatenate((rest[:, :STATES].ravel(), low_x[n, list(_END)]))
+        asked = scale.rows(n)[0][STATES * n :].reshape(n, -1)
+        free = ~np.isfinite(asked)
+        g_held = np.where(free[:, :, None], 0.0, -held)
+        h_held = np.where(free, _FAR, rest[:, STATES:])
+        controls = np.ones(CONTROLS * n)
+        g = self._g.filled(
+            np.concatenate((g_held[some[:, STATES:]], -controls, controls, [-1.0, 1.0, -1.0]))
+        )
+        h = np.concatenate(
+            (h_held.ravel(), -low_v.ravel(), controls,
+             [-0.8 * length, 1.25 * length, -low_x[1, 13]])
+        )  # fmt: skip
+        return Filled(*self._cost(x, v, length, step), a, b, g, h)
+
+    def _cost(self, x: Array, v: Array, length: float, step: float) -> tuple[Any, Array]:
+        """Return P and c: the mass at the end, torques, steps and virtual controls."""
+        n = self.n
+        weight = np.full(self.count, step)
+        weight[self.virtual] = _VIRTUAL
+        last = np.concatenate(
+            (x[1:].ravel(), v.ravel(), [length], np.zeros(self.count - self.length - 1))
+        )
+        c = -np.where(np.arange(self.count) < self.virtual.start, step, 0.0) * last
+        torques = self.first_control + np.arange(CONTROLS * n).reshape(n, CONTROLS)[:, 1:].ravel()
+        weight[torques] += 2.0 * EFFORT / n
+        c[STATES * (n - 1) + 13] -= 1.0
+        return sparse.diags(weight, format="csc"), c
+
+    def read(self, z: Array, start: Array) -> tuple[Array, Array, float]:
+        """Return scaled states (n + 1, 15), shares of commands (n, 4), length of an interval."""
+        n = self.n
+        states = np.vstack((start, z[: STATES * n].reshape(n, STATES)))
+        return states, z[self.first_control : self.length].reshape(n, CONTROLS), z[self.length]

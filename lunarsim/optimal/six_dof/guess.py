@@ -1,0 +1,118 @@
+"""Where a search for a rigid body's path begins: the optimum of a point mass, with a body to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.six_dof.path import RigidPath
+from lunarsim.optimal.six_dof.problem import RigidDescent
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Guess:
+    """States and commands that need not fit each other.
+
+    Attributes
+    ----------
+    duration
+        s.
+    states
+        At N + 1 nodes (N + 1, 15), as `State.as_vector`.
+    thrust, torque
+        In N intervals (N,), N, and (N, 3), N m.
+    """
+
+    duration: float
+    states: Array
+    thrust: Array
+    torque: Array
+
+    def on(self, intervals: int) -> Guess:
+        """Return it on another number of intervals."""
+        count = len(self.thrust)
+        if count == intervals:
+            return self
+        old, new = (np.linspace(0.0, 1.0, n + 1) for n in (count, intervals))
+        states = np.column_stack([np.interp(new, old, column) for column in self.states.T])
+        states[:, 6:10] /= np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
+        of = np.minimum((0.5 * (new[1:] + new[:-1]) * count).astype(np.int64), count - 1)
+        return Guess(self.duration, states, self.thrust[of], self.torque[of])
+
+
+def guess_of(descent: RigidDescent, intervals: int) -> Guess:
+    """Return the optimum of a point mass with an attitude along its thrust.
+
+    Yaw stays that of the start. Rates and torques are differences of the attitude.
+
+    Raises
+    ------
+    InfeasibleError
+        If a point mass cannot land.
+    SolverError
+        If its solver fails.
+    """
+    d = descent
+    path = least_propellant(Planner(intervals), d.as_point())
+    n, step = intervals, path.step
+    states = np.zeros((n + 1, 15))
+    states[:, :3], states[:, 3:6], states[:, 13] = path.position, path.velocity, path.mass
+    push = np.vstack((path.thrust[:1], 0.5 * (path.thrust[1:] + path.thrust[:-1]), [[0, 0, 1.0]]))
+    turns = _along(push, Rotation.from_quat(d.start.attitude))
+    states[:, 6:10] = _same_side(turns.as_quat())
+    away = (turns[:-1].inv() * turns[1:]).as_rotvec() / step
+    rates = np.vstack((d.start.rate, 0.5 * (away[1:] + away[:-1]), np.zeros(3)))
+    states[:, 10:13] = rates
+    states[0, 6:10] = d.start.attitude
+    if states[0, 6:10] @ states[1, 6:10] < 0.0:
+        states[1:, 6:10] *= -1.0
+    states[:, 14] = np.append(path.forces, path.forces[-1])
+    states[0, 14] = d.start.thrust
+    moments = np.array([d.lander.inertia(m) for m in path.mass[:-1]])
+    torque = np.clip(moments * np.diff(rates, axis=0) / step, -d.torques, d.torques)
+    thrust = np.clip(path.forces, d.least, d.most)
+    return Guess(path.duration, states, thrust, torque)
+
+
+def carried_on(path: RigidPath, elapsed: float) -> Guess:
+    """Return what is left of a path some time (s) after its start, in as many intervals.
+
+    Raises
+    ------
+    InputError
+        If no time is left.
+    """
+    n, left = len(path.thrust), path.duration - elapsed
+    if not 0.0 <= elapsed < path.duration:
+        raise InputError("optimal.elapsed", elapsed, f"0 to less than {path.duration:.1f} s")
+    old = np.linspace(0.0, path.duration, n + 1)
+    new = np.linspace(elapsed, path.duration, n + 1)
+    states = np.column_stack([np.interp(new, old, column) for column in path.states.T])
+    states[:, 6:10] /= np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
+    of = np.clip(np.searchsorted(old, 0.5 * (new[1:] + new[:-1])) - 1, 0, n - 1)
+    return Guess(left, states, path.thrust[of], path.torque[of])
+
+
+def _along(push: Array, start: Rotation) -> Rotation:
+    """Return attitudes whose body z lies along (K, 3), the first as given, all with its yaw."""
+    up = push / np.linalg.norm(push, axis=1, keepdims=True)
+    heading = start.apply([1.0, 0.0, 0.0])
+    y = np.cross(up, heading)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    matrices = np.stack((np.cross(y, up), y, up), axis=2)
+    matrices[0] = start.as_matrix()
+    return Rotation.from_matrix(matrices)
+
+
+def _same_side(q: Array) -> Array:
+    """Return quaternions each on the side of the one before."""
+    signs = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    return np.asarray(q * np.concatenate(([1.0], np.cumprod(signs)))[:, None])

@@ -1,0 +1,164 @@
+"""The simulator's equations of motion over one interval of held commands, for CasADi.
+
+The same equations as `lunarsim.vehicle.dynamics.Dynamics`, without thrusters' forces and round Moon,
+in units of the problem (`Units`), so that one compiled program serves every lander and descent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.optimal.six_dof.problem import RigidDescent
+
+Array = NDArray[np.float64]
+
+STATES, CONTROLS = 15, 4
+# Steps of an interval, as shares of it: the engine answers within the first ones.
+SHARES = (0.06, 0.10, 0.17, 0.27, 0.40)
+_LEAST_LAG = 1e-6  # s: divided by
+
+
+@dataclass(frozen=True)
+class Units:
+    """What one is: m, s, kg."""
+
+    length: float
+    time: float
+    mass: float
+
+    @property
+    def force(self) -> float:
+        """N."""
+        return self.mass * self.length / self.time**2
+
+    @property
+    def state(self) -> Array:
+        """Units of a state vector (15,)."""
+        speed = self.length / self.time
+        return np.array(
+            [self.length] * 3 + [speed] * 3 + [1.0] * 4 + [1.0 / self.time] * 3
+            + [self.mass, self.force]
+        )  # fmt: skip
+
+    @property
+    def control(self) -> Array:
+        """Units of thrust and torques (4,)."""
+        return np.array([self.force] + [self.force * self.length] * 3)
+
+
+def figures_of(descent: RigidDescent, units: Units) -> Array:
+    """Return gravity, exhaust velocity, lag, dry and full mass, and moments, in units (11,)."""
+    v = descent.lander
+    moment = units.mass * units.length**2
+    return np.concatenate(
+        (
+            [
+                descent.gravity * units.time**2 / units.length,
+                v.exhaust_velocity * units.time / units.length,
+                max(v.thrust_lag, _LEAST_LAG) / units.time,
+                v.dry_mass / units.mass,
+                v.wet_mass / units.mass,
+            ],
+            np.asarray(v.inertia_dry) / moment,
+            np.asarray(v.inertia_full) / moment,
+        )
+    )
+
+
+def _rates(y: Any, thrust: Any, torque: Any, p: Any) -> Any:
+    """Return d/dt of position, velocity, attitude, rate and mass (14,)."""
+    qx, qy, qz, qw = (y[6 + k] for k in range(4))
+    w = y[10:13]
+    push = thrust / y[13]
+    up = casadi.vertcat(
+        2.0 * (qx * qz + qw * qy), 2.0 * (qy * qz - qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
+    )
+    turn = 0.5 * casadi.vertcat(
+        qw * w[0] + qy * w[2] - qz * w[1],
+        qw * w[1] + qz * w[0] - qx * w[2],
+        qw * w[2] + qx * w[1] - qy * w[0],
+        -(qx * w[0] + qy * w[1] + qz * w[2]),
+    )
+    full = (y[13] - p[3]) / (p[4] - p[3])
+    moments = p[5:8] + full * (p[8:11] - p[5:8])
+    spin = (torque - casadi.cross(w, moments * w)) / moments
+    down = casadi.vertcat(0.0, 0.0, -p[0])
+    return casadi.vertcat(y[3:6], push * up + down, turn, spin, -thrust / p[1])
+
+
+@cache
+def interval() -> Any:
+    """Return the function (state, control, length, figures) -> states after each step (15, 5).
+
+    Classical Runge-Kutta steps, in each of which the thrust is the mean of what the engine's lag
+    makes of what is asked.
+    """
+    x, u = casadi.SX.sym("x", STATES), casadi.SX.sym("u", CONTROLS)
+    length, p = casadi.SX.sym("h"), casadi.SX.sym("p", 11)
+    y, torque = x[:14], u[1:]
+    begun, left, out = 0.0, x[14] - u[0], []
+    for share in SHARES:
+        h = share * length
+        after = (x[14] - u[0]) * casadi.exp(-(begun + share) * length / p[2])
+        thrust = u[0] + (left - after) * p[2] / h
+        k1 = _rates(y, thrust, torque, p)
+        k2 = _rates(y + 0.5 * h * k1, thrust, torque, p)
+        k3 = _rates(y + 0.5 * h * k2, thrust, torque, p)
+        k4 = _rates(y + h * k3, thrust, torque, p)
+        y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        begun, left = begun + share, after
+        out.append(casadi.vertcat(y, u[0] + after))
+    return casadi.Function(
+        "interval", [x, u, length, p], [casadi.horzcat(*out)], ["x", "u", "h", "p"], ["states"]
+    )
+
+
+@cache
+def limits() -> Any:
+    """Return the function (state, limits) -> what has to be 0 or more (4,).
+
+    Tilt, rate, glideslope and sight of the site, from `limit_figures`; positions are from the end.
+    """
+    x, p = casadi.SX.sym("x", STATES), casadi.SX.sym("p", 8)
+    qx, qy, qz, qw = (x[6 + k] for k in range(4))
+    upright = 1.0 - 2.0 * (qx * qx + qy * qy)
+    aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-8)
+    # From body to ENU: the columns of the direction cosine matrix.
+    east = casadi.vertcat(
+        1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy)
+    )
+    north = casadi.vertcat(
+        2 * (qx * qy - qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz + qw * qx)
+    )
+    up = casadi.vertcat(2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), upright)
+    axis = p[4] * east + p[5] * north + p[6] * up
+    way = casadi.sqrt(casadi.sumsqr(x[:3]) + 1e-8)
+    rows = casadi.vertcat(
+        upright - p[0],
+        1.0 - casadi.sumsqr(x[10:13]) / p[1],
+        x[2] + p[3] - p[2] * aside,
+        -casadi.dot(axis, x[:3]) / way - p[7],
+    )
+    return casadi.Function("limits", [x, p], [rows], ["x", "p"], ["left"])
+
+
+def limit_figures(descent: RigidDescent, units: Units) -> Array:
+    """Return cosine of tilt, square of rate, slope, drop, axis and cosine of sight (8,)."""
+    d = descent
+    axis = np.array([0.0, 0.0, -1.0]) if d.sight is None else d.sight.axis
+    return np.array(
+        [
+            -2.0 if d.max_tilt is None else np.cos(d.max_tilt),
+            1e6 if d.max_rate is None else (d.max_rate * units.time) ** 2,
+            0.0 if d.glideslope is None else np.tan(d.glideslope),
+            d.drop / units.length,
+            *axis,
+            -2.0 if d.sight is None else np.cos(d.sight.half_angle),
+        ]
+    )

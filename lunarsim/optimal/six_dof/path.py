@@ -1,0 +1,123 @@
+"""A descent of a rigid body as it was solved for, and what the simulator makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.optimal.six_dof.problem import RigidDescent
+from lunarsim.vehicle.dynamics import Dynamics
+from lunarsim.vehicle.state import State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RigidPath:
+    """A descent in N intervals of held commands.
+
+    Attributes
+    ----------
+    descent
+        The problem.
+    duration
+        Final time, s.
+    states
+        At the nodes (N + 1, 15), as `State.as_vector`.
+    thrust
+        Asked in each interval (N,), N.
+    torque
+        In each interval (N, 3), N m.
+    iterations
+        Of the solver, or programs solved.
+    seconds
+        What it took, s.
+    """
+
+    descent: RigidDescent
+    duration: float
+    states: Array
+    thrust: Array
+    torque: Array
+    iterations: int
+    seconds: float
+
+    @property
+    def propellant(self) -> float:
+        """Kg."""
+        return float(self.states[0, 13] - self.states[-1, 13])
+
+    def flown(self, step: float = 0.01) -> tuple[Array, Array]:
+        """Return times (K,) and states (K, 15) of a flight of these commands in the simulator.
+
+        `step` is the longest step of its integration, s.
+        """
+        d, count = self.descent, len(self.thrust)
+        length = self.duration / count
+        parts = int(np.ceil(length / step))
+        dynamics = Dynamics(d.lander, d.gravity, step=length / parts)
+        state = State.from_vector(self.states[0])
+        rows = [state.as_vector()]
+        for thrust, torque in zip(self.thrust, self.torque, strict=True):
+            for _ in range(parts):
+                state = dynamics.advance(state, float(thrust), torque)
+                rows.append(state.as_vector())
+        return np.linspace(0.0, self.duration, count * parts + 1), np.array(rows)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """By how much a flight keeps what was asked of it: worst over its course.
+
+    Attributes
+    ----------
+    miss, speed
+        Off the end asked for, m and m/s.
+    lean, spin
+        At the end, rad and rad/s.
+    tilt, rate, slope, sight
+        By how much limits are passed at most, rad, rad/s, m and rad; 0 or less: kept.
+    """
+
+    miss: float
+    speed: float
+    lean: float
+    spin: float
+    tilt: float
+    rate: float
+    slope: float
+    sight: float
+
+
+def kept(descent: RigidDescent, times: Array, states: Array) -> Kept:
+    """Return how well states (K, 15) at times (K,), s, keep what a descent asks."""
+    d = descent
+    at, q = states[:, :3] - d.end_position, states[:, 6:10]
+    up = 1.0 - 2.0 * (q[:, 0] ** 2 + q[:, 1] ** 2)
+    tilt = np.arccos(np.clip(up, -1.0, 1.0))
+    rate = np.linalg.norm(states[:, 10:13], axis=1)
+    under = np.tan(d.glideslope or 0.0) * np.hypot(at[:, 0], at[:, 1]) - at[:, 2] - d.drop
+    beside = -np.inf
+    if d.sight is not None:
+        seen = times <= d.sight.share * times[-1]
+        beside = float(_off_axis(d.sight.axis, at[seen], q[seen]).max() - d.sight.half_angle)
+    return Kept(
+        miss=float(np.linalg.norm(at[-1])),
+        speed=float(np.linalg.norm(states[-1, 3:6] - d.end_velocity)),
+        lean=float(tilt[-1]),
+        spin=float(rate[-1]),
+        tilt=float(tilt.max() - d.max_tilt) if d.max_tilt is not None else -np.inf,
+        rate=float(rate.max() - d.max_rate) if d.max_rate is not None else -np.inf,
+        slope=float(under.max()) if d.glideslope is not None else -np.inf,
+        sight=beside,
+    )
+
+
+def _off_axis(axis: Array, at: Array, q: Array) -> Array:
+    """Return the angle between a body axis and the way to the site (K,), rad."""
+    v, w = q[:, :3], q[:, 3:]
+    turned = axis + 2.0 * np.cross(v, np.cross(v, axis) + w * axis)
+    cosine = -(turned * at).sum(axis=1) / np.maximum(np.linalg.norm(at, axis=1), 1e-9)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

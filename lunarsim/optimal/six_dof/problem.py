@@ -1,0 +1,178 @@
+"""A landing of a rigid body to be flown with the least propellant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.optimal.problem import Descent
+from lunarsim.vehicle.state import State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A sensor that is to see the site.
+
+    Attributes
+    ----------
+    axis
+        Its boresight, body axes (3,); brought to length 1.
+    half_angle
+        Of the cone about it in which the site has to lie, rad.
+    share
+        Of the descent, from its start, for which it has to.
+
+    Raises
+    ------
+    InputError
+        If the axis is none, or an angle or share cannot be.
+    """
+
+    axis: Array
+    half_angle: float
+    share: float = 0.7
+
+    def __post_init__(self) -> None:
+        axis = np.asarray(self.axis, dtype=np.float64)
+        if axis.shape != (3,) or not np.isfinite(axis).all() or np.linalg.norm(axis) == 0.0:
+            raise InputError("optimal.sight.axis", axis.tolist(), "three numbers, not all 0")
+        object.__setattr__(self, "axis", axis / np.linalg.norm(axis))
+        if not 0.0 < self.half_angle < 0.5 * np.pi:
+            raise InputError("optimal.sight.half_angle", self.half_angle, "0 to 90 deg, in rad")
+        if not 0.0 < self.share <= 1.0:
+            raise InputError("optimal.sight.share", self.share, "more than 0, at most 1")
+
+
+@dataclass(frozen=True)
+class RigidDescent:
+    """A powered descent of a rigid body under uniform gravity, by the simulator's own equations.
+
+    The engine burns all the way along body z and answers with its lag; torques turn the body
+    (`Dynamics`). At the end the body is upright and does not turn.
+
+    Attributes
+    ----------
+    lander
+        Masses, moments of inertia, engine and torques.
+    start
+        Where it begins; its mass and thrust count.
+    end_position, end_velocity
+        Of the centre of mass (3,), ENU, m and m/s.
+    gravity
+        Downward acceleration, m/s^2.
+    thrust_min, thrust_max
+        What may be asked of the engine, N; None: the lander's throttle range.
+    torque_share
+        Of the lander's torques that may be used.
+    max_tilt
+        Of body z from the vertical, rad; None for none.
+    max_rate
+        Of the body, rad/s; None for none.
+    glideslope
+        Least elevation of the path as seen from its end, rad; None for none.
+    drop
+        By how much the glideslope's tip lies under the end, m.
+    sight
+        Sensor that is to see the site; None for none.
+    reserve
+        Propellant that is to be left, kg.
+
+    Raises
+    ------
+    InputError
+        If something is not finite or cannot be: see the message.
+    """
+
+    lander: Lander
+    start: State
+    end_position: Array
+    end_velocity: Array = field(default_factory=lambda: np.zeros(3))
+    gravity: float = 1.622
+    thrust_min: float | None = None
+    thrust_max: float | None = None
+    torque_share: float = 0.8
+    max_tilt: float | None = None
+    max_rate: float | None = None
+    glideslope: float | None = None
+    drop: float = 0.5
+    sight: Sight | None = None
+    reserve: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("end_position", "end_velocity"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                raise InputError(f"optimal.{name}", value.tolist(), "three finite coordinates")
+            object.__setattr__(self, name, value)
+        for name, given in (("thrust_min", self.lander.thrust_min),
+                            ("thrust_max", self.lander.thrust_max)):  # fmt: skip
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, given)
+        self._check_figures()
+        if not np.isfinite(self.start.as_vector()).all():
+            raise InputError("optimal.start", "not finite", "a state of finite numbers")
+        if not self.dry_mass < self.start.mass:
+            raise InputError(
+                "optimal.start.mass", self.start.mass, f"more than the {self.dry_mass} kg left"
+            )
+
+    def _check_figures(self) -> None:
+        low, high = self.lander.thrust_min, self.lander.thrust_max
+        if not low <= self.least < self.most <= high:
+            raise InputError(
+                "optimal.thrust_max", [self.thrust_min, self.thrust_max],
+                f"a range within the engine's, {low} to {high} N",
+            )  # fmt: skip
+        if not 0.0 < self.gravity < np.inf:
+            raise InputError("optimal.gravity", self.gravity, "a positive number")
+        if not 0.0 < self.torque_share <= 1.0:
+            raise InputError("optimal.torque_share", self.torque_share, "more than 0, at most 1")
+        for name in ("drop", "reserve"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise InputError(f"optimal.{name}", getattr(self, name), "0 or more")
+        for name in ("max_tilt", "glideslope"):
+            angle = getattr(self, name)
+            if angle is not None and not 0.0 < angle < 0.5 * np.pi:
+                raise InputError(f"optimal.{name}", angle, "an angle from 0 to 90 deg, in rad")
+        if self.max_rate is not None and not 0.0 < self.max_rate < np.inf:
+            raise InputError("optimal.max_rate", self.max_rate, "a positive rate, rad/s")
+
+    @property
+    def least(self) -> float:
+        """Least thrust that may be asked for, N."""
+        return float(self.thrust_min or 0.0)
+
+    @property
+    def most(self) -> float:
+        """Greatest thrust that may be asked for, N."""
+        return float(self.thrust_max or 0.0)
+
+    @property
+    def dry_mass(self) -> float:
+        """Least mass at the end, kg."""
+        return self.lander.dry_mass + self.reserve
+
+    @property
+    def torques(self) -> Array:
+        """Greatest torques about the body axes (3,), N m."""
+        return self.torque_share * np.asarray(self.lander.torque_max)
+
+    def as_point(self) -> Descent:
+        """Return the descent of a point mass that is like this one.
+
+        Its thrust turns at once; only near the end it is held to what the body can turn.
+        """
+        return Descent(
+            position=self.start.position, velocity=self.start.velocity, mass=self.start.mass,
+            end_position=self.end_position, end_velocity=self.end_velocity, gravity=self.gravity,
+            thrust_min=self.least, thrust_max=self.most,
+            exhaust_velocity=self.lander.exhaust_velocity, dry_mass=self.dry_mass,
+            max_tilt=self.max_tilt, glideslope=self.glideslope, drop=self.drop,
+            end_tilt=np.deg2rad(5.0), tilt_rate=np.deg2rad(8.0),
+        )  # fmt: skip

@@ -1,0 +1,115 @@
+"""Direct multiple shooting: the states at all nodes are variables, joined by the motion between.
+
+One nonlinear program a number of intervals, whose descent is a parameter, solved by IPOPT (Waechter
+and Biegler 2006) with derivatives by CasADi (Andersson and others 2019), begun at the path of a
+point mass. Limits are asked for after every step of an interval, not at its ends alone.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+from typing import Any
+
+import casadi
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.errors import SolverError
+from lunarsim.optimal.six_dof.compiled import compiled_library
+from lunarsim.optimal.six_dof.guess import Guess, guess_of
+from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
+from lunarsim.optimal.six_dof.path import RigidPath
+from lunarsim.optimal.six_dof.problem import RigidDescent
+from lunarsim.optimal.six_dof.scale import EFFORT, PARAMETERS, Scale
+
+_STEPS = len(SHARES)
+_OPTIONS = {
+    "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-6,
+    "ipopt.acceptable_tol": 1e-5, "ipopt.mu_strategy": "adaptive", "error_on_fail": False,
+    # A start that is worth something stays what it is.
+    "ipopt.bound_push": 1e-4, "ipopt.bound_frac": 1e-4,
+}  # fmt: skip
+
+
+def shoot(
+    descent: RigidDescent,
+    intervals: int = 30,
+    *,
+    guess: Guess | None = None,
+    most: int = 300,
+    compiled: bool = False,
+) -> RigidPath:
+    """Return the path of least propellant of a rigid body.
+
+    Parameters
+    ----------
+    descent
+        The problem.
+    intervals
+        N, of held thrust and torques.
+    guess
+        Where to begin; None: at the optimum of a point mass.
+    most
+        Iterations of IPOPT.
+    compiled
+        True: through C code, compiled once and kept; see `compiled_library`.
+
+    Raises
+    ------
+    InputError
+        If the number of intervals cannot be, or C code is asked for where no compiler is.
+    InfeasibleError
+        If a point mass cannot land either.
+    SolverError
+        If IPOPT does not converge.
+    """
+    if intervals < 2:
+        raise InputError("optimal.intervals", intervals, "2 or more")
+    begun = time.perf_counter()
+    guess = guess_of(descent, intervals) if guess is None else guess.on(intervals)
+    scale = Scale.of(descent, guess)
+    solver = _solver(intervals, most, compiled)
+    low, high = scale.bounds(intervals)
+    got = solver(
+        x0=scale.start(guess), p=scale.parameters, lbx=low, ubx=high,
+        **dict(zip(("lbg", "ubg"), scale.rows(intervals), strict=True)),
+    )  # fmt: skip
+    stats = solver.stats()
+    if not stats["success"]:
+        raise SolverError(f"IPOPT: {stats['return_status']} after {stats['iter_count']} iterations")
+    x = np.asarray(got["x"]).ravel()
+    states, controls, duration = scale.read(x, intervals)
+    return RigidPath(
+        descent, duration, states, controls[:, 0], controls[:, 1:], int(stats["iter_count"]),
+        time.perf_counter() - begun,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _solver(n: int, most: int, compiled: bool) -> Any:
+    """Return IPOPT for n intervals."""
+    options = {**_OPTIONS, "ipopt.max_iter": most}
+    if not compiled:
+        return casadi.nlpsol("six_dof", "ipopt", _program(n), options)
+    path = compiled_library(f"six_dof_{n}", lambda: casadi.nlpsol("six_dof", "ipopt", _program(n)))
+    return casadi.nlpsol("six_dof", "ipopt", str(path), options)
+
+
+def _program(n: int) -> dict[str, Any]:
+    """Return variables, parameters, cost and constraints of n intervals."""
+    x = casadi.MX.sym("x", STATES, n + 1)
+    v = casadi.MX.sym("v", CONTROLS, n)
+    total = casadi.MX.sym("T")
+    p = casadi.MX.sym("p", PARAMETERS)
+    controls = v * casadi.repmat(p[11:15], 1, n)
+    states = interval().map(n)(x[:, :n], controls, total / n, p[:11])
+    ends = states[:, _STEPS - 1 :: _STEPS]
+    held = limits().map(n * _STEPS)(states, p[15:])
+    effort = casadi.sumsqr(v[1:, :]) / n
+    return {
+        "x": casadi.vertcat(casadi.vec(x), casadi.vec(v), total),
+        "p": p,
+        "f": -x[13, n] + EFFORT * effort,
+        "g": casadi.vertcat(casadi.vec(ends - x[:, 1:]), casadi.vec(held)),
+    }

@@ -1,0 +1,220 @@
+"""Successive convexification: the same descent by a row of cone programs.
+
+Motion and limits are replaced by their tangents at the last path, what they miss is taken up by
+virtual controls at a high price, and steps are kept short by a quadratic price (penalised trust
+region; Szmuk, Reynolds and Acikmese 2020). Limits are asked for after every step of an interval, by
+their tangents there, so that they hold between the nodes (as the continuous-time form of Elango and
+others 2024 has it, at points in place of an integral). The programs have one structure: built once
+and updated, solved by QOCO.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import casadi
+import numpy as np
+import qoco
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.optimal.errors import SolverError
+from lunarsim.optimal.six_dof.cone_rows import Filled, Layout
+from lunarsim.optimal.six_dof.guess import Guess, guess_of
+from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
+from lunarsim.optimal.six_dof.path import RigidPath
+from lunarsim.optimal.six_dof.problem import RigidDescent
+from lunarsim.optimal.six_dof.scale import LIMITS, PARAMETERS, Scale
+
+Array = NDArray[np.float64]
+
+_INPUTS = STATES + CONTROLS + 1
+_ROWS = STATES + len(SHARES) * LIMITS
+# Prices of steps, against the mass at the end as a share of the start's: at first, and bounds.
+_FIRST, _CHEAPEST, _DEAREST, _JOINING = 1e-5, 1e-5, 1e-1, 1e-2
+# Of what a program foresees to gain, the share below which its path is not taken, and above which
+# steps may be longer.
+_POOR, _GOOD = 0.1, 0.5
+# What an interval's end apart from the next one's start, or a limit passed, costs in units.
+_APART = 0.03
+_MEMORY, _LONG, _NEAR = 3, 1e-4, 5e-3
+# A path is joined when no interval ends farther than this from the next one's start, in units, and
+# saves no more when a program foresees less than this share of the propellant.
+_JOINED, _PASSED, _SAVED = 2e-5, 5e-3, 5e-4
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A path in units, and the motion's tangents there.
+
+    Attributes
+    ----------
+    x, v, length
+        Scaled states (n + 1, 15), shares of commands (n, 4), length of an interval.
+    values, tangents
+        See `tangents_at`.
+    passed
+        By how much limits are passed, summed up.
+    """
+
+    x: Array
+    v: Array
+    length: float
+    values: Array
+    tangents: Array
+    passed: float
+
+    @classmethod
+    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> _Point:
+        """Return a path with its tangents."""
+        values, tangents = tangents_at(x, v, length, scale.parameters)
+        asked = scale.rows(len(v))[0][STATES * len(v) :].reshape(len(v), -1)
+        under = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
+        return cls(x, v, length, values, tangents, float(np.maximum(under, 0.0).sum()))
+
+    @property
+    def burnt(self) -> float:
+        """Propellant, as a share of the start's mass."""
+        return float(self.x[0, 13] - self.x[-1, 13])
+
+    @property
+    def gaps(self) -> Array:
+        """Ends of intervals less the next ones' starts (n, 15)."""
+        return np.asarray(self.values[:, :STATES] - self.x[1:])
+
+    @property
+    def apart(self) -> float:
+        """The largest gap."""
+        return float(np.abs(self.gaps).max())
+
+    @property
+    def merit(self) -> float:
+        """Propellant and what is not yet kept, less is better."""
+        return self.burnt + _APART * (float(np.abs(self.gaps).sum()) + self.passed)
+
+
+class Successive:
+    """Programs of one structure, kept and updated.
+
+    Parameters
+    ----------
+    intervals
+        N, of held thrust and torques.
+    most
+        Programs after which it gives up.
+    """
+
+    def __init__(self, intervals: int = 30, most: int = 40) -> None:
+        if intervals < 2:
+            raise InputError("optimal.intervals", intervals, "2 or more")
+        self.intervals, self.most = intervals, most
+        self._layout = Layout(intervals)
+        self._held: Any = None
+
+    def solve(self, descent: RigidDescent, guess: Guess | None = None) -> RigidPath:
+        """Return the path of least propellant of a rigid body.
+
+        Parameters
+        ----------
+        descent
+            The problem.
+        guess
+            Where to begin; None: at the optimum of a point mass.
+
+        Raises
+        ------
+        InfeasibleError
+            If a point mass cannot land either.
+        SolverError
+            If a program has no solution, or the row of them does not settle.
+        """
+        n, begun = self.intervals, time.perf_counter()
+        guess = guess_of(descent, n) if guess is None else guess.on(n)
+        scale = Scale.of(descent, guess)
+        x, v, total = scale.split(scale.start(guess), n)
+        path, count = self._settled(scale, _Point.at(x, v, total / n, scale))
+        states, controls, duration = scale.read(
+            np.concatenate((path.x.ravel(), path.v.ravel(), [n * path.length])), n
+        )
+        return RigidPath(
+            descent, duration, states, controls[:, 0], controls[:, 1:], count,
+            time.perf_counter() - begun,
+        )  # fmt: skip
+
+    def _settled(self, scale: Scale, point: _Point) -> tuple[_Point, int]:
+        """Return the path at which programs save no more, and how many there were."""
+        price, joining = _FIRST, False
+        merits = [point.merit]
+        for count in range(1, self.most + 1):
+            program = self._layout.fill(scale, point, _JOINING if joining else price)
+            z = self._solved(program)
+            if z is None:
+                price, joining = 6.0 * price, False
+                continue
+            new = _Point.at(*self._layout.read(z, point.x[0]), scale)
+            if joining and new.apart < _JOINED and new.passed < _PASSED:
+                return new, count
+            # Some programs' gains come after a path that is worse: the worst of the last ones counts.
+            bar = max(merits[-_MEMORY:])
+            foreseen = bar - new.burnt
+            ratio = (bar - new.merit) / max(foreseen, 1e-12)
+            if not joining and ratio < _POOR and foreseen > 0.0:
+                price = min(6.0 * price, _DEAREST)
+                joining = price > _LONG and point.apart < _NEAR
+                continue
+            settles = abs(new.burnt - point.burnt) < _SAVED * new.burnt and new.apart < _NEAR
+            joining = settles and (joining or price <= _LONG)
+            if ratio > _GOOD:
+                price = max(price / 3.0, _CHEAPEST)
+            point = new
+            merits.append(new.merit)
+        raise SolverError(
+            f"not settled in {count} programs: intervals {point.apart:.1e} apart, limits passed by "
+            f"{point.passed:.1e}"
+        )
+
+    def _solved(self, filled: Filled) -> Array | None:
+        """Return the variables of a program; None if QOCO fails."""
+        f = filled
+        if self._held is None:
+            self._held = qoco.QOCO()
+            self._held.setup(
+                len(f.c), len(f.h), len(f.b), f.p, f.c, f.a, f.b, f.g, f.h, len(f.h), 0,
+                np.zeros(0, dtype=np.int32), max_iters=100,
+            )  # fmt: skip
+        else:
+            self._held.update_vector_data(f.c, f.b, f.h)
+            self._held.update_matrix_data(f.p.data, f.a.data, f.g.data)
+        got = self._held.solve()
+        x = np.array(got.x, dtype=np.float64)
+        if not str(got.status).startswith("QOCO_SOLVED") or not np.isfinite(x).all():
+            self._held = None  # what a failed solve leaves behind may be no number
+            return None
+        return x
+
+
+@cache
+def _shot() -> Any:
+    """Return (state, control, length; parameters) -> end, limits (35,) and derivatives (35, 20)."""
+    z, p = casadi.SX.sym("z", _INPUTS), casadi.SX.sym("p", PARAMETERS)
+    x, v, length = z[:STATES], z[STATES:-1], z[-1]
+    states = interval()(x, v * p[11:15], length, p[:11])
+    held = [limits()(states[:, k], p[15:]) for k in range(len(SHARES))]
+    out = casadi.vertcat(states[:, -1], *held)
+    tangent = casadi.densify(casadi.jacobian(out, z))
+    return casadi.Function("shot", [z, p], [out, tangent])
+
+
+def tangents_at(x: Array, v: Array, length: float, p: Array) -> tuple[Array, Array]:
+    """Return ends of all intervals and limits in them (n, 35), and their derivatives (n, 35, 20).
+
+    The last column is with the length of an interval.
+    """
+    n = len(v)
+    z = np.column_stack((x[:-1], v, np.full(n, length)))
+    out, jacobian = _shot().map(n)(z.T, np.tile(p[:, None], n))
+    tangents = np.asarray(jacobian).reshape(_ROWS, n, _INPUTS).transpose(1, 0, 2)
+    return np.asarray(out).T, tangents

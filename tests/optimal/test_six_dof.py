@@ -1,0 +1,191 @@
+"""Rigid bodies: the simulator's equations, two ways to one cost, and what the simulator flies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.optimal.errors import SolverError
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.six_dof import compiled
+from lunarsim.optimal.six_dof.guess import carried_on, guess_of
+from lunarsim.optimal.six_dof.motion import SHARES, Units, figures_of, interval
+from lunarsim.optimal.six_dof.path import RigidPath, kept
+from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
+from lunarsim.optimal.six_dof.shooting import shoot
+from lunarsim.optimal.six_dof.successive import Successive
+from lunarsim.vehicle.dynamics import Dynamics
+from lunarsim.vehicle.state import State
+
+N = 30
+
+
+def start(rng: np.random.Generator) -> State:
+    """Return a lander on its approach, which leans and turns a little and heads anywhere."""
+    height = rng.uniform(150.0, 600.0)
+    position = np.array([*rng.uniform(-1.0, 1.0, 2) * height, height])
+    velocity = np.array(
+        [*(-0.05 * position[:2] + rng.normal(0.0, 4.0, 2)), rng.uniform(-25.0, -5.0)]
+    )
+    lean = [rng.uniform(0.0, 360.0), *rng.normal(0.0, 8.0, 2)]
+    attitude = Rotation.from_euler("zyx", lean, degrees=True).as_quat()
+    return State(position, velocity, attitude, rng.normal(0.0, 0.017, 3), 1500.0, 2400.0)
+
+
+def descent(rng: np.random.Generator, **changes) -> RigidDescent:
+    """Return an approach of the default lander with all limits but sight."""
+    given = {
+        "lander": Lander(), "start": start(rng), "end_position": np.array([0.0, 0.0, 11.6]),
+        "end_velocity": np.array([0.0, 0.0, -2.0]), "thrust_min": 1032.0, "thrust_max": 5568.0,
+        "max_tilt": np.deg2rad(40.0), "max_rate": np.deg2rad(15.0), "glideslope": np.deg2rad(8.0),
+    }  # fmt: skip
+    return RigidDescent(**{**given, **changes})
+
+
+def held(d: RigidDescent, path: RigidPath) -> None:
+    """Check a path by what the simulator makes of its commands."""
+    found = kept(d, *path.flown())
+    assert found.miss < 0.05 and found.speed < 0.01, found
+    assert np.rad2deg([found.lean, found.spin]).max() < 0.05, found
+    assert np.rad2deg([found.tilt, found.rate]).max() < 0.2, found
+    assert found.slope < 0.0 and np.rad2deg(found.sight) < 0.5, found
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1, 1.0])
+def test_an_interval_moves_a_body_as_the_simulator_does(lag):
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        d = descent(rng, lander=Lander(thrust_lag=lag))
+        units = Units(rng.uniform(100.0, 900.0), rng.uniform(10.0, 40.0), 1400.0)
+        thrust, torque = rng.uniform(1000.0, 5500.0), rng.uniform(-150.0, 150.0, 3)
+        dynamics = Dynamics(d.lander, d.gravity, step=0.0025)
+        state = d.start
+        for _ in range(400):
+            state = dynamics.advance(state, thrust, torque)
+        states = np.asarray(
+            interval()(
+                d.start.as_vector() / units.state, np.array([thrust, *torque]) / units.control,
+                1.0 / units.time, figures_of(d, units),
+            )
+        )  # fmt: skip
+        off = states[:, -1] * units.state - state.as_vector()
+        # Within a step the thrust is its mean: that moves the body by no more than a centimetre.
+        assert np.abs(off[:3]).max() < 1e-2 and np.abs(off[3:6]).max() < 1e-3
+        assert np.abs(off[6:13]).max() < 1e-6 and abs(off[13]) < 1e-4 and abs(off[14]) < 0.2
+        assert states.shape == (15, len(SHARES))
+
+
+def test_both_ways_take_the_same_propellant_and_the_simulator_flies_it():
+    rng = np.random.default_rng(1)
+    programs = Successive(N)
+    for _ in range(2):
+        d = descent(rng)
+        first, second = shoot(d, N), programs.solve(d)
+        assert second.propellant == pytest.approx(first.propellant, rel=5e-3)
+        point = least_propellant(Planner(N), d.as_point()).propellant
+        # A body that has to turn cannot do better than a point, but for the end's cone of tilt.
+        assert first.propellant > 0.995 * point
+        held(d, first)
+        held(d, second)
+
+
+def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
+    d = descent(np.random.default_rng(2))
+    asked = replace(d, sight=Sight(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
+    free, path = Successive(N).solve(d), Successive(N).solve(asked)
+    assert np.rad2deg(kept(asked, *free.flown()).sight) > 5.0  # nobody asked
+    held(asked, path)
+    assert path.propellant > 1.1 * free.propellant
+
+
+def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
+    d = descent(np.random.default_rng(3))
+    free = Successive(N).solve(d)
+    slow = Successive(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
+    assert slow.propellant > free.propellant
+    guess = guess_of(d, 12)
+    assert len(guess.on(N).thrust) == N
+    again = Successive(N).solve(d, guess)
+    assert again.propellant == pytest.approx(free.propellant, rel=5e-3)
+
+
+def test_what_cannot_be_is_refused():
+    rng = np.random.default_rng(5)
+    for changes, name in (
+        ({"max_tilt": -0.1}, "max_tilt"), ({"max_rate": 0.0}, "max_rate"),
+        ({"thrust_max": 9000.0}, "thrust_max"), ({"thrust_min": 5600.0}, "thrust_max"),
+        ({"torque_share": 1.5}, "torque_share"), ({"gravity": np.nan}, "gravity"),
+        ({"end_position": [0.0, np.nan, 0.0]}, "end_position"), ({"reserve": 400.0}, "mass"),
+        ({"drop": -1.0}, "drop"), ({"glideslope": 2.0}, "glideslope"),
+        ({"start": State(np.full(3, np.nan), np.zeros(3), np.array([0, 0, 0, 1.0]), np.zeros(3),
+                         1500.0)}, "start"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=name):
+            descent(rng, **changes)
+    for axis, half, share in (([0, 0, 0], 0.5, 0.5), ([0, 0, 1], 0.0, 0.5), ([0, 0, 1], 0.5, 0.0)):
+        with pytest.raises(InputError, match="sight"):
+            Sight(np.array(axis, dtype=float), half, share)
+    for solve in (lambda d: shoot(d, 1), lambda d: Successive(1)):
+        with pytest.raises(InputError, match="intervals"):
+            solve(descent(rng))
+
+
+def test_failures_of_solvers_are_told():
+    d = descent(np.random.default_rng(1))
+    with pytest.raises(SolverError, match="IPOPT"):
+        shoot(d, N, most=2)
+    with pytest.raises(SolverError, match="not settled in 1 programs"):
+        Successive(N, most=1).solve(d)
+
+
+def test_without_a_compiler_it_says_so(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert compiled.compiler() is None
+    with pytest.raises(InputError, match="compiler"):
+        compiled.compiled_library("none", lambda: None)
+
+
+def test_a_path_is_solved_for_again_from_where_it_has_led():
+    d = descent(np.random.default_rng(1))
+    programs = Successive(N)
+    path = programs.solve(d)
+    times, states = path.flown()
+    here = replace(d, start=State.from_vector(states[np.searchsorted(times, 2.0)]))
+    left = carried_on(path, 2.0)
+    again = programs.solve(here, left)
+    rest = path.propellant - (path.states[0, 13] - here.start.mass)
+    # Other nodes: what commands are held over is not the same.
+    assert again.propellant == pytest.approx(rest, rel=0.02)
+    assert again.duration == pytest.approx(path.duration - 2.0, rel=0.05)
+    held(here, again)
+    with pytest.raises(InputError, match="elapsed"):
+        carried_on(path, path.duration)
+
+
+@pytest.mark.slow
+def test_a_compiled_program_gives_the_same_path(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    d = descent(np.random.default_rng(1))
+    plain, fast = shoot(d, 12), shoot(d, 12, compiled=True)
+    assert fast.propellant == pytest.approx(plain.propellant, rel=1e-6)
+    assert [p.suffix for p in (tmp_path / "lunarsim" / "optimal").iterdir()] == [".so"]
+
+
+@pytest.mark.slow
+def test_thirty_descents_take_the_same_propellant_both_ways():
+    rng, programs, gaps = np.random.default_rng(6), Successive(N), []
+    for k in range(30):
+        sight = Sight([0, 0, -1.0], np.deg2rad(55.0), 0.4) if k % 3 == 0 else None
+        d = descent(rng, sight=sight)
+        first, second = shoot(d, N), programs.solve(d)
+        held(d, first)
+        held(d, second)
+        gaps.append(second.propellant / first.propellant - 1.0)
+    assert np.abs(gaps).max() < 5e-3, gaps
