@@ -40,6 +40,8 @@ EDGES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0)
 FAR, NEAR, RATE, SPEED = 160.0, 25.0, 10.0, 12.0
 # Pictures between two whose differences tell of the wander, and the least turn, rad.
 LAG, LEAST_TURN = 20, 0.05
+# What is found is a rock's that is no farther off, pixels or its radius, and no less alike in size.
+MOST_OFF, ALIKE = 2.5, 1.6
 # Rocks that must show in both pictures for what they share.
 FEWEST = 8
 
@@ -88,9 +90,12 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
         row = np.full((len(rocks), 9), np.nan)
         if len(seen):
             away, nearest = tree.query(seen.ground)
-            like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(1.6)
-            at = (away < rocks.a[nearest]) & like
-            of, view = nearest[at], camera.view(state)
+            like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(ALIKE)
+            view = camera.view(state)
+            pixel = np.linalg.norm(true[nearest] - position, axis=1) / view.pinhole.fx
+            # A limit of a radius would cut off what small rocks err by.
+            at = (away < np.maximum(rocks.a[nearest], MOST_OFF * pixel)) & like
+            of = nearest[at]
             by_place = view.pinhole.jacobian((true[of] - position) @ view.axes, view.axes[:2].T)
             on_ground = np.linalg.inv(by_place @ axes)
             moved = seen.pixel[at] - view.pinhole.project((true[of] - position) @ view.axes)

@@ -95,9 +95,10 @@ def _free(clarabel: float) -> None:
 
 
 def _rigid() -> None:
-    """Print a rigid body's descent by cone programs, from nothing and a second later, and by IPOPT."""
+    """Print a rigid body's descent by cone programs, anew and a second later, and by IPOPT."""
     from scipy.spatial.transform import Rotation
 
+    from lunarsim.evaluation.open_loop import flown
     from lunarsim.models.lander import Lander
     from lunarsim.optimal.six_dof import RigidDescent, Successive, carried_on, shoot
     from lunarsim.vehicle.state import State
@@ -113,7 +114,7 @@ def _rigid() -> None:
             glideslope=point.glideslope,
         )  # fmt: skip
         first = programs.solve(rigid)
-        times, states = first.flown()
+        times, states = flown(first)
         after = State.from_vector(states[np.searchsorted(times, 1.0)])
         later = programs.solve(replace(rigid, start=after), carried_on(first, 1.0))
         cold.append(1e3 * first.seconds)

@@ -71,7 +71,7 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.36, 0.15)
+    look_sigma: tuple[float, float] = (0.46, 0.18)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:

@@ -1,19 +1,20 @@
 """The structure of the programs of successive convexification, and what fills it.
 
-Variables: states at nodes 1 to N, commands, the length of an interval, virtual controls. Equalities:
-tangents of the motion, and the end. Inequalities: bounds of commands, mass and time, tangents of the
-limits. All matrices keep their pattern, so that a solver may be updated.
+Variables: states at nodes 1 to N, commands, the length of an interval, virtual controls.
+Equalities: tangents of the motion, and the end. Inequalities: bounds of commands, mass and time,
+tangents of the limits. All matrices keep their pattern, so that a solver may be updated.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from lunarsim.optimal.six_dof.linearised import Point
 from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES
 from lunarsim.optimal.six_dof.scale import EFFORT, LIMITS, Scale
 
@@ -27,20 +28,6 @@ _EXEMPT = (13, 14)
 _STEPS = len(SHARES)
 _END = (0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12)  # upright, at rest: heading and thrust are free
 _FAR = 1e3  # a bound that never binds, in units
-
-
-class Tangents(Protocol):
-    """A path in units: states (n + 1, 15), shares of commands (n, 4), length of an interval.
-
-    `values` are ends of intervals and limits in them (n, 35), `tangents` their derivatives
-    (n, 35, 20).
-    """
-
-    x: Array
-    v: Array
-    length: float
-    values: Array
-    tangents: Array
 
 
 @dataclass(frozen=True)
@@ -98,7 +85,7 @@ class Layout:
         controls = self.first_control + np.arange(CONTROLS * n).reshape(n, CONTROLS)
         return np.column_stack((states, controls, np.full(n, self.length)))
 
-    def _blocks(self, rows: int) -> tuple[Array, Array, Array]:
+    def _blocks(self, rows: int) -> tuple[Any, Any, Any]:
         """Return rows, columns and which are kept of a block of rows an interval."""
         n = self.n
         r = np.broadcast_to(np.arange(rows * n).reshape(n, rows, 1), (n, rows, 20)).ravel()
@@ -128,7 +115,7 @@ class Layout:
             rows, np.concatenate((c[keep], columns)), (begun + len(columns), self.count)
         )
 
-    def fill(self, scale: Scale, point: Tangents, step: float) -> Filled:
+    def fill(self, scale: Scale, point: Point, step: float) -> Filled:
         """Return the program at a path.
 
         Parameters
@@ -146,8 +133,7 @@ class Layout:
         known = np.column_stack((x[:-1], v, np.full(n, length)))
         # At its own path a tangent has its value; the start does not move.
         rest = point.values - np.einsum("nij,nj->ni", tangents, np.where(keep, known, 0.0))
-        low, high = scale.bounds(n)
-        (low_x, low_v, _), (high_x, _, _) = (Scale.split(z, n) for z in (low, high))
+        low_x, low_v, _ = Scale.split(scale.bounds(n)[0], n)
         some = np.broadcast_to(keep[:, None, :], tangents.shape)
         motion, held = tangents[:, :STATES], tangents[:, STATES:]
         ones, helped = np.ones(STATES * n), self.virtual.stop - self.virtual.start

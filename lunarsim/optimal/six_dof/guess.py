@@ -26,7 +26,7 @@ class Guess:
     duration
         s.
     states
-        At N + 1 nodes (N + 1, 15), as `State.as_vector`.
+        At N + 1 nodes (N + 1, 15): position, velocity, attitude, rate, mass and thrust.
     thrust, torque
         In N intervals (N,), N, and (N, 3), N m.
     """

@@ -1,7 +1,8 @@
 """The simulator's equations of motion over one interval of held commands, for CasADi.
 
-The same equations as `lunarsim.vehicle.dynamics.Dynamics`, without thrusters' forces and round Moon,
-in units of the problem (`Units`), so that one compiled program serves every lander and descent.
+The same equations as `lunarsim.vehicle.dynamics.Dynamics`, without thrusters' forces and round
+Moon, in units of the problem (`Units`), so that one compiled program serves every lander and
+descent.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A descent of a rigid body as it was solved for, and what the simulator makes of it."""
+"""A descent of a rigid body as it was solved for, and how well a flight keeps what was asked."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.optimal.six_dof.problem import RigidDescent
-from lunarsim.vehicle.dynamics import Dynamics
-from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
 
@@ -25,7 +23,7 @@ class RigidPath:
     duration
         Final time, s.
     states
-        At the nodes (N + 1, 15), as `State.as_vector`.
+        At the nodes (N + 1, 15): position, velocity, attitude, rate, mass and thrust.
     thrust
         Asked in each interval (N,), N.
     torque
@@ -48,23 +46,6 @@ class RigidPath:
     def propellant(self) -> float:
         """Kg."""
         return float(self.states[0, 13] - self.states[-1, 13])
-
-    def flown(self, step: float = 0.01) -> tuple[Array, Array]:
-        """Return times (K,) and states (K, 15) of a flight of these commands in the simulator.
-
-        `step` is the longest step of its integration, s.
-        """
-        d, count = self.descent, len(self.thrust)
-        length = self.duration / count
-        parts = int(np.ceil(length / step))
-        dynamics = Dynamics(d.lander, d.gravity, step=length / parts)
-        state = State.from_vector(self.states[0])
-        rows = [state.as_vector()]
-        for thrust, torque in zip(self.thrust, self.torque, strict=True):
-            for _ in range(parts):
-                state = dynamics.advance(state, float(thrust), torque)
-                rows.append(state.as_vector())
-        return np.linspace(0.0, self.duration, count * parts + 1), np.array(rows)
 
 
 @dataclass(frozen=True)

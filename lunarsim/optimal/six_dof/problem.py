@@ -3,16 +3,50 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.optimal.problem import Descent
-from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
+
+
+class Start(Protocol):
+    """Where a descent begins: what a `lunarsim.vehicle.State` has."""
+
+    @property
+    def position(self) -> Array:
+        """ENU (3,), m."""
+
+    @property
+    def velocity(self) -> Array:
+        """ENU (3,), m/s."""
+
+    @property
+    def attitude(self) -> Array:
+        """Body to ENU, unit quaternion, scalar last (4,)."""
+
+    @property
+    def rate(self) -> Array:
+        """Body axes (3,), rad/s."""
+
+    @property
+    def mass(self) -> float:
+        """Kg."""
+
+    @property
+    def thrust(self) -> float:
+        """What the engine gives now, N."""
+
+
+def angle_between(a: Array, b: Array) -> float:
+    """Return the angle between two directions (3,), rad."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 @dataclass(frozen=True)
@@ -90,7 +124,7 @@ class RigidDescent:
     """
 
     lander: Lander
-    start: State
+    start: Start
     end_position: Array
     end_velocity: Array = field(default_factory=lambda: np.zeros(3))
     gravity: float = 1.622
@@ -115,12 +149,17 @@ class RigidDescent:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
         self._check_figures()
-        if not np.isfinite(self.start.as_vector()).all():
+        if not np.isfinite(self.start_vector).all():
             raise InputError("optimal.start", "not finite", "a state of finite numbers")
+        if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
+            raise InputError(
+                "optimal.start.attitude", list(self.start.attitude), "a quaternion of length 1"
+            )
         if not self.dry_mass < self.start.mass:
             raise InputError(
                 "optimal.start.mass", self.start.mass, f"more than the {self.dry_mass} kg left"
             )
+        self._check_start()
 
     def _check_figures(self) -> None:
         low, high = self.lander.thrust_min, self.lander.thrust_max
@@ -142,6 +181,37 @@ class RigidDescent:
                 raise InputError(f"optimal.{name}", angle, "an angle from 0 to 90 deg, in rad")
         if self.max_rate is not None and not 0.0 < self.max_rate < np.inf:
             raise InputError("optimal.max_rate", self.max_rate, "a positive rate, rad/s")
+
+    def _check_start(self) -> None:
+        """Refuse a start that passes the limits itself."""
+        at = self.start.position - self.end_position
+        body = Rotation.from_quat(self.start.attitude)
+        held: list[tuple[str, float, float | None]] = [
+            ("attitude", angle_between(body.apply([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])),
+             self.max_tilt),
+            ("rate", float(np.linalg.norm(self.start.rate)), self.max_rate),
+        ]  # fmt: skip
+        if self.sight is not None:
+            off = angle_between(body.apply(self.sight.axis), -at)
+            held.append(("sight", off, self.sight.half_angle))
+        for name, value, most in held:
+            if most is not None and value > most:
+                raise InputError(
+                    f"optimal.start.{name}", round(float(np.rad2deg(value)), 3),
+                    f"at most the {np.rad2deg(most):.3f} deg that the descent is to keep",
+                )  # fmt: skip
+        slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.drop
+        if self.glideslope is not None and at[2] < slope:
+            raise InputError(
+                "optimal.start.position", self.start.position.tolist(),
+                f"above the glideslope: {slope:.1f} m or more over the end",
+            )  # fmt: skip
+
+    @property
+    def start_vector(self) -> Array:
+        """The start as one array (15,): position, velocity, attitude, rate, mass, thrust."""
+        s = self.start
+        return np.concatenate((s.position, s.velocity, s.attitude, s.rate, [s.mass, s.thrust]))
 
     @property
     def least(self) -> float:

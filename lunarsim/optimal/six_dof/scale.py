@@ -80,7 +80,7 @@ class Scale:
         low = np.full((n + 1, STATES), -np.inf)
         high = -low
         low[:, 13] = d.dry_mass / u.mass
-        low[0] = high[0] = self._scaled(d.start.as_vector())
+        low[0] = high[0] = self._scaled(d.start_vector)
         end = np.concatenate((d.end_position, d.end_velocity, np.zeros(9)))
         at = [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12]
         low[n, at] = high[n, at] = self._scaled(end)[at]

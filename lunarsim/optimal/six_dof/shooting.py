@@ -24,7 +24,7 @@ from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.scale import EFFORT, PARAMETERS, Scale
 
 _STEPS = len(SHARES)
-_OPTIONS = {
+_OPTIONS: dict[str, Any] = {
     "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-6,
     "ipopt.acceptable_tol": 1e-5, "ipopt.mu_strategy": "adaptive", "error_on_fail": False,
     # A start that is worth something stays what it is.

@@ -11,11 +11,8 @@ and updated, solved by QOCO.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
-import casadi
 import numpy as np
 import qoco
 from numpy.typing import NDArray
@@ -24,76 +21,22 @@ from lunarsim.errors import InputError
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.cone_rows import Filled, Layout
 from lunarsim.optimal.six_dof.guess import Guess, guess_of
-from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
+from lunarsim.optimal.six_dof.linearised import Point
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
-from lunarsim.optimal.six_dof.scale import LIMITS, PARAMETERS, Scale
+from lunarsim.optimal.six_dof.scale import Scale
 
 Array = NDArray[np.float64]
 
-_INPUTS = STATES + CONTROLS + 1
-_ROWS = STATES + len(SHARES) * LIMITS
 # Prices of steps, against the mass at the end as a share of the start's: at first, and bounds.
 _FIRST, _CHEAPEST, _DEAREST, _JOINING = 1e-5, 1e-5, 1e-1, 1e-2
 # Of what a program foresees to gain, the share below which its path is not taken, and above which
 # steps may be longer.
 _POOR, _GOOD = 0.1, 0.5
-# What an interval's end apart from the next one's start, or a limit passed, costs in units.
-_APART = 0.03
 _MEMORY, _LONG, _NEAR = 3, 1e-4, 5e-3
 # A path is joined when no interval ends farther than this from the next one's start, in units, and
 # saves no more when a program foresees less than this share of the propellant.
 _JOINED, _PASSED, _SAVED = 2e-5, 5e-3, 5e-4
-
-
-@dataclass(frozen=True)
-class _Point:
-    """A path in units, and the motion's tangents there.
-
-    Attributes
-    ----------
-    x, v, length
-        Scaled states (n + 1, 15), shares of commands (n, 4), length of an interval.
-    values, tangents
-        See `tangents_at`.
-    passed
-        By how much limits are passed, summed up.
-    """
-
-    x: Array
-    v: Array
-    length: float
-    values: Array
-    tangents: Array
-    passed: float
-
-    @classmethod
-    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> _Point:
-        """Return a path with its tangents."""
-        values, tangents = tangents_at(x, v, length, scale.parameters)
-        asked = scale.rows(len(v))[0][STATES * len(v) :].reshape(len(v), -1)
-        under = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
-        return cls(x, v, length, values, tangents, float(np.maximum(under, 0.0).sum()))
-
-    @property
-    def burnt(self) -> float:
-        """Propellant, as a share of the start's mass."""
-        return float(self.x[0, 13] - self.x[-1, 13])
-
-    @property
-    def gaps(self) -> Array:
-        """Ends of intervals less the next ones' starts (n, 15)."""
-        return np.asarray(self.values[:, :STATES] - self.x[1:])
-
-    @property
-    def apart(self) -> float:
-        """The largest gap."""
-        return float(np.abs(self.gaps).max())
-
-    @property
-    def merit(self) -> float:
-        """Propellant and what is not yet kept, less is better."""
-        return self.burnt + _APART * (float(np.abs(self.gaps).sum()) + self.passed)
 
 
 class Successive:
@@ -135,7 +78,7 @@ class Successive:
         guess = guess_of(descent, n) if guess is None else guess.on(n)
         scale = Scale.of(descent, guess)
         x, v, total = scale.split(scale.start(guess), n)
-        path, count = self._settled(scale, _Point.at(x, v, total / n, scale))
+        path, count = self._settled(scale, Point.at(x, v, total / n, scale))
         states, controls, duration = scale.read(
             np.concatenate((path.x.ravel(), path.v.ravel(), [n * path.length])), n
         )
@@ -144,7 +87,7 @@ class Successive:
             time.perf_counter() - begun,
         )  # fmt: skip
 
-    def _settled(self, scale: Scale, point: _Point) -> tuple[_Point, int]:
+    def _settled(self, scale: Scale, point: Point) -> tuple[Point, int]:
         """Return the path at which programs save no more, and how many there were."""
         price, joining = _FIRST, False
         merits = [point.merit]
@@ -154,10 +97,10 @@ class Successive:
             if z is None:
                 price, joining = 6.0 * price, False
                 continue
-            new = _Point.at(*self._layout.read(z, point.x[0]), scale)
+            new = Point.at(*self._layout.read(z, point.x[0]), scale)
             if joining and new.apart < _JOINED and new.passed < _PASSED:
                 return new, count
-            # Some programs' gains come after a path that is worse: the worst of the last ones counts.
+            # Gains may come after a path that is worse: the worst of the last ones counts.
             bar = max(merits[-_MEMORY:])
             foreseen = bar - new.burnt
             ratio = (bar - new.merit) / max(foreseen, 1e-12)
@@ -194,27 +137,3 @@ class Successive:
             self._held = None  # what a failed solve leaves behind may be no number
             return None
         return x
-
-
-@cache
-def _shot() -> Any:
-    """Return (state, control, length; parameters) -> end, limits (35,) and derivatives (35, 20)."""
-    z, p = casadi.SX.sym("z", _INPUTS), casadi.SX.sym("p", PARAMETERS)
-    x, v, length = z[:STATES], z[STATES:-1], z[-1]
-    states = interval()(x, v * p[11:15], length, p[:11])
-    held = [limits()(states[:, k], p[15:]) for k in range(len(SHARES))]
-    out = casadi.vertcat(states[:, -1], *held)
-    tangent = casadi.densify(casadi.jacobian(out, z))
-    return casadi.Function("shot", [z, p], [out, tangent])
-
-
-def tangents_at(x: Array, v: Array, length: float, p: Array) -> tuple[Array, Array]:
-    """Return ends of all intervals and limits in them (n, 35), and their derivatives (n, 35, 20).
-
-    The last column is with the length of an interval.
-    """
-    n = len(v)
-    z = np.column_stack((x[:-1], v, np.full(n, length)))
-    out, jacobian = _shot().map(n)(z.T, np.tile(p[:, None], n))
-    tangents = np.asarray(jacobian).reshape(_ROWS, n, _INPUTS).transpose(1, 0, 2)
-    return np.asarray(out).T, tangents

@@ -1,0 +1,42 @@
+"""Commands that were planned, flown by the simulator without anything that corrects them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.optimal.six_dof.path import RigidPath
+from lunarsim.vehicle.dynamics import Dynamics
+from lunarsim.vehicle.state import State
+
+Array = NDArray[np.float64]
+
+
+def flown(path: RigidPath, step: float = 0.01) -> tuple[Array, Array]:
+    """Return what the simulator makes of a rigid body's path.
+
+    Parameters
+    ----------
+    path
+        Its commands and start are flown.
+    step
+        Longest step of the integration, s.
+
+    Returns
+    -------
+    times
+        s (K,).
+    states
+        (K, 15), as `State.as_vector`.
+    """
+    d, count = path.descent, len(path.thrust)
+    length = path.duration / count
+    parts = int(np.ceil(length / step))
+    dynamics = Dynamics(d.lander, d.gravity, step=length / parts)
+    state = State.from_vector(path.states[0])
+    rows = [state.as_vector()]
+    for thrust, torque in zip(path.thrust, path.torque, strict=True):
+        for _ in range(parts):
+            state = dynamics.advance(state, float(thrust), torque)
+            rows.append(state.as_vector())
+    return np.linspace(0.0, path.duration, count * parts + 1), np.array(rows)
