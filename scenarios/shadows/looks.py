@@ -5,6 +5,7 @@ shows the rocks is set against where they are. What differs between two pictures
 apart is noise of each look: beside it stands what the detector says (`look_covariance`). What
 differs more after the view has turned is a rock's own, or alike for all, and wanders
 (`RockFilter.turn`); both are in radii after a radian, as `TrackerSettings.view_wander` has them.
+What is left when the looks of a rock are averaged is its shape: `ShadowModel` holds such figures.
 
 python scenarios/shadows/looks.py
 python scenarios/shadows/looks.py --shape irregular --sun-elevation 10
@@ -42,6 +43,8 @@ FAR, NEAR, RATE, SPEED = 160.0, 25.0, 10.0, 12.0
 LAG, LEAST_TURN = 20, 0.05
 # What is found is a rock's that is no farther off, pixels or its radius, and no less alike in size.
 MOST_OFF, ALIKE = 2.5, 1.6
+# Looks at a rock whose mean has its shape left, more than their noise.
+MANY = 10
 # Rocks that must show in both pictures for what they share.
 FEWEST = 8
 
@@ -59,6 +62,8 @@ class Looks:
         What a pixel spans along and across there, m (pictures, rocks, 2).
     sight
         Directions to the rocks (pictures, rocks, 3).
+    ratio
+        Radius that a patch was read as over the true one (pictures, rocks).
     radius
         m (rocks,).
     """
@@ -67,6 +72,7 @@ class Looks:
     said: Array
     pixel: Array
     sight: Array
+    ratio: Array
     radius: Array
 
 
@@ -87,7 +93,7 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
         camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
         counts = camera.expose(world, state, 0.0, rng).counts
         seen = detect_rocks(counts, camera, state, sun, model=model)
-        row = np.full((len(rocks), 9), np.nan)
+        row = np.full((len(rocks), 10), np.nan)
         if len(seen):
             away, nearest = tree.query(seen.ground)
             like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(ALIKE)
@@ -102,12 +108,14 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
             own = on_ground @ seen.look_covariance[at] @ np.swapaxes(on_ground, 1, 2)
             row[of, :2] = np.einsum("nij,nj->ni", on_ground, moved)
             row[of, 2:4] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
+            row[of, 9] = seen.radius[at] / rocks.a[of]
             row[of, 4:6] = 1.0 / np.linalg.norm(by_place @ axes, axis=1)
         sight = true - position
-        row[:, 6:] = sight / np.linalg.norm(sight, axis=1)[:, None]
+        row[:, 6:9] = sight / np.linalg.norm(sight, axis=1)[:, None]
         rows.append(row)
     table = np.array(rows)
-    return Looks(table[..., :2], table[..., 2:4], table[..., 4:6], table[..., 6:], rocks.a)
+    off, said, pixel, sight = np.split(table[..., :9], (2, 4, 6), axis=-1)
+    return Looks(off, said, pixel, sight, table[..., 9], rocks.a)
 
 
 def look_to_look(looks: list[Looks]) -> Array:
@@ -157,6 +165,32 @@ def wanders(looks: list[Looks]) -> tuple[Array, Array]:
     return roots[0], roots[1]
 
 
+def shapes(looks: list[Looks]) -> tuple[float, float, int]:
+    """Return what many looks do not average out, and of how many rocks it was found.
+
+    Scatter between rocks of the mean radius, over the radius, and root mean square of how far the
+    mean place is off on an axis, in radii; of rocks with `MANY` looks or more, what looks differ by
+    taken off.
+    """
+    sizes, places = [], []
+    for one in looks:
+        count = np.isfinite(one.ratio).sum(axis=0)
+        some = count >= MANY
+        ratio = one.ratio[:, some]
+        place = one.off[:, some] / one.radius[some, None]
+        noise = np.nanvar(ratio, axis=0, ddof=1) / count[some]
+        spread = (np.nanvar(place, axis=0, ddof=1) / count[some, None]).mean(axis=1)
+        sizes.append(np.column_stack((np.nanmean(ratio, axis=0), noise)))
+        mean = np.nanmean(place, axis=0)
+        mean = mean - mean.mean(axis=0)
+        places.append((mean**2).mean(axis=1) - spread)
+    size, place = np.concatenate(sizes), np.concatenate(places)
+    if len(size) < 2:
+        return np.nan, np.nan, len(size)
+    left = size[:, 0].var(ddof=1) - size[:, 1].mean()
+    return float(np.sqrt(max(left, 0.0))), float(np.sqrt(max(place.mean(), 0.0))), len(size)
+
+
 def show(looks: list[Looks], console: Console) -> None:
     """Print both tables."""
     rows = look_to_look(looks)
@@ -176,6 +210,11 @@ def show(looks: list[Looks], console: Console) -> None:
     console.print(
         f"Wander as the view turns, radii after a radian: a rock's own {own[0]:.2f} along the Sun, "
         f"{own[1]:.2f} across; of all {shared[0]:.2f} along, {shared[1]:.2f} across"
+    )
+    radius, centre, rocks = shapes(looks)
+    console.print(
+        f"Left by {MANY} looks and more, of {rocks} rocks: radius {radius:.2f} of itself, centre "
+        f"{centre:.2f} radii an axis"
     )
 
 

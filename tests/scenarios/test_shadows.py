@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from itertools import combinations
 
 import numpy as np
@@ -12,6 +13,8 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockModel
 from lunarsim.scenario import Scenario
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
@@ -30,6 +33,17 @@ def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
         assert over == pytest.approx(along / 0.46, rel=0.25)
         assert over_across == pytest.approx(across / 0.18, rel=0.25)
     assert "nan" not in done.output
+    left = re.search(r"radius ([\d.]+) of itself, centre ([\d.]+) radii", done.output)
+    assert left is not None
+    radius, centre = _outline_sigmas()
+    assert float(left[1]) == pytest.approx(radius, abs=0.08)
+    assert float(left[2]) == pytest.approx(centre, abs=0.1)
+
+
+def _outline_sigmas() -> tuple[float, float]:
+    """Return what the model says that looks do not average out, in radii."""
+    model = ShadowModel(np.radians(20.0), RockModel("cube"))
+    return model.radius_sigma, model.centre_sigma
 
 
 def test_rates_fall_with_size(script, tmp_path):

@@ -169,9 +169,9 @@ def test_from_look_to_look_centres_differ_by_what_is_said(height):
     assert both.sum() > 40
     squared = np.einsum("ni,nij,nj->n", change[both], np.linalg.inv(expected[both]), change[both])
     # Normal errors have a mean of 2 and a median of 1.39; patches that merge now and then give long
-    # tails, and large ones less besides.
-    assert 0.25 < np.median(squared) < 2.0
-    assert 0.7 < np.mean(np.minimum(squared, 25.0)) < 4.0
+    # tails. What is said is what small ones err by, tails and all: large ones err by less.
+    assert 0.15 < np.median(squared) < 2.0
+    assert 0.4 < np.mean(np.minimum(squared, 25.0)) < 4.0
 
 
 def test_distortion_is_taken_out():
