@@ -2,10 +2,10 @@
 
 Three runs over a sphere that turns: P63, P64 and the automatic P65; the same with P66 and the pilot
 model from 500 ft on; and a pilot who flies on past a crater first, as Armstrong did. Targets are
-Apollo 10's load (scenarios/data/lm_targets.csv). Nothing is fitted to the record: it is read after
-the flights. Ignition is 260 nautical miles uprange as published for the mission; from the load's
-own 440 km a lander of full tanks cannot stop in time (Apollo 10's was a ton lighter): a last column
-shows it.
+those that Apollo 11's computer was loaded with (scenarios/data/lm_targets_apollo11.csv), and
+ignition is where that load's ignition algorithm puts it, 260 nautical miles uprange. Nothing is
+fitted to the record: it is read after the flights. A last column flies the sample values that were
+listed for Apollo 10 half a year before (lm_targets.csv).
 
 python scenarios/apollo11_descent.py --out out/apollo11 --json apollo11.json
 """
@@ -31,7 +31,6 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.flight import Flight
 
-NAUTICAL_MILES = 260.0
 LOW_GATE = 500.0 * apollo11.FEET
 # Low gate is 700 m short of the site: with a lean of 15 deg, 0.43 m/s^2, a speed of distance over
 # 40 s is the fastest that can be taken out on the way. Above 5 m/s he keeps his height.
@@ -67,13 +66,13 @@ class Run:
     told: dict[str, Any]
 
 
-def scenario_of(uprange: float, isp: float, ground: str) -> Scenario:
-    """Return the descent with the load's targets from a way uprange (m), over a ground."""
+def scenario_of(isp: float, ground: str, load: str = apollo11.FLOWN) -> Scenario:
+    """Return the descent with a load's targets from its own ignition, over a ground."""
     base = Scenario.load(HERE / "landers/apollo11.toml")
     base = base.changed(vehicle={"specific_impulse_s": isp})
     if ground == "measured":
         base = base.changed(**MEASURED)
-    return apollo11.started(apollo11.loaded(base), uprange)
+    return apollo11.started(apollo11.loaded(base, load), load)
 
 
 def piloted(scenario: Scenario, **pilot: float) -> Scenario:
@@ -138,7 +137,7 @@ def _verdict(told: dict[str, Any]) -> str:
 
 def table_of(runs: list[Run]) -> Table:
     """Return the table of all runs, a column each."""
-    table = Table(title="Apollo 11's descent, flown by guidance with Apollo 10's targets")
+    table = Table(title="Apollo 11's descent, flown by guidance")
     table.add_column("")
     for run in runs:
         table.add_column(run.name, justify="right")
@@ -210,13 +209,6 @@ def _hover(run: Run) -> str:
 
 @click.command()
 @click.option(
-    "--uprange-km",
-    type=click.FloatRange(350.0, 700.0),
-    default=NAUTICAL_MILES * 1.852,
-    show_default=True,
-    help="Ignition from the site.",
-)
-@click.option(
     "--isp",
     type=click.FloatRange(301.0, 305.0),
     default=303.0,
@@ -232,28 +224,27 @@ def _hover(run: Run) -> str:
     help="Measured: the terrain models at hand, of other places.",
 )
 @click.option(
-    "--load-start/--no-load-start",
+    "--sample/--no-sample",
     default=True,
     show_default=True,
-    help="Fly from the load's own ignition besides.",
+    help="Fly the sample values listed for Apollo 10 besides.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Figure and flights.")
 @click.option("--json", "file", type=click.Path(path_type=Path), help="Every figure of every run.")
 def main(
-    uprange_km: float, isp: float, seed: int, ground: str, load_start: bool, out: Path | None,
-    file: Path | None,
-) -> None:  # fmt: skip
+    isp: float, seed: int, ground: str, sample: bool, out: Path | None, file: Path | None
+) -> None:
     """Fly the descent automatically and by two pilots, and set it beside the record."""
     console = Console(width=130)
-    base = scenario_of(1e3 * uprange_km, isp, ground)
+    base = scenario_of(isp, ground)
+    console.print(f"Ignition {apollo11.uprange(base) / 1852.0:.1f} nautical miles uprange.")
     runs = [
         fly("P65", base, seed),
         fly("P66", piloted(base), seed),
         fly("P66, flown on", piloted(base, **FLOWN_ON), seed),
     ]
-    if load_start:
-        own = scenario_of(apollo11.own_uprange(base), isp, ground)
-        runs.append(fly("P65 from 441 km", own, seed))
+    if sample:
+        runs.append(fly("P65, sample", scenario_of(isp, ground, apollo11.SAMPLE), seed))
     console.print(table_of(runs))
     for run in runs[:3]:
         console.print(_hover(run))

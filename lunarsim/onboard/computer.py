@@ -117,7 +117,7 @@ class OnboardComputer:
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
-        descent = self.approach.vertical_altitude / self.approach.vertical_speed
+        descent = self.approach.vertical_altitude / self.approach.rate
         self._aim = Aim(self.decisions.touchdown_sigma, descent)
         self._events = self._told = 0
         self._arrivals = Arrivals(briefing.step, self._note)

@@ -1,6 +1,6 @@
-"""Apollo 11's descent as data: the load of targets, the record, and a flight read off beside it.
+"""Apollo 11's descent as data: loads of targets, the record, and a flight read off beside it.
 
-The guidance frame of the load is x up, y cross, z downrange; here downrange is west, so a value
+The guidance frame of a load is x up, y cross, z downrange; here downrange is west, so a value
 along z is one along -x of ENU.
 """
 
@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from lunarsim.frames import quat_rotate
 from lunarsim.models.gravity import CentralGravity
+from lunarsim.onboard.guidance.apollo import jerk_time_to_go
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 
@@ -35,10 +37,17 @@ REPORTED, INSERTION = 7_899.0, 121.6
 CHART_LOCK_ON, CHART = 4_260.0, 7_570.0
 
 
-def targets() -> dict[str, tuple[float, float, float]]:
-    """Return the load by name: ENU here, NaN where the load has no value."""
+Targets = dict[str, tuple[float, float, float]]
+# Loads of the guidance computer: that flown on Apollo 11, and sample values listed for Apollo 10.
+FLOWN, SAMPLE = "lm_targets_apollo11.csv", "lm_targets.csv"
+# What the computer took the trim at the least thrust to be, m/s^2 (TRIMACCL of Luminary 099).
+TRIM_ACCELERATION = 0.350132708
+
+
+def targets(load: str = FLOWN) -> Targets:
+    """Return a load by name: ENU here, NaN where the load has no value."""
     out = {}
-    with (DATA / "lm_targets.csv").open() as file:
+    with (DATA / load).open() as file:
         for row in csv.DictReader(file):
             up, cross, down = (
                 float(row[k]) if row[k] else np.nan for k in ("x_up", "y_cross", "z_downrange")
@@ -47,54 +56,92 @@ def targets() -> dict[str, tuple[float, float, float]]:
     return out
 
 
-def loaded(scenario: Scenario) -> Scenario:
-    """Return a scenario with the targets of the load in `[braking]` and `[approach]`."""
-    t = targets()
+def only(t: Targets, name: str) -> float:
+    """Return the size of what is no vector, in whichever column it stands."""
+    return next(abs(v) for v in t[name] if np.isfinite(v))
+
+
+def _jerk(t: Targets, of: str) -> float:
+    """Return the jerk along the velocity at the end of a phase, m/s^3; a load gives eight times it.
+
+    The law counts along that velocity, which at the end of Apollo 11's braking points back.
+    """
+    return t[f"J{of}*"][0] / 8.0 * float(np.sign(t[f"V{of}"][0]))
+
+
+def loaded(scenario: Scenario, load: str = FLOWN) -> Scenario:
+    """Return a scenario with the targets of a load in `[braking]`, `[approach]`, `[descent]`."""
+    t = targets(load)
     high = scenario.vehicle.com_height_m
-
-    def only(name: str) -> float:
-        # What is no vector stands in any of the columns.
-        return next(abs(v) for v in t[name] if np.isfinite(v))
-
     braking = {
         "end_position_m": t["RBRFG"],
         "end_velocity_m_s": t["VBRFG"],
         "end_acceleration_m_s2": t["ABRFG"],
-        "jerk_m_s3": -t["JBRFG*"][0] / 8.0,
-        "ends_at_s": only("TENDBRAK"),
-        "trim_s": only("ZOOMTIME"),
+        "jerk_m_s3": _jerk(t, "BRFG"),
+        "ends_at_s": only(t, "TENDBRAK"),
+        "trim_s": only(t, "ZOOMTIME"),
     }
-    approach = {
+    approach: dict[str, Any] = {
         "vertical_altitude_m": t["RAPFG"][2] - high,
         "vertical_speed_m_s": -t["VAPFG"][2],
         "arrival_offset_m": t["RAPFG"][:2],
         "arrival_velocity_m_s": t["VAPFG"][:2],
         "arrival_acceleration_m_s2": t["AAPFG"],
-        "jerk_m_s3": -t["JAPFG*"][0] / 8.0,
-        "ends_at_s": only("TENDAPPR"),
+        "jerk_m_s3": _jerk(t, "APFG"),
+        "ends_at_s": only(t, "TENDAPPR"),
+        "time_to_go_s": None,
+        "descent_speed_m_s": None,
     }
-    return scenario.changed(braking=braking, approach=approach)
+    if load == SAMPLE:  # without a first guess of P64's time, and with nothing of P65
+        return scenario.changed(braking=braking, approach=approach)
+    approach["time_to_go_s"] = only(t, "TENDBRAK") + only(t, "DELTTFAP")
+    approach["descent_speed_m_s"] = -t["V2FG"][2]
+    descent = {"kind": "velocity-null", "time_constant_s": only(t, "TAUVERT")}
+    return scenario.changed(braking=braking, approach=approach, descent=descent)
 
 
-def own_uprange(scenario: Scenario) -> float:
-    """Return the way over the sphere from the load's own point of ignition to the site, m."""
-    t, radius = targets(), scenario.moon.radius_m
-    return float(radius * np.arctan2(abs(t["RIGNZ"][0]), t["RIGNX"][2] + radius))
+def started(scenario: Scenario, load: str = FLOWN) -> Scenario:
+    """Return a scenario that begins where the load's ignition algorithm ignites.
 
-
-def started(scenario: Scenario, uprange: float) -> Scenario:
-    """Return a scenario that begins at a way over the sphere from the site, m.
-
-    At the height and the speed, level there, of the load's point of ignition.
+    RIGN and VIGN are where and how fast over ground the lander is to be at throttle-up, the trim
+    at the least thrust made up for (IGNALG and DDUMCALC of Luminary 099; on a path through RIGN
+    the algorithm's other terms are nought). Ignition is a coast of ZOOMTIME before. The coast is
+    taken to be level at RIGN: powered descent began where the orbit came nearest.
     """
-    t, radius = targets(), scenario.moon.radius_m
-    x, z = abs(t["RIGNZ"][0]), t["RIGNX"][2] + radius
-    distance, speed = np.hypot(x, z), abs(t["VIGN"][0])
-    a = uprange / radius
-    place = [distance * np.sin(a), 0.0, distance * np.cos(a) - radius]
+    t, moon = targets(load), scenario.moon.make().gravity(scenario.gravity_m_s2)
+    along, up = abs(t["RIGNZ"][0]), t["RIGNX"][2]
+    out = np.array([along, 0.0, up + moon.radius])
+    level = np.array([-out[2], 0.0, out[0]]) / np.hypot(out[0], out[2])
+    zoom = only(t, "ZOOMTIME")
+    speed = only(t, "VIGN") + TRIM_ACCELERATION * zoom
+    place, velocity = coasted(moon, np.array([along, 0.0, up]), speed * level, -zoom)
+    way = float(np.sign(t["VBRFG"][0]))
+    end = (way * t["RBRFG"][0], way * t["VBRFG"][0], way * t["ABRFG"][0])
+    here, guess = (way * place[0], way * velocity[0]), scenario.braking.time_to_go_s
+    left = jerk_time_to_go(*here, end, _jerk(t, "BRFG"), guess=guess)
     return scenario.changed(
-        start={"position_m": place, "velocity_m_s": [-speed * np.cos(a), 0.0, speed * np.sin(a)]}
+        start={"position_m": place.tolist(), "velocity_m_s": velocity.tolist()},
+        braking={"time_to_go_s": left},
     )
+
+
+def coasted(
+    moon: CentralGravity, position: Array, velocity: Array, time: float
+) -> tuple[Array, Array]:
+    """Return position and velocity (3,) after a time without thrust, s, which may be negative."""
+
+    def rate(_: float, state: Array) -> Array:
+        return np.concatenate((state[3:], moon.felt(state[:3], state[3:])))
+
+    start = np.concatenate((position, velocity))
+    state = solve_ivp(rate, (0.0, time), start, rtol=1e-11, atol=1e-9).y[:, -1]
+    return state[:3], state[3:]
+
+
+def uprange(scenario: Scenario) -> float:
+    """Return the way over the sphere from the start to the site, m."""
+    radius, (x, y, z) = scenario.moon.radius_m, scenario.start.position_m
+    return float(radius * np.arctan2(np.hypot(x, y), z + radius))
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def drawn(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: P
     axes[1, 1].axhspan(-5.0, 65.0, color="0.93", zorder=0)
     axes[1, 1].set_xlim(400.0, apollo11.LANDING)
     figure.suptitle(
-        "From ignition to the ground: guidance with Apollo 10's targets, and Apollo 11's record "
+        "From ignition to the ground: guidance with Apollo 11's own load, and its record "
         "(grey lines: its P64 and P66)"
     )
     figure.savefig(path, dpi=110)

@@ -34,9 +34,41 @@ def _close(ours, theirs):
 
 def test_the_file_holds_the_load(study):
     plain = Scenario.load(FILE)
-    loaded = study.apollo11.loaded(plain)
-    for table in ("braking", "approach"):
+    loaded = study.apollo11.started(study.apollo11.loaded(plain))
+    for table in ("start", "braking", "approach"):
         _close(getattr(plain, table).model_dump(), getattr(loaded, table).model_dump())
+    assert plain.descent.table == loaded.descent.table
+
+
+# Scales of the computer's words by the listing of its sample load: metres 2^24, m/cs 2^10, m/cs^2
+# 2^-4, m/cs^3 2^-18, centiseconds 2^14 where a constant stands alone and 2^17 where it is a
+# time-to-go; 2^9 for the time constant of P66.
+_SCALE = {"m": (24, 1.0), "m/s": (10, 1e2), "m/s^2": (-4, 1e4), "m/s^3": (-18, 1e6)}
+_SECONDS = {"ZOOMTIME": 14, "TAUVERT": 14, "TAUROD": 9}
+
+
+def _decoded(row):
+    """Return the values of a row's words: one's complement, 14 bits a word, high word first."""
+    words = [int(w, 8) for w in row["words"].split()]
+    parts = [-(0o77777 ^ w) if w >= 0o40000 else w for w in words]
+    if row["unit"] == "1":
+        return [parts[0] * 43_454.6769 / 3467 / 46_706.0]
+    power, per = _SCALE.get(row["unit"]) or (_SECONDS.get(row["name"], 17), 1e-2)
+    if len(parts) == 1:
+        return [parts[0] * 2.0 ** (power - 14) * per]
+    pairs = zip(parts[::2], parts[1::2], strict=True)
+    return [(high * 2**14 + low) * 2.0 ** (power - 28) * per for high, low in pairs]
+
+
+def test_the_values_of_the_flown_load_are_its_words(study):
+    import csv
+
+    with (ROOT / "data" / study.apollo11.FLOWN).open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 25
+    for row in rows:
+        told = [float(row[k]) for k in ("x_up", "y_cross", "z_downrange") if row[k]]
+        assert _decoded(row) == pytest.approx(told, rel=2e-4 if row["unit"] == "1" else 1e-7)
 
 
 def test_masses_are_the_mission_reports(study):
@@ -49,27 +81,59 @@ def test_masses_are_the_mission_reports(study):
     assert lander.dry_mass + 349.0 == pytest.approx(16_153.2 * pound, abs=60.0)
 
 
-def test_the_loads_own_ignition_is_the_files_start(study):
+def _leapt(moon, position, velocity, time):
+    """Return where a coast ends, ENU then and there: leapfrog in a frame that does not turn."""
+    centre = np.array([0.0, 0.0, -moon.radius])
+    r, steps = position - centre, 26_000
+    v, step = velocity + np.cross(moon.spin, r), time / 26_000
+
+    def pull(r):
+        return -moon.magnitude * moon.radius**2 * r / np.linalg.norm(r) ** 3
+
+    for _ in range(steps):
+        v = v + 0.5 * step * pull(r)
+        r = r + step * v
+        v = v + 0.5 * step * pull(r)
+    rate = np.linalg.norm(moon.spin)
+    x, y, z = moon.spin / rate
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    c, s = np.cos(rate * time), np.sin(rate * time)
+    back = np.eye(3) - s * cross + (1.0 - c) * cross @ cross  # the frame has turned on meanwhile
+    r, v = back @ r, back @ v
+    return r + centre, v - np.cross(moon.spin, r)
+
+
+def test_ignition_coasts_to_where_the_load_wants_the_throttle_up(study):
     plain = Scenario.load(FILE)
-    radius = plain.moon.radius_m
-    x, _, z = plain.start.position_m
-    arc = radius * np.arctan2(x, z + radius)
-    assert arc == pytest.approx(study.apollo11.own_uprange(plain))
-    assert arc == pytest.approx(440_907.0, abs=1.0)
-    own = study.apollo11.started(plain, arc)
-    assert own.start.position_m == pytest.approx(plain.start.position_m, abs=1e-3)
-    assert own.start.velocity_m_s == pytest.approx(plain.start.velocity_m_s, abs=1e-4)
-    # As fast as the load says, and level there.
-    v, up = np.array(own.start.velocity_m_s), np.array([x, 0.0, z + radius])
-    assert np.linalg.norm(v) == pytest.approx(1699.52182)
-    assert v @ up == pytest.approx(0.0, abs=1.0)
+    # The mission's ignition, as published 260 nautical miles uprange, comes out of the load.
+    assert study.apollo11.uprange(plain) == pytest.approx(260.0 * 1852.0, rel=1e-3)
+    moon = plain.moon.make().gravity(plain.gravity_m_s2)
+    start = np.array(plain.start.position_m), np.array(plain.start.velocity_m_s)
+    r, v = _leapt(moon, *start, 26.0)
+    assert r == pytest.approx([436_655.6875, 0.0, -39_782.4375], abs=0.01)  # RIGNZ, RIGNX
+    assert np.linalg.norm(v) == pytest.approx(1690.256118774 + 26.0 * 0.350132708, abs=1e-4)
+    assert v @ moon.from_centre(r) == pytest.approx(0.0, abs=10.0)  # level there
 
 
-def test_stars_of_the_load_are_what_the_cubic_takes_for_an_eighth_of_the_time(study):
-    t = study.apollo11.targets()
+def test_the_first_guess_of_braking_solves_its_cubic(study):
+    """As the computer writes it: along z, time negative, with the starred values."""
+    plain, t = Scenario.load(FILE), study.apollo11.targets()
+    time = -plain.braking.time_to_go_s / 8.0
+    z, speed = -plain.start.position_m[0], -plain.start.velocity_m_s[0]
+    j, a, v = (-t[f"{of}BRFG*"][0] for of in "JAV")
+    powers = (
+        j * time**3, a * time**2, (6.0 * speed / 8.0 + v) * time,
+        -24.0 / 64.0 * (z + t["RBRFG"][0]),
+    )  # fmt: skip
+    assert sum(powers) == pytest.approx(0.0, abs=1e-6 * max(map(abs, powers)))
+
+
+@pytest.mark.parametrize("load", ["FLOWN", "SAMPLE"])
+def test_stars_of_a_load_are_what_the_cubic_takes_for_an_eighth_of_the_time(study, load):
+    t = study.apollo11.targets(getattr(study.apollo11, load))
     for of in ("BRFG", "APFG"):
-        assert t[f"V{of}*"][0] == pytest.approx(18.0 / 8.0 * t[f"V{of}"][0], rel=1e-6)
-        assert t[f"A{of}*"][0] == pytest.approx(6.0 * t[f"A{of}"][0], rel=1e-6)
+        assert t[f"V{of}*"][0] == pytest.approx(18.0 / 8.0 * t[f"V{of}"][0], rel=2e-3)
+        assert t[f"A{of}*"][0] == pytest.approx(6.0 * t[f"A{of}"][0], rel=1e-5)
 
 
 def test_the_record_is_read_as_it_is(study):
@@ -99,37 +163,36 @@ def test_differences_are_those_put_in(study):
 def test_the_command_tells_of_itself(study):
     said = CliRunner().invoke(study.main, ["--help"])
     assert said.exit_code == 0
-    for option in ("--json", "--out", "--isp", "--uprange-km", "--ground"):
+    for option in ("--json", "--out", "--isp", "--sample", "--ground"):
         assert option in said.output
     assert CliRunner().invoke(study.main, ["--isp", "311"]).exit_code == 2
 
 
 @pytest.mark.slow
-def test_both_runs_land_beside_the_record(study, tmp_path):
+def test_all_runs_land_beside_the_record(study, tmp_path):
     import json
 
     out = tmp_path / "a11.json"
-    told = CliRunner().invoke(
-        study.main, ["--json", str(out), "--out", str(tmp_path), "--no-load-start"]
-    )
+    told = CliRunner().invoke(study.main, ["--json", str(out), "--out", str(tmp_path)])
     assert told.exit_code == 0, told.output
-    runs = json.loads(out.read_text())
+    *runs, sample = json.loads(out.read_text())
     for run in runs:
         assert run["safe"]
-        assert run["p64_altitude_m"] < 200.0
-        assert run["p64_pitch_deg"] < 7.0
-        assert 415.0 < run["recovery_s"] < 440.0
+        assert run["p63_altitude_m"] < 650.0
+        assert run["p63_pitch_deg"] < 4.5
+        assert run["p64_altitude_m"] < 300.0
+        assert 405.0 < run["recovery_s"] < 420.0
+        assert 485.0 < run["approach_s"] < 495.0
         assert run["times_real_time"] > 5.0
         phases = run["braking_kg"] + run["approach_kg"] + run["last_kg"]
         assert phases == pytest.approx(run["propellant_kg"], abs=40.0)  # thrusters' in it
-    assert runs[0]["propellant_kg"] == pytest.approx(7_380.0, abs=30.0)
-    assert [run["miss_m"] < 60.0 for run in runs] == [True, True, False]
+    # Within 3 % of what the mission report has for the whole stage: all but the plain pilot.
+    share = [(run["propellant_kg"] + 121.6) / 7_899.0 - 1.0 for run in runs]
+    assert [abs(s) < 0.03 for s in share] == [True, False, True]
+    assert share[1] == pytest.approx(-0.045, abs=0.004)
+    assert [run["miss_m"] < 80.0 for run in runs] == [True, True, False]
     assert 250.0 < runs[2]["miss_m"] < 460.0
     assert runs[2]["duration_s"] > runs[1]["duration_s"] + 15.0
     assert (tmp_path / "descent.png").exists()
-
-
-@pytest.mark.slow
-def test_from_the_loads_own_ignition_full_tanks_are_too_heavy(study):
-    run = study.fly("own", study.scenario_of(440_907.0, 303.0, "drawn"), 1)
-    assert not run.told["safe"]
+    assert sample["safe"]
+    assert sample["p63_altitude_m"] > 1_500.0

@@ -53,7 +53,7 @@ def law_of(scenario: Scenario, craft: Craft) -> f.Law:
     ])  # fmt: skip
     descent = np.array([
         down.frequency, down.damping, down.speed_gain, down.lean, down.lean_low, down.lean_height,
-        down.low_height, down.slip, down.slowest, -approach.vertical_speed,
+        down.low_height, down.slip, down.slowest, -approach.rate,
     ])  # fmt: skip
     clock = scenario.simulation.make()
     return f.Law(
@@ -138,7 +138,7 @@ class SiteLanes(Lanes):
         approach = scenario.approach.make()
         stated = np.array([
             self.decisions.touchdown_sigma, claimed,
-            approach.vertical_altitude / approach.vertical_speed,
+            approach.vertical_altitude / approach.rate,
         ])  # fmt: skip
         self.course = _course(count)
         self.maps = _maps(count, cells, posting, stated)

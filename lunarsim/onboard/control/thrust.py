@@ -54,9 +54,9 @@ def thrust_along(
 ) -> Command:
     """Return the command that thrusts along an acceleration, whatever the engine can give of it.
 
-    As braking of the lunar module did: the direction is kept, the size held in the throttle range.
-    A direction more than `max_tilt` (which may be over a quarter turn) from the vertical is turned
-    towards it. For the parameters see `thrust_to_command`.
+    The direction is kept, the size held in the throttle range. A direction more than `max_tilt`
+    (which may be over a quarter turn) from the vertical is turned towards it. For the parameters
+    see `thrust_to_command`.
     """
     size = float(np.linalg.norm(acceleration))
     if size == 0.0:
@@ -68,3 +68,24 @@ def thrust_along(
         along = np.array([sideways[0], sideways[1], np.cos(max_tilt)])
     thrust = min(max(size * mass, lander.thrust_min), lander.thrust_max)
     return Command(thrust, attitude_from_thrust(along, heading))
+
+
+def thrust_lift_first(
+    acceleration: NDArray[np.float64],
+    mass: float,
+    lander: Lander,
+    heading: float,
+    max_tilt: float,
+) -> Command:
+    """Return the command that keeps the vertical part, up or down, where the engine falls short.
+
+    As the lunar module's computer did in braking (Luminary 099, AFCCALC2): the vertical part stays,
+    the horizontal part takes what thrust is left. Unlike `thrust_to_command` it may lean more than
+    a quarter turn from the site's vertical, as it must beyond the horizon. For the parameters see
+    there.
+    """
+    most = lander.thrust_max / mass
+    up = min(max(float(acceleration[2]), -most), most)
+    size, left = float(np.hypot(*acceleration[:2])), float(np.sqrt(most**2 - up**2))
+    kept = acceleration[:2] * min(1.0, left / max(size, 1e-12))
+    return thrust_along(np.array([*kept, up]), mass, lander, heading, max_tilt)

@@ -23,7 +23,9 @@ class Approach:
     Attributes
     ----------
     vertical_altitude, vertical_speed
-        Where the vertical descent begins, m above the site, and its speed, m/s.
+        Where the vertical descent begins, m above the site, and the speed there, m/s.
+    descent_speed
+        Of the vertical descent, m/s; None: the same.
     arrival_acceleration
         At the end of the approach (3,), ENU, m/s^2; it shapes the path before it.
     arrival_offset, arrival_velocity
@@ -44,6 +46,9 @@ class Approach:
 
     vertical_altitude: float = quantity(10.0, "m", gt=0, help="of the pads, where it ends")
     vertical_speed: float = quantity(2.0, "m/s", gt=0, help="downward, where it ends and after")
+    descent_speed: float | None = quantity(
+        None, "m/s", gt=0, help="downward after it; left out: as where it ends"
+    )
     arrival_acceleration: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m/s^2", help="where it ends; shapes the path before it"
     )
@@ -79,6 +84,11 @@ class Approach:
             )  # fmt: skip
 
     @property
+    def rate(self) -> float:
+        """Speed of the vertical descent, m/s, downward."""
+        return self.descent_speed or self.vertical_speed
+
+    @property
     def free(self) -> bool:
         """Whether its time-to-go is chosen by what it costs."""
         return self.time_to_go is None and self.jerk is None
@@ -106,5 +116,5 @@ class Approach:
         """Return where the vertical descent to a site (3,) ends, local frame."""
         stand = np.array([0.0, 0.0, lander.com_height])
         return PhaseEnd(
-            np.asarray(site, dtype=np.float64) + stand, np.array([0.0, 0.0, -self.vertical_speed])
+            np.asarray(site, dtype=np.float64) + stand, np.array([0.0, 0.0, -self.rate])
         )

@@ -11,7 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.control.thrust import thrust_along, thrust_to_command
+from lunarsim.onboard.control.thrust import (
+    thrust_along,
+    thrust_lift_first,
+    thrust_to_command,
+)
 from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -69,10 +73,6 @@ class Braking:
         check_bounds(self, "braking")
         if self.ends_at >= self.time_to_go:
             raise InputError("braking.ends_at", self.ends_at, f"less than {self.time_to_go} s")
-        if self.max_tilt >= 0.5 * np.pi and not self.direction_first:
-            raise InputError(
-                "braking.max_tilt", self.max_tilt, "under a quarter turn, or direction_first"
-            )
         self.part()
 
     def part(self) -> Any:
@@ -99,8 +99,12 @@ class Braking:
     def ask(
         self, wanted: Array, mass: float, lander: Lander, heading: float, time: float
     ) -> Command:
-        """Return the command for a thrust acceleration (3,), m/s^2; see `thrust_to_command`."""
-        give = thrust_along if self.direction_first else thrust_to_command
+        """Return the command for a thrust acceleration (3,), m/s^2; see `thrust_to_command`.
+
+        A `max_tilt` of a quarter turn and more lets it push downwards too: `thrust_lift_first`.
+        """
+        give = thrust_to_command if self.max_tilt < 0.5 * np.pi else thrust_lift_first
+        give = thrust_along if self.direction_first else give
         command = give(wanted, mass, lander, heading, self.max_tilt)
         trims = time < self.trim - 1e-9
         return replace(command, thrust=lander.thrust_min) if trims else command

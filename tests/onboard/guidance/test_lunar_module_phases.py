@@ -1,4 +1,4 @@
-"""P63 to P66 as in the lunar module: direction first, jerk, velocities nulled, the window."""
+"""P63 to P66 as in the lunar module: lift first, jerk, velocities nulled, the window."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,11 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_rotate
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.control.thrust import thrust_along, thrust_to_command
+from lunarsim.onboard.control.thrust import (
+    thrust_along,
+    thrust_lift_first,
+    thrust_to_command,
+)
 from lunarsim.onboard.guidance.apollo import ApolloLaw, followed_time
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
@@ -45,6 +49,23 @@ def test_an_engine_that_falls_short_keeps_the_direction():
     assert axis(thrust_along(np.zeros(3), 1500.0, lander, 0.3, 1.0)) == pytest.approx(UP)
 
 
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_an_engine_that_falls_short_keeps_the_lift(up):
+    """The computer's own rule: the downrange part is the root of what the vertical one leaves."""
+    lander, mass = Lander(), 1500.0
+    most = lander.thrust_max / mass
+    command = thrust_lift_first(np.array([6.0, 0.0, up]), mass, lander, 0.3, np.deg2rad(170.0))
+    assert command.thrust == pytest.approx(lander.thrust_max)
+    assert most * axis(command) == pytest.approx([np.sqrt(most**2 - 1.0), 0.0, up])
+    # What the engine can give is given as it is; what it cannot even lift has no part aside.
+    within = np.array([1.0, -0.5, 0.8 * up])
+    given = thrust_lift_first(within, mass, lander, 0.3, np.deg2rad(170.0))
+    assert given.thrust / mass * axis(given) == pytest.approx(within)
+    heavy = thrust_lift_first(np.array([6.0, 2.0, 9.0]), mass, lander, 0.3, np.deg2rad(170.0))
+    assert axis(heavy) == pytest.approx(UP)
+    assert heavy.thrust == pytest.approx(lander.thrust_max)
+
+
 @pytest.mark.parametrize("limit", [30.0, 100.0])
 def test_a_tilt_beyond_the_limit_is_turned_to_it(limit):
     a = np.array([3.0, 4.0, -5.0])  # 135 deg from the vertical
@@ -61,8 +82,29 @@ def test_braking_trims_at_the_least_thrust_first():
     assert early.thrust == lander.thrust_min
     assert late.thrust == pytest.approx(1500.0 * np.sqrt(10.0))
     assert early.attitude == pytest.approx(late.attitude)
-    with pytest.raises(InputError, match="quarter turn"):
-        Braking(max_tilt=2.0)
+
+
+def test_braking_keeps_the_lift_unless_told_to_keep_the_direction():
+    lander, a = Lander(), np.array([6.0, 0.0, -1.0])
+    for changed, give in (
+        ({"max_tilt": 2.0}, thrust_lift_first),
+        ({"max_tilt": 1.5}, thrust_to_command),
+        ({"max_tilt": 2.0, "direction_first": True}, thrust_along),
+    ):
+        asked = Braking(**changed).ask(a, 1500.0, lander, 0.0, 0.0)
+        same = give(a, 1500.0, lander, 0.0, changed["max_tilt"])
+        assert asked.thrust == same.thrust
+        assert asked.attitude == pytest.approx(same.attitude)
+    with pytest.raises(InputError, match="max_tilt"):
+        Braking(max_tilt=3.2)
+
+
+def test_the_descent_after_the_approach_may_have_a_speed_of_its_own():
+    lander, site = Lander(), np.zeros(3)
+    plain, own = Approach(vertical_speed=1.5), Approach(vertical_speed=1.5, descent_speed=0.9)
+    for approach, rate in ((plain, 1.5), (own, 0.9)):
+        assert approach.end(site, lander).velocity[2] == -1.5
+        assert approach.ground(site, lander).velocity[2] == -rate
 
 
 @pytest.mark.parametrize("jerk", [-0.0036, 0.0, 0.004])
