@@ -113,7 +113,7 @@ class OnboardComputer:
         self._thrust = 0.0
         self._pulses = 0.0
         self._jets_out = 0
-        self._dry = False
+        self._dry = self._jets_dry = False
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -290,7 +290,8 @@ class OnboardComputer:
             # Thrusters burn from tanks of their own, which the dry mass counts as full.
             held = self.attitude_loop.vehicle.thrusters.propellant
             pulses = min(self.attitude_loop.spent, held)
-            if pulses == held and self._pulses < held:
+            if pulses == held and not self._jets_dry:
+                self._jets_dry = True  # at once where they carry none
                 self._note(measurements.time, "thruster-tanks-empty", {"altitude": self.altitude})
             burnt, least = burnt + pulses - self._pulses, least - pulses
             self._pulses = pulses

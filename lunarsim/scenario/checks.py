@@ -277,12 +277,11 @@ def _check_actuators(scenario: Tables) -> None:
             field, kind, f"{_kinds_of('vehicle', JetLander)} as vehicle: it orders firings"
         )
     if scenario.faults is not None:
-        if not jets:
-            raise InputError(
-                "faults", "given",
-                f"left out, or {_kinds_of('vehicle', JetLander)} as vehicle: no other has valves",
-            )  # fmt: skip
-        scenario.faults.make().check_count(lander.thrusters.count)
+        faults = scenario.faults.make()
+        if jets:
+            faults.check_count(lander.thrusters.count)
+        else:
+            faults.check_plain(lander.thrust_min, lander.thrust_max)
     if not jets:
         return
     period, step = getattr(control, "period", 0.1), scenario.simulation.make().step

@@ -44,6 +44,7 @@ class Cycle:
 
 def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
     """Move the plant for one control cycle under a command."""
+    command = plant.throttled(command)
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
         history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)

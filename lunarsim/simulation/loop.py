@@ -26,6 +26,7 @@ from lunarsim.simulation.recorder import Recorder, Tap
 from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import Dynamics, State, Verdict
 from lunarsim.vehicle.actuators import Actuators
+from lunarsim.vehicle.faults import Faults
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
@@ -57,6 +58,14 @@ def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | N
     if not isinstance(lander, JetLander):
         return None
     return Actuators(lander, step, None if scenario.faults is None else scenario.faults.make())
+
+
+def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
+    """Return what fails on a lander without actuators."""
+    if scenario.faults is None or isinstance(lander, JetLander):
+        return None
+    made: Faults = scenario.faults.make()
+    return made
 
 
 class Simulation:
@@ -126,6 +135,7 @@ class Simulation:
             max_time=clock.max_time,
             legs=None if scenario.legs is None else scenario.legs.make(),
             actuators=_actuators(scenario, briefing.lander, clock.step),
+            faults=_faults(scenario, briefing.lander),
         )
         # What is told the truth is asked here; every other policy is the computer's.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None

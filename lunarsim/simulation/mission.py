@@ -21,6 +21,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.mission import MissionTarget, Start, StartKnowledge
+from lunarsim.simulation.unreachable import unreachable
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
@@ -94,7 +95,7 @@ def plan_time_to_go(
     Raises
     ------
     InputError
-        If the target cannot be reached.
+        If the target cannot be reached; it names what forbids it.
     """
     approach: Approach = software.approach
     if software.braking is not None:
@@ -105,12 +106,7 @@ def plan_time_to_go(
     end = approach.end(target[None, :], lander)
     time_to_go = software.guidance.cost(here, end, lander, gravity, approach.limits).time_to_go[0]
     if not np.isfinite(time_to_go):
-        raise InputError(
-            "start.position_m",
-            tuple(float(v) for v in state.position - target),
-            "a start from which the target can be reached within thrust, tilt, glideslope and "
-            "propellant: no time-to-go is admissible",
-        )
+        raise unreachable(here, target, software, lander, gravity)
     return float(time_to_go)
 
 

@@ -6,7 +6,7 @@ It takes commands and gives measurements; what the onboard computer makes of the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
-from lunarsim.messages.commands import SensorTask
+from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import within
 from lunarsim.models.jet_lander import com_of
@@ -22,6 +22,7 @@ from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
 from lunarsim.vehicle.actuators import Actuators
+from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs, Rest, judge_motion
 from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world import World
@@ -77,6 +78,8 @@ class Plant:
         A flight that is not over by then is, s.
     actuators
         Valves, gimbal and throttle of a lander that has them; None: torques act as asked.
+    faults
+        What fails on a lander without actuators: an engine that sticks.
     legs
         With them the motion after the touchdown gives the verdict; None: the state at it does.
 
@@ -98,10 +101,12 @@ class Plant:
         steps: int,
         max_time: float,
         actuators: Actuators | None = None,
+        faults: Faults | None = None,
         legs: Legs | None = None,
     ) -> None:
         self.world = world
         self.actuators = actuators
+        self._faults, self._throttle = faults, 0.0
         self.legs = legs
         self.rest: Rest | None = None
         self.dynamics = dynamics
@@ -125,6 +130,13 @@ class Plant:
         self._instruments = {n: i for n, i in made.items() if n not in self.imus}
         self._max_time = max_time
         self._low, self._high = world.terrain.z_range
+
+    def throttled(self, command: Command) -> Command:
+        """Return a command with the thrust that the throttle is set to: it may stick."""
+        if self._faults is None:
+            return command
+        self._throttle = self._faults.throttle(self.time, self._throttle, command.thrust)
+        return replace(command, thrust=self._throttle)
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
         """Return what sensors measure now: those that need no telling, and those told to."""

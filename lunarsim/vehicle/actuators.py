@@ -76,9 +76,9 @@ class Actuators:
 
     def throttled(self, wanted: float) -> float:
         """Return what the throttle is set to when a thrust is asked for, N; 0 shuts the engine."""
-        f, engine = self.faults, self.lander.engine
-        if f.engine_stuck_from is not None and self._time >= f.engine_stuck_from:
-            return self._throttle if f.engine_stuck_at is None else f.engine_stuck_at
+        engine, stuck = self.lander.engine, self.faults.engine_stuck_from
+        if stuck is not None and self._time >= stuck:
+            return self.faults.throttle(self._time, self._throttle, wanted)
         if wanted <= 0.0:
             self._throttle = 0.0
             return 0.0

@@ -1,4 +1,7 @@
-"""What fails on the true vehicle; its computer is not told."""
+"""What fails on the true vehicle; its computer is not told.
+
+Thrusters fail on a lander that has them, an engine sticks on any.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +46,27 @@ class Faults:
             raise InputError(
                 "faults.engine_stuck_at", self.engine_stuck_at, "engine_stuck_from too"
             )
+
+    def throttle(self, time: float, last: float, wanted: float) -> float:
+        """Return what becomes of a thrust asked for at a time (s), N; `last` stood before."""
+        if self.engine_stuck_from is None or time < self.engine_stuck_from:
+            return wanted
+        return last if self.engine_stuck_at is None else self.engine_stuck_at
+
+    def check_plain(self, thrust_min: float, thrust_max: float) -> None:
+        """Raise `InputError` if a lander without valves cannot fail so; its throttle range in N."""
+        for name in ("jets_shut", "jets_open"):
+            if getattr(self, name):
+                raise InputError(
+                    f"faults.{name}", getattr(self, name),
+                    "left out, or a vehicle of kind 'jet-lander': no other has thrusters",
+                )  # fmt: skip
+        stuck = self.engine_stuck_at
+        if stuck and not thrust_min <= stuck <= thrust_max:
+            raise InputError(
+                "faults.engine_stuck_at_n", stuck,
+                f"0 or within the throttle range of {thrust_min} to {thrust_max} N",
+            )  # fmt: skip
 
     def check_count(self, count: int) -> None:
         """Raise `InputError` if a thruster is named that a layout of `count` has not."""

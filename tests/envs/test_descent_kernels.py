@@ -235,6 +235,7 @@ def test_a_flight_ends_at_its_limit_or_off_the_map(worlds):
     [
         ({"legs": {}}, "legs"),
         ({"moon": {}}, "moon"),
+        ({"faults": {"engine_stuck_from_s": 5.0}}, "faults"),
         ({"control": {"kind": "ideal"}}, "control.kind"),
         ({"vehicle": {"kind": "jet-lander"}, "control": {"kind": "phase-plane"}}, "vehicle.kind"),
     ],

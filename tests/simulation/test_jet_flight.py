@@ -131,7 +131,7 @@ def test_on_legs_the_motion_gives_the_verdict(small, tmp_path):
     [
         ({"vehicle": JETS, "control": {"kind": "ideal"}}, "control.kind"),
         ({"control": {"kind": "phase-plane"}}, "control.kind"),
-        ({"faults": {"jets_shut": [1]}}, "faults"),
+        ({"faults": {"jets_shut": [1]}}, "faults.jets_shut"),
         (
             {"vehicle": JETS, "control": PHASE_PLANE, "faults": {"jets_shut": [16]}},
             "faults.jets_shut",

@@ -129,6 +129,31 @@ def test_a_start_below_its_target_is_refused():
     assert refused.value.field == "start.position_m"
 
 
+@pytest.mark.parametrize(
+    ("changes", "field", "value"),
+    [
+        ({"approach": {"glideslope_deg": 75.0}}, "approach.glideslope_deg", 75.0),
+        ({"approach": {"max_tilt_deg": 2.0}}, "approach.max_tilt_deg", 2.0),
+        ({"approach": {"reserve_kg": 370.0}}, "approach.reserve_kg", 370.0),
+        ({"approach": {"throttle_margin": 0.49}}, "approach.throttle_margin", 0.49),
+        (
+            {"approach": {"arrival_acceleration_m_s2": [40.0, 0.0, 0.0]}},
+            "approach.arrival_acceleration_m_s2", (40.0, 0.0, 0.0),
+        ),
+        ({"approach": {"vertical_altitude_m": 900.0}}, "approach.vertical_altitude_m", 900.0),
+        # Two at once, neither alone at fault: the start is named.
+        ({"approach": {"glideslope_deg": 75.0, "reserve_kg": 370.0}}, "start.position_m", None),
+        ({"start": {"velocity_m_s": [400.0, 0.0, -18.0]}}, "start.position_m", None),
+    ],
+)  # fmt: skip
+def test_what_leaves_no_path_is_named(changes, field, value):
+    with pytest.raises(InputError) as refused:
+        Simulation(Scenario.from_dict(changes), 1, "no-divert")
+    assert refused.value.field == field
+    if value is not None:
+        assert refused.value.value == pytest.approx(value)
+
+
 def test_what_thrusters_burn_is_taken_from_the_dry_mass():
     """Their tanks are full at the dry mass: below it by what they spent, the engine's are empty."""
     jets = {"vehicle": {"kind": "jet-lander"}, "control": {"kind": "phase-plane"}}
@@ -147,6 +172,54 @@ def test_what_thrusters_burn_is_taken_from_the_dry_mass():
         simulation.step()
     assert computer.mass == pytest.approx(dry - loop.spent, abs=1e-2)
     assert [name for _, name, _ in computer.telemetry].count("tanks-empty") == 1
+
+
+def test_thrusters_without_propellant_are_recorded_from_the_start():
+    jets = {
+        "vehicle": {"kind": "jet-lander", "thrusters": {"propellant_kg": 0.0}},
+        "control": {"kind": "phase-plane"},
+    }
+    flight = Simulation(blind(**jets), 1, "no-divert").run()
+    assert whole(flight)
+    empty = [e for e in flight.events if e["name"] == "thruster-tanks-empty"]
+    assert [e["time"] for e in empty] == [pytest.approx(0.0, abs=0.2)]
+    assert flight.events[-1]["thruster_propellant_kg"] == 0.0
+    assert not flight.verdict.safe
+
+
+@pytest.mark.parametrize("stuck", [None, 0.0, 3000.0])
+@pytest.mark.parametrize("law", ["pd", "ideal"])
+def test_an_engine_that_sticks_on_a_lander_without_thrusters(law, stuck):
+    faults = {"engine_stuck_from_s": 5.0}
+    if stuck is not None:
+        faults["engine_stuck_at_n"] = stuck
+    plain, odd = (
+        Simulation(blind(control={"kind": law}, **more), 1, "no-divert").run()
+        for more in ({}, {"faults": faults})
+    )
+    assert plain.verdict.safe
+    assert not odd.verdict.safe
+    time, thrust = odd.trajectory["time"], odd.trajectory["thrust"]
+    late, held = time > 7.0, thrust[time > 7.0][0]
+    assert thrust[late] == pytest.approx(held, rel=1e-3, abs=1e-3)
+    if stuck is not None:
+        assert held == pytest.approx(stuck, abs=1.0)
+    same = time < 4.9
+    assert np.array_equal(thrust[same], plain.trajectory["thrust"][: same.sum()])
+
+
+@pytest.mark.parametrize(
+    ("faults", "field"),
+    [
+        ({"jets_shut": [0]}, "faults.jets_shut"),
+        ({"jets_open": [2]}, "faults.jets_open"),
+        ({"engine_stuck_from_s": 1.0, "engine_stuck_at_n": 90.0}, "faults.engine_stuck_at_n"),
+    ],
+)
+def test_faults_that_a_lander_without_thrusters_cannot_have_are_refused(faults, field):
+    with pytest.raises(InputError) as refused:
+        blind(faults=faults)
+    assert refused.value.field == field
 
 
 def test_thrusters_that_run_out_are_recorded_once():

@@ -82,6 +82,8 @@ class Craft:
             raise InputError("vehicle.kind", "jet-lander", "a lander whose torques act as asked")
         if scenario.legs is not None:
             raise InputError("legs", "given", "left out: here the state at the touchdown counts")
+        if scenario.faults is not None:
+            raise InputError("faults", "given", "left out: here nothing sticks; see variation")
         if scenario.moon is not None:
             raise InputError("moon", "given", "left out: here the ground is level")
         if type(control) is not ProportionalDerivative:
