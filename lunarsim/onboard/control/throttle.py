@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lunarsim.models.jet_lander import Engine
 
-# Share of the gap's lower end by which a command must pass it to switch. Luminary of Apollo 10
+# Share of the gap's lower end by which a command must pass it to switch. Luminary of Apollo 11
 # switches to full above 63 % and back below 57 %, about an end of 60 %.
 _HYSTERESIS = 0.05
 
