@@ -32,7 +32,7 @@ from lunarsim.simulation import Simulation
 from lunarsim.simulation.flight import Flight
 
 LOW_GATE = 500.0 * apollo11.FEET
-# Low gate is 700 m short of the site: with a lean of 15 deg, 0.43 m/s^2, a speed of distance over
+# Low gate is 560 m short of the site: with a lean of 15 deg, 0.43 m/s^2, a speed of distance over
 # 40 s is the fastest that can be taken out on the way. Above 5 m/s he keeps his height.
 PILOT = {"speed_time_s": 40.0, "hold_speed_m_s": 5.0}
 # The mission report has the lander about 400 m west of the crater at which P64 aimed. On the way
