@@ -98,7 +98,7 @@ def _draw_events(events: Any, marks: list[tuple[str, str, str, list[float]]]) ->
     for row, (_, marker, colour, times) in enumerate(marks):
         events.plot(times, [row] * len(times), marker, color=colour, ms=7, mec="black", mew=0.6)
     events.set_yticks(range(len(marks)), [label for label, *_ in marks])
-    events.set_ylim(len(marks) - 0.5, -0.5)
+    events.set_ylim(max(len(marks), 1) - 0.5, -0.5)  # a flight may have none
 
 
 def _draw_speed_and_tilt(speed: Any, tilt: Any, flight: Flight) -> None:
