@@ -190,7 +190,7 @@ def test_time_to_go_of_braking_is_that_of_the_jerk():
     [
         ({"law": "apolo"}, "braking.law"),
         ({"ends_at": 60.0}, "braking.ends_at"),
-        ({"max_tilt": 3.0}, "braking.max_tilt"),
+        ({"max_tilt": 3.2}, "braking.max_tilt"),
     ],
 )
 def test_braking_that_cannot_be_is_refused(changes, field):
