@@ -262,8 +262,8 @@ class RockTracker:
             self.renew()
             self.explained[:] = False
         points = self.filter.ground_points(camera, seen.pixel)
-        on_ground = _ground_covariance(points, seen, self.filter, camera)
-        born = self._birth(~close, seen, points, on_ground, camera, radius_variance)
+        born = self._birth(~close, seen, points, camera, radius_variance)
+        on_ground = _ground_covariance(points, seen.pixel_covariance, self.filter, camera)
         self._keep_tentative(~close & ~born, seen, points, on_ground, radius_variance)
         self._merge()
         small = self.filter.radius < _SHRUNK * s.least_radius
@@ -279,11 +279,12 @@ class RockTracker:
     def place_sigma(self, xy: Array) -> Array:
         """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m.
 
-        That is what the places of the rocks about are: their median. 0 if none is tracked.
+        That is what the places of the rocks about are: their median. Infinite if none is tracked:
+        from picture to picture the lander's own place and attitude then err by more than a rock.
         """
         f = self.filter
         if f.count == 0:
-            return np.zeros(len(xy))
+            return np.full(len(xy), np.inf)
         own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
         near = cKDTree(f.xy).query(xy, k=np.arange(1, min(_ABOUT, f.count) + 1))[1]
         return np.asarray(np.median(own[near], axis=1))
@@ -395,17 +396,17 @@ class RockTracker:
         )
 
     def _birth(
-        self, fresh: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
-        camera: CameraModel, variance: Array,
+        self, fresh: NDArray[np.bool_], seen: Detections, points: Array, camera: CameraModel,
+        variance: Array,
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Add detections that belong to no rock; return which were added (d,).
 
-        `points` (d, 3) are their places on the ground, `covariance` (d, 2, 2) is that of east and
-        north, m^2.
+        `points` (d, 3) are their places on the ground, m.
         """
         s = self.settings
-        # Where it is must be known to a fraction of the distance between rocks.
-        spread = np.sqrt(largest_eigenvalue(covariance))
+        # Where it shows must be known to a fraction of the distance between rocks.
+        shown = _ground_covariance(points, seen.look_covariance, self.filter, camera)
+        spread = np.sqrt(largest_eigenvalue(shown))
         sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
@@ -466,8 +467,7 @@ class RockTracker:
         self._drop(np.array([j for j, _ in parts]))
         fresh = np.zeros(len(seen), bool)
         fresh[born] = True
-        on_ground = _ground_covariance(points, seen, self.filter, camera)
-        self._birth(fresh, seen, points, on_ground, camera, variance)
+        self._birth(fresh, seen, points, camera, variance)
 
     def _drop(self, index: Index) -> None:
         if len(index):
@@ -479,13 +479,13 @@ class RockTracker:
 
 
 def _ground_covariance(
-    points: Array, seen: Detections, rocks: RockFilter, camera: CameraModel
+    points: Array, pixel_covariance: Array, rocks: RockFilter, camera: CameraModel
 ) -> Array:
-    """Return the covariances of detections at points (n, 3) of the ground (n, 2, 2), m^2."""
-    if len(seen) == 0:
+    """Return covariances of pixels (n, 2, 2) at points (n, 3) of the ground (n, 2, 2), m^2."""
+    if len(points) == 0:
         return np.empty((0, 2, 2))
     back = inverse(rocks.sight(camera, points).by_rock[:, :, :2])
-    return back @ seen.pixel_covariance @ np.swapaxes(back, 1, 2)
+    return np.asarray(back @ pixel_covariance @ np.swapaxes(back, 1, 2))
 
 
 def _in_view(sight: Sight, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:

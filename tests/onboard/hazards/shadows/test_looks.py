@@ -103,3 +103,17 @@ def test_centres_wander_along_the_sun_and_across_as_each_is_told(wander, axis):
 def test_shares_that_cannot_be_are_refused(given):
     with pytest.raises(InputError, match=r"tracker\."):
         TrackerSettings(**given)
+
+
+def test_a_rock_is_begun_where_its_place_shows_well_though_its_shape_is_not_known():
+    def vague(seen, _):
+        return replace(seen, pixel_covariance=seen.pixel_covariance + 25.0 * np.eye(2))
+
+    (one, _), (other, _) = twice(vague)
+    assert other.filter.count == one.filter.count > 10
+
+    def blurred(seen, _):
+        return replace(seen, look_covariance=seen.look_covariance + 25.0 * np.eye(2))
+
+    (_, _), (none, _) = twice(blurred)
+    assert none.filter.count == 0

@@ -40,6 +40,20 @@ def look(scene, times, sun=SUN, counts=None):
     return mapper
 
 
+def test_where_no_rock_is_tracked_pictures_show_no_clear_ground(scene):
+    """From picture to picture the lander errs by more than a rock: lit ground is anywhere."""
+    camera, honest = scene
+    tracker = tracker_at(PLACE, birth_sigma=1e-6, least_radius=5.0)
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
+    mapper = ShadowMapper(tracker, mapping, SUN, 1.0)
+    for k in range(5):
+        see(mapper, camera, honest[k], 0.1 * k)
+    assert mapper.tracker.filter.count == 0 and len(mapper.seen) > 20
+    assert not mapper.hazard_map().observed.any()
+    # The same pictures show clear ground where rocks are tracked.
+    assert look(scene, 0.1 * np.arange(5)).hazard_map().observed.any()
+
+
 def see(mapper, camera, counts, time):
     rocks = mapper.tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, time, 1.0)

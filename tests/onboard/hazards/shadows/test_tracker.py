@@ -161,7 +161,7 @@ def test_rocks_that_cannot_be_explained_are_begun_anew():
 def test_places_are_known_as_those_of_the_rocks_about_are():
     tracker = tracker_at((0.0, 0.0, 60.0))
     where = np.array([[-20.0, 0.0], [20.0, 0.0], [0.0, 200.0]])
-    assert tracker.place_sigma(where).tolist() == [0.0, 0.0, 0.0]
+    assert np.isposinf(tracker.place_sigma(where)).all()  # nothing holds the lander to the ground
     west = np.column_stack((np.linspace(-24.0, -16.0, 9), np.zeros(9)))
     sigma = np.append(np.full(8, 0.1), 3.0)
     tracker.add_known(west, sigma, 0.5, 0.1)
