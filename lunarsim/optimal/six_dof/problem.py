@@ -153,7 +153,9 @@ class RigidDescent:
             raise InputError("optimal.start", "not finite", "a state of finite numbers")
         if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
             raise InputError(
-                "optimal.start.attitude", list(self.start.attitude), "a quaternion of length 1"
+                "optimal.start.attitude",
+                np.asarray(self.start.attitude).tolist(),
+                "a quaternion of length 1",
             )
         if not self.dry_mass < self.start.mass:
             raise InputError(
