@@ -120,7 +120,7 @@ class OnboardComputer:
         descent = self.approach.vertical_altitude / self.approach.rate
         self._aim = Aim(self.decisions.touchdown_sigma, descent)
         self._events = self._told = 0
-        self._arrivals = Arrivals(briefing.step, self._note)
+        self._arrivals = Arrivals.of(briefing, self._note)
         self._barred, self._mapped_lost = False, False
         self._levelled = np.eye(3)
 

@@ -65,6 +65,23 @@ def test_a_silent_unit_costs_certainty_and_no_trust(unit):
     assert sum(watch.refused for watch in watches) == 0
 
 
+def test_a_unit_that_starts_late_costs_certainty_and_no_trust():
+    def change(given: Measurements) -> Measurements:
+        if given.time > 1.05:
+            return given
+        items = tuple(item for item in given.items if not isinstance(item[1], InertialSamples))
+        return replace(given, items=items)
+
+    simulation = flown(change, 3.0)
+    told = [details for _, name, details in simulation.computer.telemetry
+            if name == "samples-missing"]  # fmt: skip
+    assert told == [{"sensor": "imu", "count": 10}] * 10
+    assert not simulation.computer.estimate.lost
+    assert np.abs(error(simulation)).max() < 5.0
+    watches = simulation.computer.navigation.watches.values()
+    assert sum(watch.refused for watch in watches) == 0
+
+
 def test_the_order_in_which_a_cycle_is_told_makes_no_difference_to_samples():
     """Inertial samples come first, whatever the order; others as they come."""
 

@@ -6,6 +6,16 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
+# Squares from the grid's origin beyond which places are not told apart: their product must be a
+# number of 64 bits.
+_FARTHEST = float(1 << 30)
+
+
+@kernel(inner=True)
+def _no_squares():
+    none = np.empty(0, np.int64)
+    return none, none, np.empty((0, 3)), none
+
 
 @kernel()
 def average(points, x0, y0, posting, least):
@@ -24,19 +34,22 @@ def average(points, x0, y0, posting, least):
     row = np.empty(n, np.int64)
     west, east, south, north = 1 << 40, -(1 << 40), 1 << 40, -(1 << 40)
     for i in range(n):
-        if not (np.isfinite(points[i, 0]) and np.isfinite(points[i, 2])):
+        if not (
+            np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]) and np.isfinite(points[i, 2])
+        ):
             row[i] = -(1 << 40)
             continue
-        col[i] = np.int64(np.floor((points[i, 0] - x0) / posting + 0.5))
-        row[i] = np.int64(np.floor((points[i, 1] - y0) / posting + 0.5))
+        x, y = (points[i, 0] - x0) / posting + 0.5, (points[i, 1] - y0) / posting + 0.5
+        if max(abs(x), abs(y)) > _FARTHEST:
+            return _no_squares()
+        col[i], row[i] = np.int64(np.floor(x)), np.int64(np.floor(y))
         west, east = min(west, col[i]), max(east, col[i])
         south, north = min(south, row[i]), max(north, row[i])
     wide = east - west + 1
     high = north - south + 1
     # A scan that grazes the horizon spreads without bound: nothing to compare it with.
     if east < west or wide * high > 4_000_000:
-        none = np.empty(0, np.int64)
-        return none, none, np.empty((0, 3)), none
+        return _no_squares()
     sums = np.zeros((high * wide, 3))
     count = np.zeros(high * wide, np.int64)
     for i in range(n):

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import InertialSamples, Picture
+from lunarsim.models.instruments import InertialInstrument
 
 # A stamp may lie this far ahead of the clock: rounding of sums of steps, s.
 _ROUNDING = 1e-6
@@ -38,15 +40,38 @@ class Arrivals:
         Between inertial samples, s.
     report
         Called with time (s), name and details of what is left out or filled in.
+    begin
+        Time of the state that samples carry, s: those of a unit that starts later are missing. Left
+        out: it is that at which the first ones begin.
+    unit
+        Whose samples are missing before any came.
     """
 
-    def __init__(self, step: float, report: Callable[[float, str, dict[str, Any]], None]) -> None:
+    def __init__(
+        self,
+        step: float,
+        report: Callable[[float, str, dict[str, Any]], None],
+        *,
+        begin: float = -np.inf,
+        unit: str = "",
+    ) -> None:
         self._step = step
         self._report = report
         self._now = -np.inf
         self._last: dict[str, float] = {}
         # The inertial unit, and until when its samples have been let through.
-        self._unit, self._flown = "", -np.inf
+        self._unit, self._flown = unit, begin
+
+    @classmethod
+    def of(
+        cls, briefing: Briefing, report: Callable[[float, str, dict[str, Any]], None]
+    ) -> Arrivals:
+        """Return those of a descent, which begins at 0 s: a unit may start late, and the first."""
+        of = briefing.instruments
+        units = [name for name, unit in of.items() if isinstance(unit, InertialInstrument)]
+        if not units:
+            return cls(briefing.step, report)
+        return cls(briefing.step, report, begin=0.0, unit=units[0])
 
     def admit(self, sensor: str, measurement: Any, time: float) -> Any:
         """Return the measurement, inertial samples whole; None if it comes out of order.
@@ -82,7 +107,8 @@ class Arrivals:
                 self._report(time, "stale", {"sensor": sensor, "stamp": stamp})
                 return None
             return measurement
-        elapsed, self._unit, self._flown = stamp - self._flown, sensor, stamp
+        # Samples of another unit may end earlier: what has been flown stays flown.
+        elapsed, self._unit, self._flown = stamp - self._flown, sensor, max(self._flown, stamp)
         return self._filled(sensor, measurement, elapsed, time)
 
     def carried(
@@ -113,7 +139,7 @@ class Arrivals:
 
         With the name of their unit. What is measured then corrects the state of that time, and not
         one that stood still. Should the samples come after all they are out of order. None before
-        any came, or if `time` is no number.
+        any came, where it is not said when they begin, or if `time` is no number.
         """
         if not (np.isfinite(self._flown) and time - self._flown >= 0.5 * self._step):
             return None

@@ -26,7 +26,7 @@ _FARTHEST = 20_000.0
 # Deviations beyond which what a fit leaves of a square is not noise; squares tell this many times
 # less than they err by, since the slopes that weigh them err too.
 _FAR_OFF, _SLOPES = 3.0, 1.5
-# A mount differs from a rotation by rounding alone.
+# A mount differs from a rotation, and a ray's direction from a unit vector, by rounding alone.
 _TURNS = 1e-3
 # A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
 # slopes its squares no longer hold, and what is found then moves them farther.
@@ -182,7 +182,9 @@ def _differences(
 
 
 def plausible(scan: LidarScan) -> LidarScan:
-    """Return a scan without ranges that no LiDAR could give; with none if its mount turns nothing.
+    """Return a scan without ranges that no LiDAR could give.
+
+    With none if its mount turns nothing, or its rays are no unit vectors.
 
     Raises
     ------
@@ -194,8 +196,10 @@ def plausible(scan: LidarScan) -> LidarScan:
         given = np.shape(getattr(scan, name))
         if given != shape:
             raise InputError(f"scan.{name}", given, f"an array {shape}")
-    turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS
-    if not (turns and np.linalg.det(scan.mount) > 0.0):
+    with np.errstate(invalid="ignore", over="ignore"):
+        turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS
+        unit = np.abs(np.einsum("ni,ni->n", scan.direction, scan.direction) - 1.0) <= _TURNS
+    if not (turns and unit.all() and np.linalg.det(scan.mount) > 0.0):
         return replace(scan, range=np.full(n, np.nan))
     with np.errstate(invalid="ignore"):
         good = (scan.range > 0.0) & (scan.range < _FARTHEST)

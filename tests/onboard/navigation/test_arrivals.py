@@ -173,6 +173,22 @@ def test_nothing_is_overdue_before_the_first_samples():
     assert told == []
 
 
+def test_a_unit_that_starts_late_has_missed_what_was_before():
+    told = []
+    arrivals = Arrivals(0.01, lambda *event: told.append(event), begin=0.0, unit="imu")
+    unit, filled = arrivals.overdue(0.2)
+    assert (unit, len(filled.angle)) == ("imu", 20)
+    assert len(arrivals.admit("imu", samples(0.5), 0.5).angle) == 30
+    assert [details["count"] for _, _, details in told] == [20, 20]
+
+
+def test_older_samples_of_another_unit_do_not_set_back_what_has_been_flown():
+    arrivals, _ = made()
+    arrivals.admit("imu", samples(0.2), 0.2)
+    assert len(arrivals.admit("spare", samples(0.15), 0.2).angle) == 0
+    assert len(arrivals.admit("imu", samples(0.3), 0.3).angle) == 10
+
+
 def test_more_samples_than_time_has_passed_for_are_not_flown():
     arrivals, told = made()
     arrivals.admit("imu", samples(0.1), 0.1)
@@ -256,6 +272,25 @@ def test_scans_whose_arrays_do_not_fit_are_refused(name, value):
 def test_a_scan_whose_mount_turns_nothing_tells_nothing(mount):
     given = replace(scan(1.0), mount=mount)
     assert np.isnan(plausible(given).range).all()
+
+
+@pytest.mark.parametrize("ray", [np.nan, np.inf, 0.0, 1e9, 1e150, -1e300])
+@pytest.mark.parametrize("place", [slice(None), (17, 0), (20, 2)])
+def test_a_scan_whose_rays_are_no_directions_changes_nothing(ray, place):
+    """One such scan wrote past an array, or spread without bound."""
+    east, north = np.meshgrid(np.linspace(-0.1, 0.1, 6), np.linspace(-0.1, 0.1, 6))
+    rays = np.column_stack((east.ravel(), north.ravel(), np.full(36, -1.0)))
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    good = LidarScan(0.0, np.full(36, 100.0), rays, np.eye(3), np.full(36, 0.1), (6, 6))
+    assert np.isfinite(plausible(good).range).all()
+    navigation = flown(
+        lambda k: [("imu", samples(0.1 * k)), ("flash", replace(good, time=0.1 * k))]
+    )
+    before = navigation.covariance.copy()
+    wrong = rays.copy()
+    wrong[place] = ray
+    navigation.take("flash", replace(good, time=2.0, direction=wrong), 2.0)
+    assert np.array_equal(navigation.covariance, before)
 
 
 def test_a_reading_of_several_ranges_is_refused():

@@ -66,6 +66,17 @@ def test_squares_hold_the_mean_of_their_points():
     assert all(len(part) == 0 for part in nothing)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("far", [1e12, -1e20, 1e150])
+def test_points_too_far_for_a_number_of_a_square_are_not_averaged(axis, far):
+    points = np.random.default_rng(0).uniform(0.0, 1.0, (40, 3))
+    assert len(k.average(points, 0.0, 0.0, 0.5, 2)[0]) > 0
+    points[7, axis] = far
+    assert [len(part) for part in k.average(points, 0.0, 0.0, 0.5, 2)] == [0, 0, 0, 0]
+    points[7, axis] = np.nan
+    assert k.average(points, 0.0, 0.0, 0.5, 2)[3].sum() <= 39
+
+
 def test_surface_of_a_plane_is_the_plane():
     rng = np.random.default_rng(1)
     xy = rng.uniform(-5.0, 5.0, (20_000, 2))
