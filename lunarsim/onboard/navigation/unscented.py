@@ -51,7 +51,7 @@ from lunarsim.onboard.navigation.inertial import (
     StrapdownState,
 )
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.measured import LEAST_DOWN, VAGUE, speed_errors
+from lunarsim.onboard.navigation.measured import LEAST_DOWN, VAGUE, speed_errors, symmetric
 from lunarsim.onboard.navigation.watch import Verdict, Watch
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -70,6 +70,8 @@ _LASTING = 10.0
 _GROWTH = (4.0, 1e4)
 # Drifts within the watch's time that a bias may explain: its noise is rough, and drifts are common.
 _PATIENCE = 3
+# A reading of the attitude that errs by more tells nothing, rad.
+_VAGUE_TURN = 1.0
 _MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
 
 
@@ -364,7 +366,10 @@ class UnscentedFilter(Navigation):
             raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance")
         mount = self._mounts.get(sensor, 0.0)
         own = r + mount**2 * np.eye(3)
-        if not is_rotation(q) or not np.isfinite(own).all() or np.linalg.eigvalsh(own).min() <= 0:
+        if not is_rotation(q) or not symmetric(own):
+            return Outcome(np.nan, 3, False)
+        spread = np.linalg.eigvalsh(own)
+        if spread.min() <= 0.0 or spread.max() > _VAGUE_TURN**2:
             return Outcome(np.nan, 3, False)
         between = quat_multiply(quat_conjugate(self.inertial.attitude), normalised(q))
         turn = quat_to_rotation_vector(between)

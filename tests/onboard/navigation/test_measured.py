@@ -176,6 +176,14 @@ def test_what_is_no_reading_changes_nothing(call):
     assert np.array_equal(state.inertial.position, x)
 
 
+def test_an_attitude_whose_covariance_is_not_symmetric_speaks_against_nothing():
+    """Taken for an innovation beyond all bounds it would soon be a lander that is lost."""
+    lopsided = np.array([[1.0, 1e6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = take_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
+    assert np.isnan(found.nis)
+    assert not found.taken
+
+
 def test_a_beam_without_a_return_leaves_the_others():
     t = Truth(6)
     speed = t.speeds()

@@ -215,6 +215,15 @@ def test_wild_readings_change_nothing(value):
     assert np.array_equal(own.kalman.P, p)
 
 
+@pytest.mark.parametrize("spread", [4.0, 1e30, 1e300])
+def test_an_attitude_that_errs_by_more_than_a_turn_tells_nothing(spread):
+    own = made()
+    p, q = own.covariance.copy(), own.inertial.attitude.copy()
+    own.take("stars", AttitudeReading(0.1, TILT, spread * np.eye(3)), 0.1)
+    assert np.array_equal(own.covariance, p)
+    assert np.array_equal(own.inertial.attitude, q)
+
+
 @pytest.mark.parametrize(
     ("sensor", "measurement", "field"),
     [

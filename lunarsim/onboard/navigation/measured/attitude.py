@@ -40,7 +40,8 @@ def take_attitude(
         Quaternion, body to ENU of the site frame (4,); what is not finite or no rotation tells
         nothing.
     covariance
-        Of its noise, small rotation in body axes (3, 3), rad^2.
+        Of its noise, small rotation in body axes (3, 3), rad^2; one that is not symmetric tells
+        nothing.
     block
         Where the tracker's misalignment lies in the state (small rotation, body axes); left out: it
         has none. Without it readings would average away what they share.
@@ -55,7 +56,7 @@ def take_attitude(
     q, r = np.asarray(attitude, np.float64), np.asarray(covariance, np.float64)
     if q.shape != (4,) or r.shape != (3, 3):
         raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance (3, 3)")
-    if not is_rotation(q):
+    if not (is_rotation(q) and symmetric(r)):
         return Outcome(np.nan, 3, False)
     believed = state.inertial.attitude
     if state.has(MAP):
@@ -76,6 +77,13 @@ def take_attitude(
         jacobian = np.column_stack((jacobian, quat_to_matrix(believed)[2]))
         r = r + _left_over(state, r)
     return state.measure(jacobian, columns, innovation, r, gate)
+
+
+def symmetric(covariance: np.ndarray) -> bool:
+    """Tell whether a covariance (n, n) is finite and symmetric but for rounding."""
+    if not np.isfinite(covariance).all():
+        return False
+    return bool(np.allclose(covariance, covariance.T, atol=1e-9 * np.abs(covariance).max()))
 
 
 def _left_over(state: ErrorState, noise: np.ndarray) -> np.ndarray:
