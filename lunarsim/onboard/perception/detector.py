@@ -60,6 +60,10 @@ class DetectorSettings:
     look_sigma
         Standard deviations along the Sun and across by which a centre differs from one look to the
         next, in what a pixel spans on the ground; found by `scenarios/shadows/looks.py`.
+    look_small
+        What patches of one pixel a radius differ by along the Sun besides, pixels; it falls as
+        they grow. Found from what filters make of them in flight: a patch that is now one rock's
+        and now also its neighbour's is not paired in the study.
     """
 
     gamma: float = 0.7
@@ -71,7 +75,8 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.46, 0.18)
+    look_sigma: tuple[float, float] = (0.40, 0.18)
+    look_small: float = 0.5
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
@@ -87,6 +92,8 @@ class DetectorSettings:
         pair = np.atleast_1d(self.look_sigma)
         if not (len(pair) == 2 and np.isfinite(pair).all() and (pair > 0.0).all()):
             raise InputError("detector.look_sigma", self.look_sigma, "two positive numbers")
+        if not 0.0 <= self.look_small < np.inf:
+            raise InputError("detector.look_small", self.look_small, "0 or more, in pixels")
         low, high = self.canny
         if not 0.0 < low < high < np.inf:
             raise InputError("detector.canny", self.canny, "two positive numbers that rise")
@@ -372,7 +379,7 @@ def _measure(
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     frame = _sun_frame(sun)
-    look = np.array(settings.look_sigma) * t[:, [k.SPAN_ALONG, k.SPAN_ACROSS]]
+    look = _look(settings, rocks.radius, along_px, across_px)
     offset, spread = _place(t, rocks, unit, look)
     offset = offset @ frame.T
     pixel, turned = _to_pixels(offset, ground - view.position[2], view, frame)
@@ -389,6 +396,16 @@ def _measure(
         t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
         labels, extended, shade.relative, shade.over_ground, largest, read.weight[keep],
     )  # fmt: skip
+
+
+def _look(settings: DetectorSettings, radius: Array, along: Array, across: Array) -> Array:
+    """Return by how much centres differ from look to look along the Sun and across (n, 2), m.
+
+    `radius` is that of the rocks (n,), `along` and `across` what a pixel spans there (n,), m.
+    """
+    wide = np.maximum(radius / np.sqrt(along * across), 0.25)
+    first, second = settings.look_sigma
+    return np.column_stack((along * np.hypot(first, settings.look_small / wide), across * second))
 
 
 def _sun_frame(sun: Array) -> Array:

@@ -386,6 +386,7 @@ def test_contours_run_round_the_patches():
         ("canny", (100.0, 40.0)), ("largest_radius", -5.0), ("least_fill", 0.0),
         ("pixel_sigma", np.inf), ("least_pixels", 0), ("look_sigma", (0.2, 0.0)),
         ("look_sigma", (0.2,)), ("look_sigma", 0.2), ("look_sigma", (np.nan, 0.1)),
+        ("look_small", -0.1), ("look_small", np.nan),
     ],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused_when_they_are_made(name, value):
