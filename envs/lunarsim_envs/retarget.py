@@ -22,8 +22,9 @@ from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, reward_terms
 from lunarsim_envs.sites.flights import KernelFlight
+from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
-from lunarsim_envs.sites.perception import PERCEPTIONS, flight_of
+from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
 
 FloatArray = NDArray[np.float32]
 
@@ -65,10 +66,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """Choose the landing site of a descending lander.
 
     One step is one decision, and the flight goes on until the next one is due. With perception
-    ``"onboard"`` the environment steps the same `lunarsim.simulation.Simulation` as the command
-    line. With any other the same laws of guidance, attitude loop, vehicle and verdict fly in
-    kernels, over a pool of worlds, a hundred times as fast; navigation is then the truth and a
-    drift (none with ``"truth"``).
+    ``"onboard"``, ``"shadows"``, ``"quadtree"`` or ``"fused"`` the environment steps the same
+    `lunarsim.simulation.Simulation` as the command line. With ``"truth"``, ``"surrogate"`` or
+    ``"gaussian-dem"`` the same laws of guidance, attitude loop, vehicle and verdict fly in kernels,
+    over a pool of worlds, a hundred times as fast; navigation is then the truth and a drift (none
+    with ``"truth"``).
 
     ## Action Space
 
@@ -124,20 +126,22 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.1}``.
     - ``perception``: ``"onboard"``, the scenario's own mapper and navigation; ``"truth"``, the
       exact safety of what the LiDAR has in view; ``"surrogate"``, a statistical model of the
-      mapper's errors in space; ``"gaussian-dem"``, that mapper on real scans.
+      mapper's errors in space; ``"gaussian-dem"``, that mapper on real scans; ``"shadows"``,
+      ``"quadtree"``, ``"fused"``, a mapper of that kind on board, whichever the scenario decides
+      on: what it lacks for it is added (`lunarsim_envs.sites.onboard.perceiving`).
     - ``surrogate``: file of another surrogate, of ``scenarios/learning/fit_surrogate.py``.
     - ``observation``: names of its parts.
-    - ``worlds``, ``world_seed``: with perception other than ``"onboard"``, how many worlds are
-      drawn, once, and their root seed; the truth about them is kept in the cache of campaigns.
+    - ``worlds``, ``world_seed``: flown by kernels, how many worlds are drawn, once, and their root
+      seed; the truth about them is kept in the cache of campaigns.
     - ``weights``: `RewardWeights`.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
-      every half second of the flight since the last call, down to the ground (``"onboard"`` alone);
-      or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
+      every half second of the flight since the last call, down to the ground (not of flights by
+      kernels); or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
 
     - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: so many flights in kernels, with perception
-      ``"surrogate"`` unless another is asked for (not ``"onboard"``); "NextStep", "SameStep" or
-      "Disabled". Lane i with seed s flies what one environment with seed s + i does.
+      ``"surrogate"`` unless another of those that kernels fly is asked for; "NextStep", "SameStep"
+      or "Disabled". Lane i with seed s flies what one environment with seed s + i does.
 
     ## Version History
 
@@ -164,13 +168,15 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ) -> None:
         if perception not in PERCEPTIONS:
             raise InputError("perception", perception, suggestion(str(perception), PERCEPTIONS))
-        if perception != "onboard":
+        if perception not in WHOLE:
             self.metadata = self.metadata | {"render_modes": ["rgb_array"], "render_fps": 1}
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode = {render_mode!r}: must be {named} or None")
         self.scenario = retarget_scenario(scenario, changes)
+        if perception in WHOLE:
+            self.scenario = perceiving(self.scenario, perception)
         self.weights = weights or RewardWeights()
         self.render_mode = render_mode
         self.perception = perception

@@ -85,7 +85,7 @@ class OnboardFlight:
         """Draw a new flight and fly it to its first decision."""
         for key, value in options.items():
             raise InputError(
-                f"options.{key}", value, "no option: with perception 'onboard' there are none"
+                f"options.{key}", value, "no option: with perception on board there are none"
             )
         self.simulation = Simulation(self.scenario, int(rng.integers(2**62)))
         self._on(lambda: None)
