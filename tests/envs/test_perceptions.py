@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -22,26 +23,26 @@ ID = "lunarsim_envs:lunarsim/Retarget-v0"
 # A descent of some seconds with a small camera: one decision high up, one low down.
 LOW = Scenario.from_dict({
     "name": "low",
-    "terrain": {"kind": "fractal", "size_m": 100.0, "posting_m": 1.0, "rms_slope_deg": 0.5},
+    "terrain": {"kind": "fractal", "size_m": 300.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
     "rocks": {"cover": 0.04, "min_diameter_m": 0.5},
     "target": {"scatter_m": [3.0, 3.0]},
     "sun": {"azimuth_deg": 45.0, "elevation_deg": 25.0},
     "start": {
-        "position_m": [-40.0, -20.0, 90.0], "velocity_m_s": [6.0, 3.0, -9.0],
+        "position_m": [-50.0, -25.0, 80.0], "velocity_m_s": [8.0, 4.0, -10.0],
         "position_sigma_m": 1.0, "velocity_sigma_m_s": 0.1,
     },
     "sensors": {
         "imu": {"kind": "imu"},
         "altimeter": {"kind": "radar-altimeter"},
-        "eye": {"kind": "camera", "width": 160, "height": 120},
-        "flash": {"kind": "flash-lidar", "rows": 64, "cols": 64},
+        "eye": {"kind": "camera", "width": 320, "height": 240, "field_of_view_deg": 35.0},
+        "flash": {"kind": "flash-lidar", "rows": 128, "cols": 128},
     },
     "tasking": {
-        "eye": {"kind": "periodic", "rate_hz": 1.0},
-        "flash": {"kind": "at-altitudes", "altitudes_m": [80.0]},
+        "eye": {"kind": "periodic", "rate_hz": 5.0},
+        "flash": {"kind": "at-altitudes", "altitudes_m": [74.0]},
     },
     "navigation": {"kind": "rocks"},
-    "decisions": {"first_altitude_m": 76.0, "last_altitude_m": 45.0, "interval_s": 2.0},
+    "decisions": {"first_altitude_m": 70.0, "last_altitude_m": 40.0, "interval_s": 1.0},
     "mappers": {
         "dem": {"kind": "gaussian-dem", "size_m": 40.0, "posting_m": 0.5},
         "shade": {"kind": "shadow", "sensor": "eye", "size_m": 40.0, "posting_m": 0.5},
@@ -61,18 +62,20 @@ def test_flights_on_maps_drawn_on_board(perception, mapper):
     _, info = env.reset(seed=2)
     computer = env.unwrapped.simulation.computer
     assert type(computer.mapper) is mapper
-    ended, shares = False, []
-    while not ended:
-        observation, reward, ended, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
-        assert env.observation_space.contains(observation)
+    shares = []
+    for _ in range(2):
+        action = int(np.flatnonzero(info["action_mask"])[-1])
+        observation, reward, ended, _, info = env.step(action)
+        assert not ended and env.observation_space.contains(observation)
         assert reward == pytest.approx(sum(info["reward_terms"].values()))
         shares.append(float(observation["hazard_map"][1].mean()))
-    assert max(shares) > 0.2  # something was seen
-    assert info["safe"] == env.unwrapped.simulation.verdict.safe
+    assert max(shares) > 0.02  # something was seen
+    seen = env.unwrapped.seen.hazard_map
+    assert np.array_equal(seen.p_safe, computer.mapper.hazard_map().p_safe)
 
 
 def test_a_scenario_is_given_what_it_lacks():
-    plain = Scenario.load(found("few_sites"))
+    plain = Scenario.load(found(Path("few_sites")))
     (was,) = plain.mappers.values()
     for perception, kind in MAPPER_OF.items():
         given = perceiving(plain, perception)
@@ -92,7 +95,7 @@ def test_a_scenario_is_given_what_it_lacks():
 
 
 def test_a_scenario_keeps_what_it_has():
-    eyes = Scenario.load(found("two_eyes"))
+    eyes = Scenario.load(found(Path("two_eyes")))
     assert perceiving(eyes, "onboard") is eyes
     assert perceiving(eyes, "fused").to_dict() == eyes.to_dict()
     assert perceiving(eyes, "shadows").to_dict() == eyes.changed(
@@ -109,7 +112,7 @@ def test_a_scenario_keeps_what_it_has():
 
 
 def test_what_does_not_go_together_is_refused():
-    dark = Scenario.load(found("shadow_nominal"))
+    dark = Scenario.load(found(Path("shadow_nominal")))
     for perception, word in (("quadtree", "gaussian-dem"), ("fused", "gaussian-dem")):
         with pytest.raises(InputError, match=word):
             gymnasium.make(ID, scenario=dark, perception=perception)
