@@ -20,7 +20,7 @@ from lunarsim.scenario.shipped import found
 from lunarsim.simulation import Simulation
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
-from lunarsim_envs.rewards import RewardWeights, reward_terms
+from lunarsim_envs.rewards import RewardWeights, SiteRewards
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
@@ -104,7 +104,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ## Rewards
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 for a safe landing, -1
-    for any other end), ``propellant`` (-0.005 a kilogram burnt), ``invalid`` (-0.05).
+    for any other end), ``propellant`` (-1 for full tanks, in proportion), ``invalid`` (-0.05, ten
+    times a flight at most); unless they are given weights nothing: ``speed``, ``tilt`` and
+    ``hazard`` (of a safe touchdown by how near its speeds, its tilt, and slope and roughness under
+    the pads are to the limits), ``information`` (of what the decision adds to what the map tells)
+    and ``shaping`` (of a potential, the probability of safety of the site flown to; its discounted
+    sum is the same for all flights from one first decision). Every crash returns less than any safe
+    landing, shaping aside; weights with which it may not are refused.
     ``info["cost"]``, for constrained methods, is 1 at an end that is not safe and 0 else.
 
     ## Starting State
@@ -133,7 +139,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     - ``observation``: names of its parts.
     - ``worlds``, ``world_seed``: flown by kernels, how many worlds are drawn, once, and their root
       seed; the truth about them is kept in the cache of campaigns.
-    - ``weights``: `RewardWeights`.
+    - ``weights``: `lunarsim_envs.rewards.RewardWeights`; by default those of the table
+      [site_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
       every half second of the flight since the last call, down to the ground (not of flights by
       kernels); or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
@@ -177,7 +184,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.scenario = retarget_scenario(scenario, changes)
         if perception in WHOLE:
             self.scenario = perceiving(self.scenario, perception)
-        self.weights = weights or RewardWeights()
+        self.weights = weights or RewardWeights.of(self.scenario)
+        lander = self.scenario.vehicle.make()
+        self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
         self.perception = perception
         self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate)
@@ -206,6 +215,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.frames, self._last, self._film = None, (None, None), []
         self.flight.begin(self.np_random, options or {})
         self._begun = True
+        self.rewards.begin(np.ones(1, np.bool_), *self._stand())
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
@@ -225,7 +235,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             raise gymnasium.error.ResetNeeded("the flight has ended: call reset()")
         if not self.action_space.contains(action):
             raise ValueError(f"action = {action!r}: must be an integer from 0 to {SITES}")
-        mass, row = flight.mass, int(action) - 1
+        row = int(action) - 1
         sights = flight.sights
         invalid, site = False, None
         if action > 0:
@@ -235,18 +245,28 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
         flight.decide(site, self._each)
         verdict = flight.verdict
-        terms = reward_terms(
-            self.weights,
-            ended=verdict is not None,
-            safe=verdict is not None and verdict[0],
-            burnt=mass - flight.mass,
-            invalid=invalid,
-        )
+        terms = self._terms(invalid, verdict)
         info = self._info() | {"reward_terms": terms}
         info["cost"] = float(verdict is not None and not verdict[0])
         self._last = (self._last[0], sum(terms.values()))
         self._take_frame()
         return self._encode(), sum(terms.values()), verdict is not None, False, info
+
+    def _stand(self) -> tuple[Any, ...]:
+        """Return mass, p_safe of the site and the map of the one flight; see `SiteRewards`."""
+        sights = self.flight.sights
+        return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
+
+    def _terms(
+        self, invalid: bool, verdict: tuple[bool, tuple[str, ...]] | None
+    ) -> dict[str, float]:
+        """Return the terms of the decision that has been carried out, by name."""
+        one = np.ones(1, np.bool_)
+        terms = self.rewards.terms(
+            one, one & invalid, one & (verdict is not None), one & (verdict or (False,))[0],
+            self.flight.touch, one, *self._stand(),
+        )  # fmt: skip
+        return {name: float(term[0]) for name, term in terms.items()}
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """Return the descent, its last 60 m and the map as an image (360, 800, 3).
