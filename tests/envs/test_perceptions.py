@@ -117,15 +117,9 @@ def test_what_does_not_go_together_is_refused():
     for perception, word in (("quadtree", "gaussian-dem"), ("fused", "gaussian-dem")):
         with pytest.raises(InputError, match=word):
             gymnasium.make(ID, scenario=dark, perception=perception)
-    fixes = Scenario.from_dict({
-        "sensors": {
-            "imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"},
-            "flash": {"kind": "flash-lidar"},
-        },
-        "navigation": {"kind": "fixes"},
-    })  # fmt: skip
-    with pytest.raises(InputError, match=r"navigation\.kind = 'fixes'"):
-        perceiving(fixes, "shadows")
+    other = Scenario.from_dict({"navigation": {"kind": "ukf"}})
+    with pytest.raises(InputError, match=r"navigation\.kind = 'ukf'"):
+        perceiving(other, "shadows")
     with pytest.raises(InputError, match="one at a time"):
         RetargetVectorEnv(2, scenario=LOW, perception="fused")
     with pytest.raises(InputError, match="fused"):
