@@ -26,7 +26,7 @@ from lunarsim.evaluation.comparisons import Difference, mean_difference, share_d
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
-from lunarsim_envs.agents.registry import agent_of, label
+from lunarsim_envs.agents.registry import agent_of, check, label
 
 AGENTS = ("random", "no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
 # The model first, then what it stands for.
@@ -115,6 +115,8 @@ def main() -> int:
                 raise InputError(f"--{field}", getattr(args, field), f"at least {least}")
         scenario, agents = Scenario.load(found(Path(args.scenario))), tuple(args.agent or AGENTS)
         told = {}
+        for agent in agents:
+            check(agent)
         for agent in agents:
             for perception in PERCEPTIONS:
                 begun = time.process_time()

@@ -9,7 +9,7 @@ from lunarsim.evaluation.comparisons import Difference
 
 
 def _between(low, high):
-    return Difference("a", "b", 0.5 * (low + high), low, high, 0.5, 10)
+    return Difference("a", "b", 10, 0.5 * (low + high), low, high, 0.5)
 
 
 def test_reference_scores_are_a_row_an_agent(script, monkeypatch, capsys):
