@@ -34,6 +34,10 @@ from lunarsim.errors import InputError, check_folder
     help="Another value of a key of the scenario; may be repeated.",
 )  # fmt: skip
 @click.option(
+    "--perception", default=None, metavar="NAME", show_default="the environment's own",
+    help="Of Retarget-v0: onboard, truth, surrogate, gaussian-dem, shadows, quadtree or fused.",
+)  # fmt: skip
+@click.option(
     "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent."
 )  # fmt: skip
 @SEED
@@ -50,7 +54,7 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 def evaluate(
     env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
-    episodes: int, seed: int, jobs: int, within: float, out: Path | None,
+    perception: str | None, episodes: int, seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
 
@@ -80,7 +84,8 @@ def evaluate(
         raise InputError("--within", within, "a finite number of metres")
     if out is not None:
         check_folder(out)
-    asked = study(env, scenario, values, seed)
+    given = {} if perception is None else {"perception": perception}
+    asked = study(env, scenario, values, seed, **given)
     check_agents(asked, agents)
     console = wide_console(170)
     with (
@@ -93,7 +98,7 @@ def evaluate(
             raise click.ClickException(str(error)) from None
     found, between = figures(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
     if out is not None:
-        told = {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
+        told = given | {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
         write(out, rows, told, found, between)
         if asked.scenario is not None:
             asked.scenario.save(out / "scenario.toml")

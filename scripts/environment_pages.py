@@ -57,6 +57,7 @@ A step of `Guidance-v0` is twenty of the integration, each with the attitude loo
 ```sh
 lunarsim evaluate Guidance-v0 --agent random --agent apollo --agent e-guidance --episodes 100
 lunarsim evaluate Retarget-v0 --scenario hirise --agent no-divert --agent safest --episodes 20
+lunarsim evaluate Retarget-v0 --perception quadtree --agent nearest-safe --episodes 5
 lunarsim evaluate Guidance-v0 --agent own_agents:Careful --set start.velocity_sigma_m_s=10
 ```
 

@@ -116,6 +116,8 @@ OWN = {
         (["Guidance-v0", "--agent", "zero", "--out", "full"], ["--out = 'full'", "empty or new"]),
         (["Guidance-v0", "--agent", "zero", "--scenario", "hirisee"], ["did you mean 'hirise'"]),
         (["Guidance-v0", "--agent", "zero", "--set", "rocks.covr=1"], ["did you mean 'cover'"]),
+        (["Retarget-v0", "--agent", "zero", "--perception", "fuse"], ["did you mean 'fused'"]),
+        (["Guidance-v0", "--agent", "zero", "--perception", "truth"], ["of Retarget-v0 alone"]),
         (["Guidance-v0"], ["--agent", "evaluate --help"]),
     ],
     "parts": [(["polcy"], ["contract = 'polcy'", "did you mean 'policy'"])],

@@ -20,10 +20,11 @@ from lunarsim.scenario.shipped import found
 from lunarsim.simulation import Simulation
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
-from lunarsim_envs.rewards import RewardWeights, reward_terms
+from lunarsim_envs.rewards import RewardWeights, SiteRewards
 from lunarsim_envs.sites.flights import KernelFlight
+from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
-from lunarsim_envs.sites.perception import PERCEPTIONS, flight_of
+from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
 
 FloatArray = NDArray[np.float32]
 
@@ -65,10 +66,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """Choose the landing site of a descending lander.
 
     One step is one decision, and the flight goes on until the next one is due. With perception
-    ``"onboard"`` the environment steps the same `lunarsim.simulation.Simulation` as the command
-    line. With any other the same laws of guidance, attitude loop, vehicle and verdict fly in
-    kernels, over a pool of worlds, a hundred times as fast; navigation is then the truth and a
-    drift (none with ``"truth"``).
+    ``"onboard"``, ``"shadows"``, ``"quadtree"`` or ``"fused"`` the environment steps the same
+    `lunarsim.simulation.Simulation` as the command line. With ``"truth"``, ``"surrogate"`` or
+    ``"gaussian-dem"`` the same laws of guidance, attitude loop, vehicle and verdict fly in kernels,
+    over a pool of worlds, a hundred times as fast; navigation is then the truth and a drift (none
+    with ``"truth"``).
 
     ## Action Space
 
@@ -102,7 +104,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ## Rewards
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 for a safe landing, -1
-    for any other end), ``propellant`` (-0.005 a kilogram burnt), ``invalid`` (-0.05).
+    for any other end), ``propellant`` (-1 for full tanks, in proportion), ``invalid`` (-0.05, ten
+    times a flight at most); unless they are given weights nothing: ``speed``, ``tilt`` and
+    ``hazard`` (of a safe touchdown by how near its speeds, its tilt, and slope and roughness under
+    the pads are to the limits), ``information`` (of what the decision adds to what the map tells)
+    and ``shaping`` (of a potential, the probability of safety of the site flown to; its discounted
+    sum is the same for all flights from one first decision). Every crash returns less than any safe
+    landing, shaping aside; weights with which it may not are refused.
     ``info["cost"]``, for constrained methods, is 1 at an end that is not safe and 0 else.
 
     ## Starting State
@@ -124,20 +132,23 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.1}``.
     - ``perception``: ``"onboard"``, the scenario's own mapper and navigation; ``"truth"``, the
       exact safety of what the LiDAR has in view; ``"surrogate"``, a statistical model of the
-      mapper's errors in space; ``"gaussian-dem"``, that mapper on real scans.
+      mapper's errors in space; ``"gaussian-dem"``, that mapper on real scans; ``"shadows"``,
+      ``"quadtree"``, ``"fused"``, a mapper of that kind on board, whichever the scenario decides
+      on: what it lacks for it is added (`lunarsim_envs.sites.onboard.perceiving`).
     - ``surrogate``: file of another surrogate, of ``scenarios/learning/fit_surrogate.py``.
     - ``observation``: names of its parts.
-    - ``worlds``, ``world_seed``: with perception other than ``"onboard"``, how many worlds are
-      drawn, once, and their root seed; the truth about them is kept in the cache of campaigns.
-    - ``weights``: `RewardWeights`.
+    - ``worlds``, ``world_seed``: flown by kernels, how many worlds are drawn, once, and their root
+      seed; the truth about them is kept in the cache of campaigns.
+    - ``weights``: `lunarsim_envs.rewards.RewardWeights`; by default those of the table
+      [site_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
-      every half second of the flight since the last call, down to the ground (``"onboard"`` alone);
-      or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
+      every half second of the flight since the last call, down to the ground (not of flights by
+      kernels); or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
 
     - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: so many flights in kernels, with perception
-      ``"surrogate"`` unless another is asked for (not ``"onboard"``); "NextStep", "SameStep" or
-      "Disabled". Lane i with seed s flies what one environment with seed s + i does.
+      ``"surrogate"`` unless another of those that kernels fly is asked for; "NextStep", "SameStep"
+      or "Disabled". Lane i with seed s flies what one environment with seed s + i does.
 
     ## Version History
 
@@ -164,14 +175,18 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ) -> None:
         if perception not in PERCEPTIONS:
             raise InputError("perception", perception, suggestion(str(perception), PERCEPTIONS))
-        if perception != "onboard":
+        if perception not in WHOLE:
             self.metadata = self.metadata | {"render_modes": ["rgb_array"], "render_fps": 1}
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode = {render_mode!r}: must be {named} or None")
         self.scenario = retarget_scenario(scenario, changes)
-        self.weights = weights or RewardWeights()
+        if perception in WHOLE:
+            self.scenario = perceiving(self.scenario, perception)
+        self.weights = weights or RewardWeights.of(self.scenario)
+        lander = self.scenario.vehicle.make()
+        self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
         self.perception = perception
         self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate)
@@ -200,6 +215,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.frames, self._last, self._film = None, (None, None), []
         self.flight.begin(self.np_random, options or {})
         self._begun = True
+        self.rewards.begin(np.ones(1, np.bool_), *self._stand())
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
@@ -219,7 +235,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             raise gymnasium.error.ResetNeeded("the flight has ended: call reset()")
         if not self.action_space.contains(action):
             raise ValueError(f"action = {action!r}: must be an integer from 0 to {SITES}")
-        mass, row = flight.mass, int(action) - 1
+        row = int(action) - 1
         sights = flight.sights
         invalid, site = False, None
         if action > 0:
@@ -229,18 +245,28 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
         flight.decide(site, self._each)
         verdict = flight.verdict
-        terms = reward_terms(
-            self.weights,
-            ended=verdict is not None,
-            safe=verdict is not None and verdict[0],
-            burnt=mass - flight.mass,
-            invalid=invalid,
-        )
+        terms = self._terms(invalid, verdict)
         info = self._info() | {"reward_terms": terms}
         info["cost"] = float(verdict is not None and not verdict[0])
         self._last = (self._last[0], sum(terms.values()))
         self._take_frame()
         return self._encode(), sum(terms.values()), verdict is not None, False, info
+
+    def _stand(self) -> tuple[Any, ...]:
+        """Return mass, p_safe of the site and the map of the one flight; see `SiteRewards`."""
+        sights = self.flight.sights
+        return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
+
+    def _terms(
+        self, invalid: bool, verdict: tuple[bool, tuple[str, ...]] | None
+    ) -> dict[str, float]:
+        """Return the terms of the decision that has been carried out, by name."""
+        one = np.ones(1, np.bool_)
+        terms = self.rewards.terms(
+            one, one & invalid, one & (verdict is not None), one & (verdict or (False,))[0],
+            self.flight.touch, one, *self._stand(),
+        )  # fmt: skip
+        return {name: float(term[0]) for name, term in terms.items()}
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """Return the descent, its last 60 m and the map as an image (360, 800, 3).

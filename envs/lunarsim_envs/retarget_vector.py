@@ -17,7 +17,7 @@ from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
-from lunarsim_envs.rewards import RewardWeights
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, touch_shares
 from lunarsim_envs.sites.flights import sights_of
 from lunarsim_envs.sites.parts import DEFAULT, SITES, Shown, ShownSites
 from lunarsim_envs.sites.perception import lanes_of
@@ -50,7 +50,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         self.scenario = retarget_scenario(scenario, changes)
         self.lanes = lanes_of(num_envs, perception, self.scenario, worlds, world_seed, surrogate)
-        self.weights = weights or RewardWeights()
+        self.weights = weights or RewardWeights.of(self.scenario)
+        self._lander = self.scenario.vehicle.make()
+        self.rewards = SiteRewards(self.weights, self._lander.propellant_mass, num_envs)
         self.shown = ShownSites(observation)
         self.num_envs = num_envs
         self.autoreset_mode = _MODE(autoreset_mode)
@@ -91,6 +93,12 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.lanes.seed(mask, keys[mask])
         self.lanes.begin(mask)
         self._shrink(mask)
+        self.rewards.begin(mask, *self._stand())
+
+    def _stand(self) -> tuple[Any, ...]:
+        """Return masses, p_safe of the sites and maps of all lanes; see `SiteRewards`."""
+        lanes = self.lanes
+        return lanes.y[:, 13], lanes.found.here[:, 0], lanes.maps.p, lanes.maps.seen
 
     def _shrink(self, mask: Mask) -> None:
         """Take the maps of the lanes of `mask` together, if they are shown."""
@@ -144,11 +152,10 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         sites = np.full((self.num_envs, 3), np.nan)
         flown = moved & ~invalid & (chosen > 0)
         sites[flown] = lanes.found.position[rows[flown], chosen[flown] - 1]
-        mass = lanes.y[:, 13].copy()
         lanes.decide(sites, moved)
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
-        terms = self._terms(moved, over, invalid, mass - lanes.y[:, 13])
+        terms = self._terms(moved, over, invalid)
         rewards = np.sum(list(terms.values()), axis=0)
         info = self._told(terms, moved, over)
         if self.autoreset_mode is _MODE.NEXT_STEP:
@@ -163,14 +170,12 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._begin(over)
         return self._observe(), rewards, over, np.zeros_like(over), info | self._info()
 
-    def _terms(self, moved: Mask, over: Mask, invalid: Mask, burnt: Any) -> dict[str, Any]:
-        w = self.weights
-        terms = {
-            "touchdown": np.where(over, np.where(self.lanes.safe, w.safe, w.unsafe), 0.0),
-            "propellant": w.propellant * burnt,
-            "invalid": np.where(invalid, w.invalid, 0.0),
-        }
-        return {name: np.where(moved, term, 0.0) for name, term in terms.items()}
+    def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
+        lanes = self.lanes
+        touch = touch_shares(self._lander, lanes.told)
+        return self.rewards.terms(
+            moved, invalid, over, lanes.safe, touch, lanes.mapped, *self._stand()
+        )
 
     def _told(self, terms: dict[str, Any], moved: Mask, over: Mask) -> dict[str, Any]:
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}

@@ -15,6 +15,7 @@ from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.onboard.policies.window import Window
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
+from lunarsim.scenario.rewards import DescentReward, SiteReward
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
 from lunarsim.vehicle.variation import Variation
@@ -44,6 +45,8 @@ OPTIONAL: dict[str, type] = {
     "variation": Variation,
     "braking": Braking,
     "window": Window,
+    "site_reward": SiteReward,
+    "descent_reward": DescentReward,
 }
 # One table each, of a part chosen by `kind`, but only where they are given: contract.
 OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}

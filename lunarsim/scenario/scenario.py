@@ -88,6 +88,8 @@ class Scenario:
     descent: ChosenPart | None
     control: ChosenPart
     simulation: Any
+    site_reward: Any | None
+    descent_reward: Any | None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Scenario:

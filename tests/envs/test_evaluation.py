@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -18,6 +19,7 @@ from lunarsim_envs.evaluation.episodes import fly_episodes
 from lunarsim_envs.evaluation.request import study
 from lunarsim_envs.evaluation.results import differences, figures, with_target
 from lunarsim_envs.evaluation.running import fly
+from tests.envs.site_scene import SMALL
 from tests.low_descents import LOW
 
 SETS = [f"{key}={value}" for key, value in LOW.items()]
@@ -154,6 +156,15 @@ def test_the_command_writes_what_it_prints(tmp_path):
 def test_a_scenario_is_asked_for_where_an_environment_tells_none():
     with pytest.raises(InputError, match="--scenario as well"):
         study("tests/Wanted-v0", None, ["rocks.cover=0.1"], 1)
+
+
+def test_agents_are_flown_on_the_perception_that_is_asked_for():
+    given = study("lunarsim_envs:Retarget-v0", None, [], 1, perception="truth")
+    assert given.arguments == {"perception": "truth"}
+    alone = study("lunarsim_envs:Retarget-v0", None, [], 1)
+    assert alone.arguments == {} and alone.make().unwrapped.perception == "onboard"
+    small = replace(given, scenario=SMALL, arguments=given.arguments | {"worlds": 1})
+    assert small.make().unwrapped.perception == "truth"
 
 
 @pytest.mark.slow

@@ -18,13 +18,12 @@ from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.agents.site_network import SiteNetwork, features
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import parts
-from lunarsim_envs.sites.perception import PERCEPTIONS
+from lunarsim_envs.sites.perception import KERNELS
 from lunarsim_envs.training.sites import SiteTraining, flown, start, train
 from tests.envs.site_scene import SMALL, lanes, made_up
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
 EVERY = tuple(parts.PARTS)
-KERNELS = PERCEPTIONS[1:]
 
 
 def made(perception="surrogate", **settings):
@@ -209,7 +208,7 @@ def test_options_say_where_flights_start_and_others_are_refused():
     with pytest.raises(ValueError, match="action"):
         env.step(21)
     onboard = gymnasium.make(ID, scenario=SMALL)
-    with pytest.raises(InputError, match="onboard"):
+    with pytest.raises(InputError, match="on board"):
         onboard.reset(options={"position_m": [1.0, 2.0, 3.0]})
 
 

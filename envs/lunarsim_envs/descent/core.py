@@ -110,7 +110,7 @@ class Descents:
         ground = Worlds.of(self.scenario, worlds, world_seed)
         self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
-        self.rewards = Rewards(weights or DescentWeights(), self.lanes)
+        self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
         self.truth = Shown(DEFAULT) if privileged else None
         self.senses = self._senses() if craft.variation is not None else None
 

@@ -231,7 +231,8 @@ class GuidanceEnv(DescentEnv):
     - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.05}``.
     - ``rate_hz``: actions a second.
     - ``observation``: names of its parts.
-    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`.
+    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`; by default those of the table
+      [descent_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, the plane of the descent with gauges beside it, or None; a
       batch draws nothing.
     - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.rewards import DescentReward
 from lunarsim_envs.descent.lanes import FLYING, LATE, Lanes
 from lunarsim_envs.descent.potential import off as off_wanted
 
@@ -23,37 +25,14 @@ _LIMITED = 4
 
 
 @dataclass(frozen=True)
-class DescentWeights:
-    """Weights of the terms.
+class DescentWeights(DescentReward):
+    """Weights of the terms, as the table [descent_reward] of a scenario has them."""
 
-    Attributes
-    ----------
-    safe, crash
-        For a touchdown within all limits, and for any other end but the time limit.
-    propellant
-        Cost of a kilogram.
-    miss
-        Cost of a metre between a safe touchdown and the target, up to 50 m.
-    severity
-        Cost of a crash at the distance and the speed of the planned start, half of it for each;
-        nearer and slower ones cost less, none more.
-    excess
-        Cost of a touchdown that exceeds a limit e-fold, summed over speeds, tilt and rate; a crash
-        that is no touchdown counts as the worst.
-    shaping
-        Of the potential; 0 leaves it out. See `Rewards`.
-    discount
-        The learner's: with another one shaping may change which policy is best.
-    """
-
-    safe: float = 1.0
-    crash: float = -1.0
-    propellant: float = 0.001
-    miss: float = 0.01
-    severity: float = 0.0
-    excess: float = 0.0
-    shaping: float = 1.0
-    discount: float = 0.99
+    @classmethod
+    def of(cls, scenario: Scenario) -> DescentWeights:
+        """Return those of a scenario."""
+        given = scenario.descent_reward
+        return cls() if given is None else cls(**vars(given.make()))
 
     def check(self, propellant: float) -> None:
         """Refuse weights with which a crash may return more than a safe landing.
@@ -68,17 +47,6 @@ class DescentWeights:
         InputError
             Naming the weight.
         """
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not np.isfinite(value):
-                raise InputError(f"weights.{field.name}", value, "a finite number")
-            if (
-                field.name in ("propellant", "miss", "severity", "excess", "shaping")
-                and value < 0.0
-            ):
-                raise InputError(f"weights.{field.name}", value, "0 or more: it is a cost")
-        if not 0.0 < self.discount <= 1.0:
-            raise InputError("weights.discount", self.discount, "above 0, at most 1")
         least = self.crash + self.propellant * propellant + self.miss * MOST_MISS
         if not self.safe > least:
             raise InputError(

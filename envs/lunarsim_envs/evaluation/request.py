@@ -16,6 +16,7 @@ from lunarsim.scenario.shipped import found
 from lunarsim_envs.descent.core import level
 from lunarsim_envs.evaluation.episodes import Study
 from lunarsim_envs.retarget import default_scenario
+from lunarsim_envs.sites.perception import PERCEPTIONS
 
 # What each environment flies over unless a scenario is given.
 _DEFAULTS = {
@@ -46,6 +47,14 @@ def _environment(given: str) -> str:
     raise InputError("env", given, f"an environment that Gymnasium knows; {near}")
 
 
+def _check_perception(given: str, default: Any) -> None:
+    """Refuse a perception that there is not, and any of an environment without one."""
+    if given not in PERCEPTIONS:
+        raise InputError("--perception", given, suggestion(given, PERCEPTIONS))
+    if default is level:
+        raise InputError("--perception", given, "left out: of Retarget-v0 alone")
+
+
 def study(
     env: str, scenario: Path | None, changes: Sequence[str], seed: int, **arguments: Any
 ) -> Study:
@@ -69,6 +78,8 @@ def study(
     """
     name = _environment(env)
     own = _DEFAULTS.get(name.rpartition(":")[2])
+    if "perception" in arguments:
+        _check_perception(arguments["perception"], own)
     flown: Scenario | None = None
     if scenario is not None:
         flown = Scenario.load(found(scenario))

@@ -7,13 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim_envs.sites._cell_kernels import best_cells, nearest_cells
 from lunarsim_envs.sites._flight_kernels import believed, reach
 from lunarsim_envs.sites._map_kernels import cell
+from lunarsim_envs.sites._stead_kernels import beaten, in_their_stead, within
 
-# Of `candidates.best_cells`.
-_PRICE = np.float32(1e-3 / 100.0)
-# Stands for cells that are no site.
-_NOWHERE = np.float32(-1e30)
 # A spread map is made anew where the miss has changed by this share.
 _ALIKE = 0.05
 # Of `expected_miss.MOST`.
@@ -96,100 +94,6 @@ def spread_at(p, seen, row, col, sigma):
     return min(out / (total * total), 1.0)
 
 
-@kernel(finite=True)
-def _scored(aim, dy, corner, posting, site, score):
-    """Write how good each cell of a row is (cols,), and return the best of them and of its aim."""
-    best, most = np.float32(_NOWHERE), np.float32(0.0)
-    for c in range(len(aim)):
-        dx = np.float32(corner + c * posting - site)
-        far = np.sqrt(dx * dx + dy * dy)
-        good = aim[c] - _PRICE * far if aim[c] > 0.0 else np.float32(_NOWHERE)
-        score[c] = good
-        best = max(best, good)
-        most = max(most, aim[c])
-    return best, most
-
-
-@kernel(finite=True)
-def _greatest(score):
-    """Return the greatest of a row."""
-    best = np.float32(_NOWHERE)
-    for c in range(len(score)):
-        best = max(best, score[c])
-    return best
-
-
-@kernel()
-def best_cells(aim, corner, posting, site, count, separation, score, highest, cells):
-    """Write up to `count` cells (m, 2) of greatest aim and return how many.
-
-    See `candidates.best_cells`. `highest` (rows,) takes the greatest aim of each row.
-    """
-    rows, cols = aim.shape
-    most = np.empty(rows, np.float32)
-    for r in range(rows):
-        dy = np.float32(corner[1] + r * posting - site[1])
-        most[r], highest[r] = _scored(aim[r], dy, corner[0], posting, site[0], score[r])
-    wide = int(np.ceil(separation / posting))
-    for n in range(count):
-        row = 0
-        for r in range(1, rows):
-            if most[r] > most[row]:
-                row = r
-        if most[row] <= _NOWHERE:
-            return n
-        col = 0
-        while score[row, col] != most[row]:
-            col += 1
-        cells[n, 0], cells[n, 1] = row, col
-        for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
-            for c in range(max(col - wide, 0), min(col + wide + 1, cols)):
-                if np.hypot(r - row, c - col) * posting < separation:
-                    score[r, c] = _NOWHERE
-            most[r] = _greatest(score[r])
-    return count
-
-
-@kernel()
-def _nearest(aim, corner, posting, site, level, highest, place):
-    """Write the nearest cell of an aim of at least `level` (2,); tell whether there is one.
-
-    Rows are gone through from the site's outward, as far as one may still be nearer.
-    """
-    rows, cols = aim.shape
-    middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
-    best = np.inf
-    for k in range(2 * rows):
-        r = middle + (k + 1) // 2 if k % 2 == 1 else middle - k // 2
-        if not 0 <= r < rows:
-            continue
-        dy = corner[1] + r * posting - site[1]
-        if dy * dy > best or highest[r] < level:
-            continue
-        for c in range(cols):
-            if aim[r, c] >= level:
-                dx = corner[0] + c * posting - site[0]
-                far = dx * dx + dy * dy
-                if far < best or (far == best and r < place[0]):
-                    best = far
-                    place[0], place[1] = r, c
-    return best < np.inf
-
-
-@kernel()
-def nearest_cells(aim, corner, posting, site, levels, count, highest, cells):
-    """Add the nearest cell at each level of aim that is not among them; return how many."""
-    place = np.empty(2, np.int64)
-    for k in range(len(levels)):
-        known = not _nearest(aim, corner, posting, site, levels[k], highest, place)
-        for n in range(count):
-            known = known or (cells[n, 0] == place[0] and cells[n, 1] == place[1])
-        if not known:
-            cells[count, 0], cells[count, 1] = place[0], place[1]
-            count += 1
-    return count
-
-
 @kernel()
 def _aimed(i, time, left, maps, work, weight):
     """Spread a lane's map by the miss of its site, and return that miss, m."""
@@ -214,6 +118,31 @@ def _sorted(order, count, p):
         order[m + 1] = one
 
 
+@kernel()
+def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
+    """Write sites on the ground of some cells, the one flown to, and what each costs (n + 1)."""
+    for m in range(n):
+        row, col = cells[m, 0], cells[m, 1]
+        sites[m, 0] = maps.corner[i, 0] + col * maps.posting
+        sites[m, 1] = maps.corner[i, 1] + row * maps.posting
+        sites[m, 2] = maps.height[i, row, col]
+    for k in range(3):
+        sites[n, k] = site[k]
+    reach(state, mass, sites[: n + 1], law, cost[: n + 1])
+
+
+@kernel()
+def _told(i, time, left, cells, n, cost, maps, p):
+    """Write the p_safe of some cells, each by the miss of its own way there (n,)."""
+    for m in range(n):
+        row, col = cells[m, 0], cells[m, 1]
+        p[m] = maps.aim[i, row, col]
+        if maps.stated[1] > 0.0:
+            until = cost[m, 1] if np.isfinite(cost[m, 1]) else left
+            own = miss_at(time, until, maps.mapped[i], maps.stated)
+            p[m] = spread_at(maps.p[i], maps.seen[i], row, col, own / maps.posting)
+
+
 @kernel(shared=True)
 def look(share, mask, y, time, course, law, maps, count, separation, levels, found):
     """Write the sites that the lanes of `mask` (n,) may choose from, and what each costs.
@@ -221,36 +150,30 @@ def look(share, mask, y, time, course, law, maps, count, separation, levels, fou
     See `OnboardComputer.observe` and `candidates.candidate_sites`.
     """
     rows, cols = maps.p.shape[1], maps.p.shape[2]
-    most = count + len(levels)
+    most = 2 * (count + len(levels))
     work, score = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
     weight, cells = np.empty(2 * max(rows, cols) + 3, np.float32), np.empty((most, 2), np.int64)
-    highest = np.empty(rows, np.float32)
+    highest, more = np.empty(rows, np.float32), np.empty((most, 2), np.int64)
     state, sites, cost = np.empty((2, 3)), np.empty((most + 1, 3)), np.empty((most + 1, 4))
     p, order = np.empty(most), np.empty(most, np.int64)
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
-        site, left = course.site[i], course.arrival[i] - time[i]
+        site, left, mass = course.site[i], course.arrival[i] - time[i], y[i, 13]
         aim, corner = maps.aim[i], maps.corner[i]
         miss = _aimed(i, time[i], left, maps, work, weight)
         n = best_cells(aim, corner, maps.posting, site, count, separation, score, highest, cells)
         n = nearest_cells(aim, corner, maps.posting, site, levels, n, highest, cells)
-        for m in range(n):
-            row, col = cells[m, 0], cells[m, 1]
-            sites[m, 0] = corner[0] + col * maps.posting
-            sites[m, 1] = corner[1] + row * maps.posting
-            sites[m, 2] = maps.height[i, row, col]
-        for k in range(3):
-            sites[n, k] = site[k]
         believed(y[i], course.slip[i], time[i], state)
-        reach(state, y[i, 13], sites[: n + 1], law, cost[: n + 1])
-        for m in range(n):
-            row, col = cells[m, 0], cells[m, 1]
-            p[m] = aim[row, col]
-            if maps.stated[1] > 0.0:
-                until = cost[m, 1] if np.isfinite(cost[m, 1]) else left
-                own = miss_at(time[i], until, maps.mapped[i], maps.stated)
-                p[m] = spread_at(maps.p[i], maps.seen[i], row, col, own / maps.posting)
+        _costs(i, cells, n, site, state, mass, law, maps, sites, cost)
+        if beaten(aim, cells, cost, n, levels[0]):
+            k = within(
+                aim, corner, maps.posting, maps.height[i], site, state, mass, law, count,
+                separation, levels, work, score, more,
+            )  # fmt: skip
+            n = in_their_stead(cells, cost, n, more, k)
+            _costs(i, cells, n, site, state, mass, law, maps, sites, cost)
+        _told(i, time[i], left, cells, n, cost, maps, p)
         _sorted(order, n, p)
         for m in range(n):
             o = order[m]

@@ -98,6 +98,33 @@ def believed(y, slip, time, out):
 
 
 @kernel()
+def _slower(state, targets, first, likely, last, law, figures, out):
+    """Look for paths of more time to sites that none is found to (m, 4), side by side."""
+    slow = 0
+    at = np.empty(len(targets), np.int64)
+    for n in range(len(targets)):
+        if not np.isfinite(out[n, 0]) and likely[n] < last[n]:
+            at[slow] = n
+            slow += 1
+    if slow == 0:
+        return
+    ends, begins, until = np.empty((slow, 3)), np.empty(slow), np.empty(slow)
+    found = np.empty((slow, 4))
+    for k in range(slow):
+        n = at[k]
+        begins[k], until[k] = max(first[n], likely[n]), last[n]
+        for axis in range(3):
+            ends[k, axis] = targets[n, axis]
+    _survey(
+        (0, 1), state, ends, law.asked, begins, until, _TIMES, law.rough, law.table, law.powers,
+        figures, found,
+    )  # fmt: skip
+    for k in range(slow):
+        for column in range(4):
+            out[at[k], column] = found[k, column]
+
+
+@kernel()
 def reach(state, mass, sites, law, out):
     """Write what it takes to fly to sites (m, 3): propellant, kg, and time-to-go, s (m, 4).
 
@@ -127,12 +154,8 @@ def reach(state, mass, sites, law, out):
         (0, 1), state, targets, law.asked, first, likely, _TIMES, law.rough, law.table, law.powers,
         figures, out,
     )  # fmt: skip
+    _slower(state, targets, first, likely, last, law, figures, out)
     for n in range(m):
-        if not np.isfinite(out[n, 0]) and likely[n] < last[n]:
-            _survey(
-                (0, 1), state, targets[n : n + 1], law.asked, np.array([max(first[n], likely[n])]),
-                last[n : n + 1], _TIMES, law.rough, law.table, law.powers, figures, out[n : n + 1],
-            )  # fmt: skip
         burnt = mass * -np.expm1(-out[n, 0] / exhaust)
         if burnt <= mass - dry - law.bounds[3]:
             out[n, 0] = burnt

@@ -18,6 +18,7 @@ from lunarsim.simulation import Simulation
 from lunarsim_envs import forks
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import take
+from lunarsim_envs.rewards import touch_shares
 from lunarsim_envs.sites.lanes import SiteLanes
 from lunarsim_envs.sites.sights import Sights, shrunk
 
@@ -65,6 +66,11 @@ class SiteFlight(Protocol):
         """Whether the flight ended safe, and what it failed; None while it lasts."""
         ...
 
+    @property
+    def touch(self) -> Array:
+        """How near its touchdown is to the limits (1, 3), see `touch_shares`; NaN without one."""
+        ...
+
 
 class OnboardFlight:
     """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
@@ -85,7 +91,7 @@ class OnboardFlight:
         """Draw a new flight and fly it to its first decision."""
         for key, value in options.items():
             raise InputError(
-                f"options.{key}", value, "no option: with perception 'onboard' there are none"
+                f"options.{key}", value, "no option: with perception on board there are none"
             )
         self.simulation = Simulation(self.scenario, int(rng.integers(2**62)))
         self._on(lambda: None)
@@ -134,6 +140,16 @@ class OnboardFlight:
         """Whether the flight ended safe, and what it failed."""
         verdict = self._flown.verdict
         return None if verdict is None else (verdict.safe, verdict.failed)
+
+    @property
+    def touch(self) -> Array:
+        """How near its touchdown is to the limits (1, 3)."""
+        verdict = self._flown.verdict
+        t = None if verdict is None else verdict.touchdown
+        if t is None:
+            return np.full((1, 3), np.nan)
+        told = t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness
+        return touch_shares(self._flown.lander, [told])
 
 
 class KernelFlight:
@@ -191,6 +207,11 @@ class KernelFlight:
         if self.lanes.ended[0] == FLYING:
             return None
         return bool(self.lanes.safe[0]), self.lanes.words(0)
+
+    @property
+    def touch(self) -> Array:
+        """How near its touchdown is to the limits (1, 3)."""
+        return touch_shares(self.lanes.craft.dynamics.lander, self.lanes.told)
 
 
 def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:

@@ -142,7 +142,8 @@ class SiteLanes(Lanes):
         ])  # fmt: skip
         self.course = _course(count)
         self.maps = _maps(count, cells, posting, stated)
-        self.found = _found(count, self.decisions.candidates + len(self.levels))
+        # Twice: those in reach stay beside others that are proposed in the stead of the rest.
+        self.found = _found(count, 2 * (self.decisions.candidates + len(self.levels)))
         self.refused = np.zeros(count, np.bool_)
         self._control = self._vehicle.control
 

@@ -12,12 +12,15 @@ from lunarsim.scenario import Scenario
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
 from lunarsim_envs.sites.lanes import SiteLanes
 from lunarsim_envs.sites.mapped import MappedLanes, gaussian_dem_of
+from lunarsim_envs.sites.onboard import MAPPER_OF
 from lunarsim_envs.sites.pool import SitePool
 from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact
 from lunarsim_envs.sites.view import view_of
 
-# The first is flown by the whole simulation, the others by kernels.
-PERCEPTIONS = ("onboard", "truth", "surrogate", "gaussian-dem")
+# Flown by the whole simulation; by kernels.
+WHOLE = ("onboard", *MAPPER_OF)
+KERNELS = ("truth", "surrogate", "gaussian-dem")
+PERCEPTIONS = ("onboard", *KERNELS, *MAPPER_OF)
 # Cells of maps that kernels draw, m.
 _POSTING = 0.4
 
@@ -32,7 +35,7 @@ def flight_of(
     InputError
         If there is no such perception, or it cannot be had with this scenario.
     """
-    if perception == "onboard":
+    if perception in WHOLE:
         return OnboardFlight(scenario)
     return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate))
 
@@ -47,7 +50,7 @@ def lanes_of(
     count
         Of lanes.
     perception
-        One of `PERCEPTIONS` but the first.
+        One of `KERNELS`.
     scenario, worlds, world_seed
         See `SitePool.of`.
     surrogate
@@ -58,9 +61,9 @@ def lanes_of(
     InputError
         If it cannot be had.
     """
-    if perception not in PERCEPTIONS[1:]:
+    if perception not in KERNELS:
         near = suggestion(str(perception), PERCEPTIONS)
-        if perception == "onboard":
+        if perception in WHOLE:
             near = "truth, surrogate or gaussian-dem: the whole computer flies one at a time"
         raise InputError("perception", perception, near)
     if isinstance(surrogate, Surrogate):

@@ -1,0 +1,106 @@
+"""Compiled picks of cells from a map: the best of them, and the nearest that are good enough."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+# Of `candidates.best_cells`.
+_PRICE = np.float32(1e-3 / 100.0)
+# Stands for cells that are no site.
+NOWHERE = np.float32(-1e30)
+
+
+@kernel(finite=True)
+def scored(aim, dy, corner, posting, site, score):
+    """Write how good each cell of a row is (cols,), and return the best of them and of its aim."""
+    best, most = np.float32(NOWHERE), np.float32(0.0)
+    for c in range(len(aim)):
+        dx = np.float32(corner + c * posting - site)
+        far = np.sqrt(dx * dx + dy * dy)
+        good = aim[c] - _PRICE * far if aim[c] > 0.0 else np.float32(NOWHERE)
+        score[c] = good
+        best = max(best, good)
+        most = max(most, aim[c])
+    return best, most
+
+
+@kernel(finite=True)
+def greatest(score):
+    """Return the greatest of a row."""
+    best = np.float32(NOWHERE)
+    for c in range(len(score)):
+        best = max(best, score[c])
+    return best
+
+
+@kernel()
+def best_cells(aim, corner, posting, site, count, separation, score, highest, cells):
+    """Write up to `count` cells (m, 2) of greatest aim and return how many.
+
+    See `candidates.best_cells`. `highest` (rows,) takes the greatest aim of each row.
+    """
+    rows, cols = aim.shape
+    most = np.empty(rows, np.float32)
+    for r in range(rows):
+        dy = np.float32(corner[1] + r * posting - site[1])
+        most[r], highest[r] = scored(aim[r], dy, corner[0], posting, site[0], score[r])
+    wide = int(np.ceil(separation / posting))
+    for n in range(count):
+        row = 0
+        for r in range(1, rows):
+            if most[r] > most[row]:
+                row = r
+        if most[row] <= NOWHERE:
+            return n
+        col = 0
+        while score[row, col] != most[row]:
+            col += 1
+        cells[n, 0], cells[n, 1] = row, col
+        for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
+            for c in range(max(col - wide, 0), min(col + wide + 1, cols)):
+                if np.hypot(r - row, c - col) * posting < separation:
+                    score[r, c] = NOWHERE
+            most[r] = greatest(score[r])
+    return count
+
+
+@kernel()
+def nearest(aim, corner, posting, site, level, highest, place):
+    """Write the nearest cell of an aim of at least `level` (2,); tell whether there is one.
+
+    Rows are gone through from the site's outward, as far as one may still be nearer.
+    """
+    rows, cols = aim.shape
+    middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
+    best = np.inf
+    for k in range(2 * rows):
+        r = middle + (k + 1) // 2 if k % 2 == 1 else middle - k // 2
+        if not 0 <= r < rows:
+            continue
+        dy = corner[1] + r * posting - site[1]
+        if dy * dy > best or highest[r] < level:
+            continue
+        for c in range(cols):
+            if aim[r, c] >= level:
+                dx = corner[0] + c * posting - site[0]
+                far = dx * dx + dy * dy
+                if far < best or (far == best and r < place[0]):
+                    best = far
+                    place[0], place[1] = r, c
+    return best < np.inf
+
+
+@kernel()
+def nearest_cells(aim, corner, posting, site, levels, count, highest, cells):
+    """Add the nearest cell at each level of aim that is not among them; return how many."""
+    place = np.empty(2, np.int64)
+    for k in range(len(levels)):
+        known = not nearest(aim, corner, posting, site, levels[k], highest, place)
+        for n in range(count):
+            known = known or (cells[n, 0] == place[0] and cells[n, 1] == place[1])
+        if not known:
+            cells[count, 0], cells[count, 1] = place[0], place[1]
+            count += 1
+    return count

@@ -1,0 +1,83 @@
+"""What agents that come along reach in every environment: scores to set one's own beside.
+
+    python scenarios/learning/reference_scores.py
+    python scenarios/learning/reference_scores.py --episodes 20 --only Guidance-v0
+
+Same episodes for all agents of an environment; the score is the return less shaping. `optimal` is
+the guidance law that solves for the least propellant anew as it flies. On perception "truth" a site
+is told for what it is: what a policy loses there it loses by more than its map.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import lunarsim_envs
+from lunarsim.errors import InputError, suggestion
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.shipped import found
+from lunarsim_envs.descent.core import level
+from lunarsim_envs.evaluation.episodes import Study
+from lunarsim_envs.evaluation.results import AgentFigures, figures
+from lunarsim_envs.evaluation.running import fly
+
+# Root seed of the worlds that sites are chosen in: none that an agent was trained on.
+_WORLDS = {"worlds": 24, "world_seed": 7001, "observation": ["to_go"]}
+POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
+AGENTS = {
+    "Guidance-v0": ("zero", "random", "hover", "polynomial", "apollo", "optimal", "ppo"),
+    "Control-v0": ("zero", "random", "hover"),
+    "Retarget-v0, surrogate": ("random", *POLICIES),
+    "Retarget-v0, truth": ("random", *POLICIES),
+}
+
+
+def study_of(name: str, seed: int) -> Study:
+    """Return what is flown under a name of `AGENTS`."""
+    env, _, perception = name.partition(", ")
+    if not perception:
+        return Study(f"lunarsim/{env}", level(), {}, seed)
+    few = Scenario.load(found(Path("few_sites")))
+    return Study(f"lunarsim/{env}", few, _WORLDS | {"perception": perception}, seed)
+
+
+def row(name: str, agent: AgentFigures) -> str:
+    """Return a row of the table."""
+    return (
+        f"| {name} | `{agent.name}` | {agent.score.text(3)} | {agent.safe} | "
+        f"{agent.propellant.text(1)} | {agent.steps.value:.0f} |"
+    )
+
+
+def main() -> int:
+    """Fly, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--episodes", type=int, default=100, help="an agent")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--only", action="append", help="some of the rows' environments")
+    args = parser.parse_args()
+    assert lunarsim_envs.__name__
+    try:
+        for field, least in (("episodes", 1), ("seed", 0), ("jobs", 1)):
+            if getattr(args, field) < least:
+                raise InputError(f"--{field}", getattr(args, field), f"at least {least}")
+        for name in args.only or ():
+            if name not in AGENTS:
+                raise InputError("--only", name, suggestion(name, AGENTS))
+        print("| environment | agent | score [95 %] | landed safe [95 %] | propellant kg, of safe |"
+              " steps |\n| --- | --- | --- | --- | --- | --- |", flush=True)  # fmt: skip
+        for name in args.only or AGENTS:
+            rows = fly(study_of(name, args.seed), AGENTS[name], args.episodes, args.jobs)
+            for agent in figures(rows, args.seed):
+                print(row(name, agent), flush=True)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""Scripts that set agents beside each other: what they print, and what they refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.evaluation.comparisons import Difference
+
+
+def _between(low, high):
+    return Difference("a", "b", 10, 0.5 * (low + high), low, high, 0.5)
+
+
+def test_reference_scores_are_a_row_an_agent(script, monkeypatch, capsys):
+    study = script("learning", "reference_scores")
+    monkeypatch.setattr("sys.argv", ["x", "--episodes", "2", "--only", "Control-v0"])
+    assert study.main() == 0
+    rows = capsys.readouterr().out.strip().splitlines()[2:]
+    assert [row.split("`")[1] for row in rows] == list(study.AGENTS["Control-v0"])
+    assert all("| 0.000 [0.000, 0.658] |" in row for row in rows)  # nobody lands by chance
+    for given, word in ((["--only", "Glide-v0"], "Guidance-v0"), (["--episodes", "0"], "episodes")):
+        monkeypatch.setattr("sys.argv", ["x", *given])
+        assert study.main() == 2
+        assert word in capsys.readouterr().err
+
+
+def test_every_environment_has_reference_scores(script):
+    study = script("learning", "reference_scores")
+    flown = {study.study_of(name, 1).env for name in study.AGENTS}
+    assert flown == {"lunarsim/Guidance-v0", "lunarsim/Control-v0", "lunarsim/Retarget-v0"}
+    told = {study.study_of(name, 1).arguments.get("perception") for name in study.AGENTS}
+    assert told == {None, "surrogate", "truth"}
+
+
+def test_rankings_contradict_where_both_are_sure_of_other_sides(script):
+    study = script("learning", "ranking")
+    ahead, behind, unsure = _between(0.1, 0.3), _between(-0.3, -0.1), _between(-0.1, 0.2)
+    assert [study.side(d) for d in (ahead, behind, unsure)] == [1, -1, 0]
+    assert study.contradicted(ahead, behind) and study.contradicted(behind, ahead)
+    assert not study.contradicted(ahead, ahead) and not study.contradicted(ahead, unsure)
+
+
+def test_pairs_are_counted_by_what_both_perceptions_say(script):
+    study = script("learning", "ranking")
+    model, mapper = study.PERCEPTIONS
+    rng = np.random.default_rng(3)
+    good, bad = np.arange(100) < 95, np.arange(100) < 40
+    cheap, dear = 30.0 + rng.random(100), 35.0 + rng.random(100)
+    told = {
+        ("one", model): study.Flown(good, cheap), ("one", mapper): study.Flown(bad, cheap),
+        ("two", model): study.Flown(bad, dear), ("two", mapper): study.Flown(good, dear),
+        ("three", model): study.Flown(bad, dear), ("three", mapper): study.Flown(bad, dear),
+    }  # fmt: skip
+    counts = study.pairs(told, ("one", "two", "three"))
+    # One and two swap sides in safety; one is ahead of three on the model alone, two on the mapper.
+    assert counts["safe"] == [1, 0, 3]
+    assert counts["propellant"] == [0, 3, 3]
+
+
+def test_a_ranking_refuses_what_it_cannot_fly(script, monkeypatch, capsys):
+    study = script("learning", "ranking")
+    for given, word in ((["--flights", "1"], "--flights"), (["--agent", "nobody"], "--agent"),
+                        (["--scenario", "nowhere"], "nowhere")):  # fmt: skip
+        monkeypatch.setattr("sys.argv", ["x", *given])
+        assert study.main() == 2
+        assert word in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_ranking_is_printed_whole(script, monkeypatch, capsys):
+    study = script("learning", "ranking")
+    given = ["--flights", "3", "--worlds", "1", "--agent", "no-divert", "--agent", "safest"]
+    monkeypatch.setattr("sys.argv", ["x", *given])
+    assert study.main() == 0
+    out = capsys.readouterr().out
+    assert "`no-divert`" in out and "`safest`" in out
+    assert out.count("of 1 pairs of agents") == 2
