@@ -281,7 +281,8 @@ def _check_actuators(scenario: Tables) -> None:
         if jets:
             faults.check_count(lander.thrusters.count)
         else:
-            faults.check_plain(lander.thrust_min, lander.thrust_max)
+            faults.check_plain()
+        faults.check_engine(lander.thrust_min, lander.thrust_max)
     if not jets:
         return
     period, step = getattr(control, "period", 0.1), scenario.simulation.make().step

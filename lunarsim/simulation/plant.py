@@ -106,7 +106,8 @@ class Plant:
     ) -> None:
         self.world = world
         self.actuators = actuators
-        self._faults, self._throttle = faults, 0.0
+        self._faults = faults
+        self._throttle: float | None = None
         self.legs = legs
         self.rest: Rest | None = None
         self.dynamics = dynamics
@@ -135,8 +136,9 @@ class Plant:
         """Return a command with the thrust that the throttle is set to: it may stick."""
         if self._faults is None:
             return command
-        self._throttle = self._faults.throttle(self.time, self._throttle, command.thrust)
-        return replace(command, thrust=self._throttle)
+        thrust = self._faults.throttle(self.time, self._throttle, command.thrust)
+        self._throttle = thrust
+        return replace(command, thrust=thrust)
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
         """Return what sensors measure now: those that need no telling, and those told to."""

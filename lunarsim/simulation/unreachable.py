@@ -26,10 +26,12 @@ _ASKS_NOTHING: dict[str, Any] = {
     "arrival_acceleration": (0.0, 0.0, 0.0),
     "arrival_velocity": (0.0, 0.0),
     "arrival_offset": (0.0, 0.0),
+    "vertical_altitude": Approach().vertical_altitude,
     "vertical_speed": Approach().vertical_speed,
 }
 _UNITS = {"arrival_acceleration": "_m_s2", "arrival_velocity": "_m_s", "arrival_offset": "_m"}
 _UNITS |= {"max_tilt": "_deg", "glideslope": "_deg", "reserve": "_kg", "vertical_speed": "_m_s"}
+_UNITS |= {"vertical_altitude": "_m"}
 
 
 def unreachable(
@@ -71,7 +73,8 @@ def _to_blame(
     for name, nothing in _ASKS_NOTHING.items():
         if getattr(approach, name) == getattr(plain, name):
             continue
-        eased = replace(approach, **{name: nothing})
+        # A jerk asks nothing of a path, but for a speed over ground to count along.
+        eased = replace(approach, **({"jerk": None} | {name: nothing}))
         end = eased.end(target[None, :], lander)
         cost = software.guidance.cost(here, end, lander, gravity, eased.limits)
         if cost.feasible[0]:

@@ -53,7 +53,7 @@ class Actuators:
         self._left = np.zeros(n)
         self._open_for = np.zeros(n)
         self._target = np.zeros(2)
-        self._throttle = 0.0
+        self._throttle: float | None = None
         self._time = 0.0
         self.gimbal = np.zeros(2)
         self.spent = 0.0
@@ -78,11 +78,12 @@ class Actuators:
         """Return what the throttle is set to when a thrust is asked for, N; 0 shuts the engine."""
         engine, stuck = self.lander.engine, self.faults.engine_stuck_from
         if stuck is not None and self._time >= stuck:
-            return self.faults.throttle(self._time, self._throttle, wanted)
+            self._throttle = self.faults.throttle(self._time, self._throttle, wanted)
+            return self._throttle
         if wanted <= 0.0:
             self._throttle = 0.0
             return 0.0
-        if self._throttle > 0.0 and abs(wanted - self._throttle) < engine.dead_band:
+        if self._throttle and abs(wanted - self._throttle) < engine.dead_band:
             return self._throttle
         thrust = min(max(wanted, self.lander.thrust_min), self.lander.thrust_max)
         if engine.has_gap and thrust > engine.gap_from:

@@ -24,7 +24,7 @@ class Faults:
     engine_stuck_from
         From when on the throttle no longer moves, s; None: never.
     engine_stuck_at
-        Thrust that it sticks at, N; None: what it was asked for last.
+        Thrust that it sticks at, N; None: what it was asked for last, from the start: first.
     """
 
     jets_shut: tuple[int, ...] = quantity((), ge=0, help="thrusters that stay shut")
@@ -47,20 +47,28 @@ class Faults:
                 "faults.engine_stuck_at", self.engine_stuck_at, "engine_stuck_from too"
             )
 
-    def throttle(self, time: float, last: float, wanted: float) -> float:
-        """Return what becomes of a thrust asked for at a time (s), N; `last` stood before."""
+    def throttle(self, time: float, last: float | None, wanted: float) -> float:
+        """Return what becomes of a thrust asked for at a time (s), N.
+
+        `last` stood before; None: nothing was asked for yet.
+        """
         if self.engine_stuck_from is None or time < self.engine_stuck_from:
             return wanted
-        return last if self.engine_stuck_at is None else self.engine_stuck_at
+        if self.engine_stuck_at is not None:
+            return self.engine_stuck_at
+        return wanted if last is None else last
 
-    def check_plain(self, thrust_min: float, thrust_max: float) -> None:
-        """Raise `InputError` if a lander without valves cannot fail so; its throttle range in N."""
+    def check_plain(self) -> None:
+        """Raise `InputError` if a lander without valves cannot fail so."""
         for name in ("jets_shut", "jets_open"):
             if getattr(self, name):
                 raise InputError(
                     f"faults.{name}", getattr(self, name),
                     "left out, or a vehicle of kind 'jet-lander': no other has thrusters",
                 )  # fmt: skip
+
+    def check_engine(self, thrust_min: float, thrust_max: float) -> None:
+        """Raise `InputError` if an engine of a throttle range (N) cannot stick so."""
         stuck = self.engine_stuck_at
         if stuck and not thrust_min <= stuck <= thrust_max:
             raise InputError(

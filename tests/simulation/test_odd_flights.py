@@ -141,6 +141,26 @@ def test_a_start_below_its_target_is_refused():
             "approach.arrival_acceleration_m_s2", (40.0, 0.0, 0.0),
         ),
         ({"approach": {"vertical_altitude_m": 900.0}}, "approach.vertical_altitude_m", 900.0),
+        # An end so near below the start that no path leads there.
+        (
+            {
+                "start": {"position_m": [-300.0, 0.0, 105.0], "velocity_m_s": [20.0, 0.0, -10.0]},
+                "approach": {"vertical_altitude_m": 100.0, "glideslope_deg": 0.0},
+            },
+            "approach.vertical_altitude_m", 100.0,
+        ),
+        # A jerk takes a speed over ground: neither goes without the other, so both are tried away.
+        (
+            {
+                "approach": {"jerk_m_s3": 0.001, "arrival_velocity_m_s": [1.0, 0.0]},
+                "start": {"velocity_m_s": [400.0, 0.0, -18.0]},
+            },
+            "start.position_m", None,
+        ),
+        (
+            {"approach": {"jerk_m_s3": 0.001, "arrival_velocity_m_s": [300.0, 0.0]}},
+            "approach.arrival_velocity_m_s", (300.0, 0.0),
+        ),
         # Two at once, neither alone at fault: the start is named.
         ({"approach": {"glideslope_deg": 75.0, "reserve_kg": 370.0}}, "start.position_m", None),
         ({"start": {"velocity_m_s": [400.0, 0.0, -18.0]}}, "start.position_m", None),
@@ -211,6 +231,31 @@ def test_an_engine_that_sticks_on_a_lander_without_thrusters(law, stuck):
     assert held == pytest.approx(before if stuck is None else stuck, rel=0.05, abs=1.0)
     same = time < 4.9
     assert np.array_equal(thrust[same], plain.trajectory["thrust"][: same.sum()])
+
+
+@pytest.mark.parametrize("kind", ["lander", "jet-lander"])
+def test_an_engine_stuck_from_the_start_runs_as_it_was_first_asked(kind):
+    given = {"vehicle": {"kind": kind}, "faults": {"engine_stuck_from_s": 0.0}}
+    if kind == "jet-lander":
+        given["control"] = {"kind": "phase-plane"}
+    sim = Simulation(blind(**given), 1, "no-divert")
+    for _ in range(5):
+        sim.step()
+    asked = sim.plant.state.thrust
+    assert asked > sim.lander.thrust_min
+    for _ in range(30):
+        sim.step()
+    assert sim.plant.state.thrust == pytest.approx(asked, rel=0.02)
+
+
+@pytest.mark.parametrize("thrust", [90.0, 9e4])
+def test_no_engine_sticks_where_it_cannot_run(thrust):
+    with pytest.raises(InputError) as refused:
+        blind(
+            vehicle={"kind": "jet-lander"}, control={"kind": "phase-plane"},
+            faults={"engine_stuck_from_s": 1.0, "engine_stuck_at_n": thrust},
+        )  # fmt: skip
+    assert refused.value.field == "faults.engine_stuck_at_n"
 
 
 @pytest.mark.parametrize(

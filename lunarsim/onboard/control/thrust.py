@@ -55,8 +55,8 @@ def thrust_along(
     """Return the command that thrusts along an acceleration, whatever the engine can give of it.
 
     The direction is kept, the size held in the throttle range. A direction more than `max_tilt`
-    (which may be over a quarter turn) from the vertical is turned towards it. For the parameters
-    see `thrust_to_command`.
+    (which may be over a quarter turn) from the vertical is turned towards it, one straight down
+    over the heading. For the parameters see `thrust_to_command`.
     """
     size = float(np.linalg.norm(acceleration))
     if size == 0.0:
@@ -64,8 +64,9 @@ def thrust_along(
     along = acceleration / size
     aside = float(np.hypot(along[0], along[1]))
     if np.arctan2(aside, along[2]) > max_tilt:
-        sideways = along[:2] * (np.sin(max_tilt) / max(aside, 1e-12))
-        along = np.array([sideways[0], sideways[1], np.cos(max_tilt)])
+        ahead = np.array([np.sin(heading), np.cos(heading)])
+        east, north = np.sin(max_tilt) * (along[:2] / aside if aside > 0.0 else ahead)
+        along = np.array([east, north, np.cos(max_tilt)])
     thrust = min(max(size * mass, lander.thrust_min), lander.thrust_max)
     return Command(thrust, attitude_from_thrust(along, heading))
 
@@ -80,12 +81,15 @@ def thrust_lift_first(
     """Return the command that keeps the vertical part, up or down, where the engine falls short.
 
     As the lunar module's computer did in braking (Luminary 099, AFCCALC2): the vertical part stays,
-    the horizontal part takes what thrust is left. Unlike `thrust_to_command` it may lean more than
-    a quarter turn from the site's vertical, as it must beyond the horizon. For the parameters see
-    there.
+    the horizontal part takes what thrust is left. There the part across the track stays too and
+    only the downrange one gives way; here both give way alike, which is the same in the plane.
+    Unlike `thrust_to_command` it may lean more than a quarter turn from the site's vertical, as it
+    must beyond the horizon. For the parameters see there.
     """
     most = lander.thrust_max / mass
     up = min(max(float(acceleration[2]), -most), most)
-    size, left = float(np.hypot(*acceleration[:2])), float(np.sqrt(most**2 - up**2))
+    # However little is left aside, it says where a pull down beyond `max_tilt` is turned to.
+    left = max(float(np.sqrt(most**2 - up**2)), 1e-15 * most)
+    size = float(np.hypot(*acceleration[:2]))
     kept = acceleration[:2] * min(1.0, left / max(size, 1e-12))
     return thrust_along(np.array([*kept, up]), mass, lander, heading, max_tilt)

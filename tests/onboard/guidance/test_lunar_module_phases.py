@@ -66,6 +66,19 @@ def test_an_engine_that_falls_short_keeps_the_lift(up):
     assert heavy.thrust == pytest.approx(lander.thrust_max)
 
 
+@pytest.mark.parametrize("give", [thrust_lift_first, thrust_along])
+@pytest.mark.parametrize("asked", [(6.0, 0.0, -9.0), (0.3, 0.4, -5.0), (0.0, 0.0, -1.0)])
+def test_no_thrust_leans_more_than_it_may_however_much_it_is_to_pull_down(give, asked):
+    lander, limit, a = Lander(), np.deg2rad(120.0), np.array(asked)
+    command = give(a, 1500.0, lander, 0.3, limit)
+    along = axis(command)
+    assert along[2] == pytest.approx(np.cos(limit), abs=1e-9)
+    assert command.thrust == pytest.approx(min(np.linalg.norm(a) * 1500.0, lander.thrust_max))
+    # Aside as asked; where nothing is asked aside, along the heading.
+    aside = a[:2] if a[:2].any() else np.array([np.sin(0.3), np.cos(0.3)])
+    assert along[:2] == pytest.approx(np.sin(limit) * aside / np.hypot(*aside))
+
+
 @pytest.mark.parametrize("limit", [30.0, 100.0])
 def test_a_tilt_beyond_the_limit_is_turned_to_it(limit):
     a = np.array([3.0, 4.0, -5.0])  # 135 deg from the vertical
