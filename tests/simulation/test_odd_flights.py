@@ -164,6 +164,9 @@ def test_a_start_below_its_target_is_refused():
         # Two at once, neither alone at fault: the start is named.
         ({"approach": {"glideslope_deg": 75.0, "reserve_kg": 370.0}}, "start.position_m", None),
         ({"start": {"velocity_m_s": [400.0, 0.0, -18.0]}}, "start.position_m", None),
+        # Lower than any approach ends by default: no end of it is at fault.
+        ({"start": {"position_m": [-60.0, 0.0, 11.0], "velocity_m_s": [4.0, 0.0, -1.0]}},
+         "start.position_m", None),
         # Under the glideslope that an approach has by default: the start is at fault.
         (
             {"start": {"position_m": [-600.0, 0.0, 90.0], "velocity_m_s": [20.0, 0.0, -4.0]}},

@@ -64,6 +64,9 @@ def test_an_engine_that_falls_short_keeps_the_lift(up):
     heavy = thrust_lift_first(np.array([6.0, 2.0, 9.0]), mass, lander, 0.3, np.deg2rad(170.0))
     assert axis(heavy) == pytest.approx(UP)
     assert heavy.thrust == pytest.approx(lander.thrust_max)
+    # Nor has what pulls down harder than the engine can: it is turned to the limit alone.
+    down = thrust_lift_first(np.array([6.0, 2.0, -9.0]), mass, lander, 0.3, np.deg2rad(170.0))
+    assert axis(down)[2] == pytest.approx(-np.cos(np.deg2rad(10.0)))
 
 
 @pytest.mark.parametrize("give", [thrust_lift_first, thrust_along])
@@ -112,11 +115,23 @@ def test_braking_keeps_the_lift_unless_told_to_keep_the_direction():
         Braking(max_tilt=3.2)
 
 
+def test_time_to_go_of_braking_follows_the_jerk_until_its_end():
+    here, end = estimate((-2500.0, 0.0, 900.0), (60.0, 0.0, -30.0)), Braking().end(np.zeros(3))
+    followed = followed_time(here, end, 0.002, 45.0)
+    assert followed == pytest.approx(52.4439, abs=1e-3)
+    for ends_at, left in ((20.0, followed), (45.0, 45.0), (46.0, 45.0)):
+        braking = Braking(jerk=0.002, time_to_go=60.0, ends_at=ends_at)
+        assert braking.time_left(here, end, 45.0) == left
+
+
 def test_the_descent_after_the_approach_may_have_a_speed_of_its_own():
     lander, site = Lander(), np.zeros(3)
     plain, own = Approach(vertical_speed=1.5), Approach(vertical_speed=1.5, descent_speed=0.9)
     for approach, rate in ((plain, 1.5), (own, 0.9)):
         assert approach.end(site, lander).velocity[2] == -1.5
+        # Both ends are the centre of mass's: pads stand lower.
+        assert approach.end(site, lander).position[2] == 10.0 + lander.com_height
+        assert approach.ground(site, lander).position[2] == lander.com_height
         assert approach.ground(site, lander).velocity[2] == -rate
 
 
