@@ -95,7 +95,7 @@ def _free(clarabel: float) -> None:
 
 
 def _rigid() -> None:
-    """Print a rigid body's descent by cone programs, anew and a second later, and by IPOPT."""
+    """Print a rigid body's descent by quadratic programs, anew and a second later, and by IPOPT."""
     from scipy.spatial.transform import Rotation
 
     from lunarsim.evaluation.open_loop import flown
@@ -125,7 +125,7 @@ def _rigid() -> None:
             by_ipopt.append(1e3 * other.seconds)
             more.append(first.propellant / other.propellant - 1.0)
     print(
-        f"  rigid body, 30 intervals: cone programs {np.median(cold[1:]):.0f} ms from nothing, "
+        f"  rigid body, 30 intervals: by programs {np.median(cold[1:]):.0f} ms from nothing, "
         f"{np.median(warm):.0f} ms a second later ({np.median(counts):.0f} programs); IPOPT "
         f"{np.median(by_ipopt):.0f} ms, {1e2 * np.max(np.abs(more)):.2f} % apart at most"
     )

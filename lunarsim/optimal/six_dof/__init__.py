@@ -1,6 +1,6 @@
 """Descents of least propellant of a rigid body, by the simulator's own equations, in two ways.
 
-`shoot` solves by direct multiple shooting and IPOPT, `Successive` by a row of cone programs. Both
+`shoot` solves by direct multiple shooting and IPOPT, `Successive` by a row of quadratic programs. Both
 hold thrust and torques over intervals, so that what they find is flown as it is
 (`RigidPath.flown`).
 """

@@ -1,4 +1,4 @@
-"""Successive convexification: the same descent by a row of cone programs.
+"""Successive convexification: the same descent by a row of quadratic programs.
 
 Motion and limits are replaced by their tangents at the last path, what they miss is taken up by
 virtual controls at a high price, and steps are kept short by a quadratic price (penalised trust
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.six_dof.cone_rows import Filled, Layout
 from lunarsim.optimal.six_dof.guess import Guess, guess_of
 from lunarsim.optimal.six_dof.linearised import Point
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
+from lunarsim.optimal.six_dof.program import Filled, Layout
 from lunarsim.optimal.six_dof.scale import Scale
 
 Array = NDArray[np.float64]
@@ -33,10 +33,14 @@ _FIRST, _CHEAPEST, _DEAREST, _JOINING = 1e-5, 1e-5, 1e-1, 1e-2
 # Of what a program foresees to gain, the share below which its path is not taken, and above which
 # steps may be longer.
 _POOR, _GOOD = 0.1, 0.5
-_MEMORY, _LONG, _NEAR = 3, 1e-4, 5e-3
-# A path is joined when no interval ends farther than this from the next one's start, in units, and
-# saves no more when a program foresees less than this share of the propellant.
-_JOINED, _PASSED, _SAVED = 2e-5, 5e-3, 5e-4
+# Gains are counted from the worst of so many last paths.
+_MEMORY = 3
+# Two paths burn alike when they differ by less than this share of the propellant, and are nearly
+# joined when no interval ends farther than this from the next one's start, in units. Then a program
+# with dear steps joins them, unless steps were dear before.
+_SAVED, _NEAR, _LONG = 5e-4, 5e-3, 1e-4
+# Joined: gaps, and limits passed in all, are no more than these.
+_JOINED, _PASSED = 2e-5, 5e-3
 
 
 class Successive:
@@ -100,7 +104,6 @@ class Successive:
             new = Point.at(*self._layout.read(z, point.x[0]), scale)
             if joining and new.apart < _JOINED and new.passed < _PASSED:
                 return new, count
-            # Gains may come after a path that is worse: the worst of the last ones counts.
             bar = max(merits[-_MEMORY:])
             foreseen = bar - new.burnt
             ratio = (bar - new.merit) / max(foreseen, 1e-12)
