@@ -1,8 +1,8 @@
 """Descents of least propellant of a rigid body, by the simulator's own equations, in two ways.
 
-`shoot` solves by direct multiple shooting and IPOPT, `Successive` by a row of quadratic programs. Both
-hold thrust and torques over intervals, so that what they find is flown as it is
-(`RigidPath.flown`).
+`shoot` solves by direct multiple shooting and IPOPT, `Successive` by a row of quadratic programs.
+Both hold thrust and torques over intervals, so that what they find is flown as it is
+(`lunarsim.evaluation.open_loop`).
 """
 
 from lunarsim.optimal.six_dof.guess import Guess, carried_on
