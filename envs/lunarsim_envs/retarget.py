@@ -215,7 +215,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.frames, self._last, self._film = None, (None, None), []
         self.flight.begin(self.np_random, options or {})
         self._begun = True
-        self.rewards.begin(np.ones(1, np.bool_), *self._stand())
+        self.rewards.begin(np.ones(1, np.bool_), *self.standing())
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
@@ -252,7 +252,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._take_frame()
         return self._encode(), sum(terms.values()), verdict is not None, False, info
 
-    def _stand(self) -> tuple[Any, ...]:
+    def standing(self) -> tuple[Any, ...]:
         """Return mass, p_safe of the site and the map of the one flight; see `SiteRewards`."""
         sights = self.flight.sights
         return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
@@ -264,7 +264,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         one = np.ones(1, np.bool_)
         terms = self.rewards.terms(
             one, one & invalid, one & (verdict is not None), one & (verdict or (False,))[0],
-            self.flight.touch, one, *self._stand(),
+            self.flight.touch, one, *self.standing(),
         )  # fmt: skip
         return {name: float(term[0]) for name, term in terms.items()}
 

@@ -93,9 +93,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.lanes.seed(mask, keys[mask])
         self.lanes.begin(mask)
         self._shrink(mask)
-        self.rewards.begin(mask, *self._stand())
+        self.rewards.begin(mask, *self.standing())
 
-    def _stand(self) -> tuple[Any, ...]:
+    def standing(self) -> tuple[Any, ...]:
         """Return masses, p_safe of the sites and maps of all lanes; see `SiteRewards`."""
         lanes = self.lanes
         return lanes.y[:, 13], lanes.found.here[:, 0], lanes.maps.p, lanes.maps.seen
@@ -174,7 +174,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         lanes = self.lanes
         touch = touch_shares(self._lander, lanes.told)
         return self.rewards.terms(
-            moved, invalid, over, lanes.safe, touch, lanes.mapped, *self._stand()
+            moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.standing()
         )
 
     def _told(self, terms: dict[str, Any], moved: Mask, over: Mask) -> dict[str, Any]:

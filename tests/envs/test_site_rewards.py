@@ -150,7 +150,7 @@ def test_choices_that_are_not_available_cost_ten_times_at_most():
     env = RetargetEnv(**SETTINGS, perception="surrogate")
     env.reset(seed=1)
     one, none = np.ones(1, bool), np.zeros(1, bool)
-    stand = env._stand()
+    stand = env.standing()
     env.rewards.begin(one, *stand)
     touch = np.full((1, 3), np.nan)
     told = [
