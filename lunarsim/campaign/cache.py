@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from lunarsim.campaign.files import code_digest, environment
 from lunarsim.errors import InputError
+from lunarsim.user_cache import user_cache
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -114,10 +115,8 @@ class DiskCache:
 
 
 def standard_folder() -> Path:
-    """Return the folder of this user's cache, by the XDG rule."""
-    root = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
-    return base / "lunarsim" / "worlds"
+    """Return the folder of worlds in this user's cache."""
+    return user_cache("worlds")
 
 
 def opened(folder: Path, limit: int = LIMIT) -> DiskCache | None:

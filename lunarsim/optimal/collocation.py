@@ -19,6 +19,7 @@ from lunarsim.errors import InputError
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import first_time
 from lunarsim.optimal.problem import Descent
+from lunarsim.optimal.units import Units
 
 Array = NDArray[np.float64]
 
@@ -57,22 +58,9 @@ class Collocated:
     iterations: int
 
 
-@dataclass(frozen=True)
-class _Units:
-    """What one is: length, time, mass; a force follows."""
-
-    length: float
-    time: float
-    mass: float
-
-    @property
-    def force(self) -> float:
-        return self.mass * self.length / self.time**2
-
-    @property
-    def state(self) -> Array:
-        speed = self.length / self.time
-        return np.array([self.length] * 3 + [speed] * 3 + [self.mass])
+def _state(units: Units) -> Array:
+    """Return the units of a state (7,)."""
+    return np.array([units.length] * 3 + [units.speed] * 3 + [units.mass])
 
 
 def collocate(
@@ -104,7 +92,7 @@ def collocate(
     if duration is not None and not 0.0 < duration < np.inf:
         raise InputError("optimal.duration", duration, "a positive final time in s")
     guess = duration or 0.9 * first_time(descent)
-    units = _Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
+    units = Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
     variables, constraints, low, high = _program(descent, units, intervals, duration)
     problem: dict[str, Any] = {
         "x": variables,
@@ -124,30 +112,29 @@ def collocate(
     return _read(np.asarray(got["x"]).ravel(), descent, units, intervals, stats["iter_count"])
 
 
-def _start(descent: Descent, units: _Units, n: int) -> Array:
+def _start(descent: Descent, units: Units, n: int) -> Array:
     """Return a first guess: straight from start to end, hovering thrust."""
     share = np.linspace(0.0, 1.0, n + 1)[:, None]
     position = (1.0 - share) * descent.gap
     velocity = (1.0 - share) * descent.velocity + share * descent.end_velocity
     mass = descent.mass - 0.5 * share * (descent.mass - descent.dry_mass)
-    nodes = np.column_stack((position, velocity, mass)) / units.state
+    nodes = np.column_stack((position, velocity, mass)) / _state(units)
     inner = np.repeat(nodes[1:], _DEGREE, axis=0)
     hover = np.array([0.0, 0.0, descent.mass * descent.gravity])
     lift = np.clip(hover, 0.0, descent.thrust_max) / units.force
     return np.concatenate((nodes.ravel(), inner.ravel(), np.tile(lift, n), [1.0]))
 
 
-def _rates(descent: Descent, units: _Units, x: Any, thrust: Any) -> Any:
+def _rates(descent: Descent, units: Units, x: Any, thrust: Any) -> Any:
     """Return the derivative of a scaled state."""
     weight = descent.gravity * units.time**2 / units.length
-    speed = units.length / units.time
-    burn = casadi.norm_2(thrust) * speed / descent.exhaust_velocity
+    burn = casadi.norm_2(thrust) * units.speed / descent.exhaust_velocity
     down = casadi.vertcat(0.0, 0.0, -weight)
     return casadi.vertcat(x[3:6], thrust / x[6] + down, -burn)
 
 
 def _program(
-    descent: Descent, units: _Units, n: int, duration: float | None
+    descent: Descent, units: Units, n: int, duration: float | None
 ) -> tuple[Any, Any, Array, Array]:
     """Return variables, constraints and their bounds."""
     tau = np.concatenate(([0.0], casadi.collocation_points(_DEGREE, "radau")))
@@ -157,8 +144,8 @@ def _program(
     thrust = [casadi.SX.sym(f"u{k}", 3) for k in range(n)]
     total = casadi.SX.sym("T")
     rows: list[_Row] = []
-    first = np.concatenate((descent.gap, descent.velocity, [descent.mass])) / units.state
-    last = np.concatenate((np.zeros(3), descent.end_velocity)) / units.state[:6]
+    first = np.concatenate((descent.gap, descent.velocity, [descent.mass])) / _state(units)
+    last = np.concatenate((np.zeros(3), descent.end_velocity)) / _state(units)[:6]
     rows += [(nodes[0] - first, 0.0, 0.0), (nodes[n][:6] - last, 0.0, 0.0)]
     rows += [(nodes[n][6], descent.dry_mass / units.mass, np.inf), (total, 0.05, 20.0)]
     if duration is not None:
@@ -192,7 +179,7 @@ def _derivatives(tau: Array) -> Array:
     return out
 
 
-def _limits(descent: Descent, units: _Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
+def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
     """Return the limits of size and lean of a thrust."""
     least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
     rows = [(casadi.sumsqr(thrust), least**2, most**2)]
@@ -202,16 +189,16 @@ def _limits(descent: Descent, units: _Units, thrust: Any) -> list[tuple[Any, Any
     return rows
 
 
-def _above(descent: Descent, units: _Units, x: Any) -> _Row:
+def _above(descent: Descent, units: Units, x: Any) -> _Row:
     """Return the glideslope at one point."""
     aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
     up = x[2] + descent.drop / units.length
     return up - np.tan(descent.glideslope or 0.0) * aside, 0.0, np.inf
 
 
-def _read(x: Array, descent: Descent, units: _Units, n: int, iterations: int) -> Collocated:
+def _read(x: Array, descent: Descent, units: Units, n: int, iterations: int) -> Collocated:
     """Return what the variables stand for."""
-    nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * units.state
+    nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * _state(units)
     begin = _STATES * (n + 1) + _STATES * _DEGREE * n
     return Collocated(
         duration=float(x[-1] * units.time),

@@ -52,7 +52,7 @@ def unreachable(
         )  # fmt: skip
     for name in _to_blame(here, target, software, lander, gravity):
         value = getattr(approach, name)
-        told = float(np.rad2deg(value)) if _UNITS.get(name) == "_deg" else value
+        told = round(float(np.rad2deg(value)), 9) if _UNITS.get(name) == "_deg" else value
         return InputError(
             f"approach.{name}{_UNITS.get(name, '')}", told,
             "one that leaves a path from the start to the target within thrust and propellant: "

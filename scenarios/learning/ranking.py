@@ -15,10 +15,9 @@ import sys
 import time
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
 
-import gymnasium
 import numpy as np
+from flights import Flown, flown
 
 import lunarsim_envs
 from lunarsim.errors import InputError
@@ -26,38 +25,11 @@ from lunarsim.evaluation.comparisons import Difference, mean_difference, share_d
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
-from lunarsim_envs.agents.registry import agent_of, check, label
+from lunarsim_envs.agents.registry import check, label
 
 AGENTS = ("random", "no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
 # The model first, then what it stands for.
 PERCEPTIONS = ("surrogate", "gaussian-dem")
-
-
-class Flown(NamedTuple):
-    """Whether each flight landed safe, and what it burnt, kg (n,)."""
-
-    safe: np.ndarray
-    burnt: np.ndarray
-
-
-def flown(
-    agent: str, scenario: Scenario, perception: str, flights: int, worlds: int, seed: int
-) -> Flown:
-    """Fly an agent; flight i is the same for all of them, and starts alike on both perceptions."""
-    env = gymnasium.make(
-        "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,
-        world_seed=seed, observation=["to_go"],
-    )  # fmt: skip
-    pilot = agent_of(agent, env)
-    safe, burnt = np.zeros(flights, bool), np.zeros(flights)
-    for k in range(flights):
-        observation, info = env.reset(seed=seed + k)
-        pilot.begin(np.random.default_rng(k))
-        ended = False
-        while not ended:
-            observation, _, ended, _, info = env.step(pilot.act(observation, info))
-        safe[k], burnt[k] = info["safe"], info["propellant_kg"]
-    return Flown(safe, burnt)
 
 
 def side(d: Difference) -> int:

@@ -15,8 +15,8 @@ import sys
 import time
 from pathlib import Path
 
-import gymnasium
 import numpy as np
+from flights import flown
 
 import lunarsim_envs
 from lunarsim.errors import InputError
@@ -24,7 +24,7 @@ from lunarsim.evaluation.comparisons import mean_difference, share_difference
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
-from lunarsim_envs.agents.registry import agent_of, label
+from lunarsim_envs.agents.registry import label
 from lunarsim_envs.sites.perception import PERCEPTIONS, lanes_of
 from lunarsim_envs.training.sites import SiteTraining, train
 
@@ -51,26 +51,6 @@ def trained(scenario: Scenario, settings: SiteTraining, worlds: int, out: Path) 
     print(f"wrote {out}: {out.stat().st_size / 1e3:.1f} kB")
 
 
-def flights_of(
-    agent: str, scenario: Scenario, perception: str, flights: int, worlds: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return whether each flight landed safe, and what it burnt, kg (n,)."""
-    env = gymnasium.make(
-        "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,
-        world_seed=FLOWN_ON, observation=["to_go"],
-    )  # fmt: skip
-    pilot = agent_of(agent, env)
-    safe, burnt = np.zeros(flights, bool), np.zeros(flights)
-    for k in range(flights):
-        observation, info = env.reset(seed=FLOWN_ON + k)
-        pilot.begin(np.random.default_rng(k))
-        ended = False
-        while not ended:
-            observation, _, ended, _, info = env.step(pilot.act(observation, info))
-        safe[k], burnt[k] = info["safe"], info["propellant_kg"]
-    return safe, burnt
-
-
 def compare(
     agent: str, policies: tuple[str, ...], scenario: Scenario, perception: str, flights: int,
     worlds: int,
@@ -80,7 +60,7 @@ def compare(
     print(f"{'':<14} {'safe':>6}  95 % interval      propellant, kg")
     told = {}
     for name in (*policies, agent):
-        safe, burnt = told[name] = flights_of(name, scenario, perception, flights, worlds)
+        safe, burnt = told[name] = flown(name, scenario, perception, flights, worlds, FLOWN_ON)
         low, high = Proportion(int(safe.sum()), flights).interval
         print(
             f"{label(name):<14} {safe.mean():>6.3f}  [{low:.3f}, {high:.3f}] {burnt.mean():>14.2f}",

@@ -68,7 +68,7 @@ def test_terms_are_those_of_the_plain_ones(perception):
             sums = {name: sums[name] + abs(one) for name, one in wanted.items()}
         assert shaped == pytest.approx(first, abs=1e-9)  # whatever was chosen
         ends.add(info["safe"])
-    assert True in ends and min(sums.values()) > 1e-3, sums
+    assert any(ends) and min(sums.values()) > 1e-3, sums
 
 
 def test_a_lane_is_rewarded_as_one_environment_is():

@@ -16,11 +16,18 @@ from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.six_dof import compiled
 from lunarsim.optimal.six_dof.guess import carried_on, guess_of
-from lunarsim.optimal.six_dof.motion import SHARES, Units, figures_of, interval
+from lunarsim.optimal.six_dof.motion import (
+    SHARES,
+    control_units,
+    figures_of,
+    interval,
+    state_units,
+)
 from lunarsim.optimal.six_dof.path import RigidPath, kept
 from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
 from lunarsim.optimal.six_dof.shooting import shoot
 from lunarsim.optimal.six_dof.successive import Successive
+from lunarsim.optimal.units import Units
 from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
 
@@ -71,11 +78,12 @@ def test_an_interval_moves_a_body_as_the_simulator_does(lag):
             state = dynamics.advance(state, thrust, torque)
         states = np.asarray(
             interval()(
-                d.start.as_vector() / units.state, np.array([thrust, *torque]) / units.control,
-                1.0 / units.time, figures_of(d, units),
+                d.start.as_vector() / state_units(units),
+                np.array([thrust, *torque]) / control_units(units), 1.0 / units.time,
+                figures_of(d, units),
             )
         )  # fmt: skip
-        off = states[:, -1] * units.state - state.as_vector()
+        off = states[:, -1] * state_units(units) - state.as_vector()
         # Within a step the thrust is its mean: that moves the body by no more than a centimetre.
         assert np.abs(off[:3]).max() < 1e-2 and np.abs(off[3:6]).max() < 1e-3
         assert np.abs(off[6:13]).max() < 1e-6 and abs(off[13]) < 1e-4 and abs(off[14]) < 0.2

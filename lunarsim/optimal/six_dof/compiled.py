@@ -17,6 +17,8 @@ from typing import Any
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.errors import SolverError
+from lunarsim.user_cache import user_cache
+from lunarsim.whole_files import write_whole
 
 # -O1: -O2 takes three times as long to compile, for a program that is no faster.
 _FLAGS = ("-O1", "-fPIC", "-shared")
@@ -57,29 +59,17 @@ def compiled_library(name: str, make: Callable[[], Any]) -> Path:
         finally:
             os.chdir(here)
         digest = hashlib.sha256(source.read_bytes() + " ".join(_FLAGS).encode()).hexdigest()[:16]
-        library = _cache() / f"{name}-{digest}.so"
+        library = user_cache("optimal") / f"{name}-{digest}.so"
         if not library.exists():
-            _compile(with_what, source, library)
+            library.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(library, lambda part: _compile(with_what, source, part))
     return library
 
 
-def _cache() -> Path:
-    """Return the folder of compiled programs."""
-    root = os.environ.get("XDG_CACHE_HOME", "")
-    folder = (Path(root) if root else Path.home() / ".cache") / "lunarsim" / "optimal"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
 def _compile(with_what: str, source: Path, library: Path) -> None:
-    """Compile beside the library's place, and rename."""
-    part = source.with_suffix(".so")
     done = subprocess.run(
-        [with_what, *_FLAGS, "-o", str(part), str(source), "-lm"],
+        [with_what, *_FLAGS, "-o", str(library), str(source), "-lm"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if done.returncode:
         raise SolverError(f"{with_what} fails on CasADi's code: {done.stderr.strip()[-300:]}")
-    beside = library.with_name(f".{library.name}.{os.getpid()}.part")
-    shutil.copy(part, beside)
-    beside.replace(library)

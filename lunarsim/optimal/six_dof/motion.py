@@ -7,7 +7,6 @@ descent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.optimal.six_dof.problem import RigidDescent
+from lunarsim.optimal.units import Units
 
 Array = NDArray[np.float64]
 
@@ -25,32 +25,17 @@ SHARES = (0.06, 0.10, 0.17, 0.27, 0.40)
 _LEAST_LAG = 1e-6  # s: divided by
 
 
-@dataclass(frozen=True)
-class Units:
-    """What one is: m, s, kg."""
+def state_units(units: Units) -> Array:
+    """Return the units of a state vector (15,)."""
+    u = units
+    return np.array(
+        [u.length] * 3 + [u.speed] * 3 + [1.0] * 4 + [1.0 / u.time] * 3 + [u.mass, u.force]
+    )
 
-    length: float
-    time: float
-    mass: float
 
-    @property
-    def force(self) -> float:
-        """N."""
-        return self.mass * self.length / self.time**2
-
-    @property
-    def state(self) -> Array:
-        """Units of a state vector (15,)."""
-        speed = self.length / self.time
-        return np.array(
-            [self.length] * 3 + [speed] * 3 + [1.0] * 4 + [1.0 / self.time] * 3
-            + [self.mass, self.force]
-        )  # fmt: skip
-
-    @property
-    def control(self) -> Array:
-        """Units of thrust and torques (4,)."""
-        return np.array([self.force] + [self.force * self.length] * 3)
+def control_units(units: Units) -> Array:
+    """Return the units of thrust and torques (4,)."""
+    return np.array([units.force] + [units.force * units.length] * 3)
 
 
 def figures_of(descent: RigidDescent, units: Units) -> Array:
@@ -61,7 +46,7 @@ def figures_of(descent: RigidDescent, units: Units) -> Array:
         (
             [
                 descent.gravity * units.time**2 / units.length,
-                v.exhaust_velocity * units.time / units.length,
+                v.exhaust_velocity / units.speed,
                 max(v.thrust_lag, _LEAST_LAG) / units.time,
                 v.dry_mass / units.mass,
                 v.wet_mass / units.mass,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lunarsim.optimal.six_dof.problem import RigidDescent
 
@@ -98,7 +99,6 @@ def kept(descent: RigidDescent, times: Array, states: Array) -> Kept:
 
 def _off_axis(axis: Array, at: Array, q: Array) -> Array:
     """Return the angle between a body axis and the way to the site (K,), rad."""
-    v, w = q[:, :3], q[:, 3:]
-    turned = axis + 2.0 * np.cross(v, np.cross(v, axis) + w * axis)
+    turned = Rotation.from_quat(q).apply(axis)
     cosine = -(turned * at).sum(axis=1) / np.maximum(np.linalg.norm(at, axis=1), 1e-9)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -12,11 +12,13 @@ from lunarsim.optimal.six_dof.motion import (
     CONTROLS,
     SHARES,
     STATES,
-    Units,
+    control_units,
     figures_of,
     limit_figures,
+    state_units,
 )
 from lunarsim.optimal.six_dof.problem import RigidDescent
+from lunarsim.optimal.units import Units
 
 Array = NDArray[np.float64]
 
@@ -59,12 +61,14 @@ class Scale:
     def parameters(self) -> Array:
         """What the program takes of the descent (23,)."""
         d, u = self.descent, self.units
-        return np.concatenate((figures_of(d, u), self.control / u.control, limit_figures(d, u)))
+        return np.concatenate(
+            (figures_of(d, u), self.control / control_units(u), limit_figures(d, u))
+        )
 
     def _scaled(self, states: Array) -> Array:
         moved = states.copy()
         moved[..., :3] -= self.descent.end_position
-        return np.asarray(moved / self.units.state)
+        return np.asarray(moved / state_units(self.units))
 
     def start(self, guess: Guess) -> Array:
         """Return the variables at a guess."""
@@ -109,7 +113,7 @@ class Scale:
     def read(self, x: Array, n: int) -> tuple[Array, Array, float]:
         """Return states (n + 1, 15), controls (n, 4) and the final time of the variables."""
         scaled, shares, total = self.split(x, n)
-        states = scaled * self.units.state
+        states = scaled * state_units(self.units)
         states[:, :3] += self.descent.end_position
         controls = shares * self.control
         controls[:, 0] = np.clip(controls[:, 0], self.descent.least, self.descent.most)

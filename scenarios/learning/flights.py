@@ -1,0 +1,38 @@
+"""Flights of an agent on `Retarget-v0`, one after the other: what several studies compare."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+
+from lunarsim.scenario import Scenario
+from lunarsim_envs.agents.registry import agent_of
+
+
+class Flown(NamedTuple):
+    """Whether each flight landed safe, and what it burnt, kg (n,)."""
+
+    safe: np.ndarray
+    burnt: np.ndarray
+
+
+def flown(
+    agent: str, scenario: Scenario, perception: str, flights: int, worlds: int, seed: int
+) -> Flown:
+    """Fly an agent; flight i is the same for all of them, and starts alike on every perception."""
+    env = gymnasium.make(
+        "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,
+        world_seed=seed, observation=["to_go"],
+    )  # fmt: skip
+    pilot = agent_of(agent, env)
+    safe, burnt = np.zeros(flights, bool), np.zeros(flights)
+    for k in range(flights):
+        observation, info = env.reset(seed=seed + k)
+        pilot.begin(np.random.default_rng(k))
+        ended = False
+        while not ended:
+            observation, _, ended, _, info = env.step(pilot.act(observation, info))
+        safe[k], burnt[k] = info["safe"], info["propellant_kg"]
+    return Flown(safe, burnt)
