@@ -118,6 +118,11 @@ def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     free = Successive(N).solve(d)
     slow = Successive(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
     assert slow.propellant > free.propellant
+    assert kept(slow.descent, *flown(slow)).rate == pytest.approx(0.0, abs=2e-3)  # all of it is had
+    weak = Successive(N).solve(replace(d, torque_share=0.1))
+    share = np.abs(weak.torque).max(axis=0) / np.asarray(d.lander.torque_max)
+    assert share.max() == pytest.approx(0.1, rel=1e-3)
+    held(weak.descent, weak)
     guess = guess_of(d, 12)
     assert len(guess.on(N).thrust) == N
     again = Successive(N).solve(d, guess)

@@ -435,3 +435,21 @@ def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
     assert len(seen) > 10
     blank = detect_rocks(np.full((480, 640), np.nan), camera, state, SUN)
     assert len(blank) == 0 and (blank.labels > 0).all()
+
+
+def test_small_patches_differ_more_from_look_to_look_along_the_sun():
+    terrain = rocks_on_a_plane("cube", count=110, seed=4)
+    model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
+    state, camera, counts = picture(terrain, (-54.0, 0.0, 90.0))
+    plain, told = (
+        detect_rocks(
+            counts, camera, state, SUN, model=model, settings=DetectorSettings(look_small=small)
+        ).look_covariance
+        for small in (0.0, 0.5)
+    )
+    seen = detect_rocks(counts, camera, state, SUN, model=model)
+    # Two pixels a radius and more: half a pixel over the radius beside the 0.4 of all.
+    grown = np.sqrt(np.linalg.eigvalsh(told)[:, 1] / np.linalg.eigvalsh(plain)[:, 1])
+    assert (grown > 1.0).all() and np.allclose(told, seen.look_covariance)
+    assert np.corrcoef(grown, 1.0 / seen.radius)[0, 1] > 0.8
+    assert grown.max() > 1.15
