@@ -28,8 +28,10 @@ from lunarsim.onboard.navigation.rock_states import AXES, RockStates
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Turns of the view are taken together up to this angle, rad.
+# Turns of the view, rad, and falls of the range, a share, are taken together up to this.
 _LEAST_TURN = 0.02
+# Rocks are not seen from nearer than this, m.
+_NEAREST = 0.1
 # Passes that find where a line of sight meets ground that is not level.
 _PASSES = 2
 # Variances grow at least and at most by these factors where rocks are doubted; standard deviations
@@ -238,8 +240,11 @@ class RockFilter(RockStates):
         innovation = (pixel - sight.pixel[index]).ravel()
         return self.state.absorb(hp, s, innovation, 2 * m * gate)
 
-    def turn(self, sun: Array, along: float, across: float, shared: float) -> None:
-        """Let what shadows tell of rocks' centres wander as the view turns.
+    def turn(
+        self, sun: Array, along: float, across: float, shared: float, *,
+        closing: float = 0.0, pixel: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Let what shadows tell of rocks' centres wander as the view turns and draws near.
 
         How a patch lies about its rock depends on where it is seen from. What the model of shadows
         has wrong of that is a rock's own in part and in part the same for all; what is shared lies
@@ -253,27 +258,40 @@ class RockFilter(RockStates):
             Standard deviation of a rock's own after a radian, along the Sun and across, in radii.
         shared
             The same of what all share.
+        closing
+            Of what all share when the range has changed by a factor e, in what a pixel spans.
+        pixel
+            What a pixel spans at a range of 1 m, m.
         """
         eye = self.inertial.position.copy()
         if self._eye is None or self.count == 0:
             self._eye = eye
             return
         old, new = self.xyz - self._eye, self.xyz - eye
-        sine = np.linalg.norm(np.cross(old, new), axis=1)
-        angle = np.arctan2(sine, np.einsum("ij,ij->i", old, new))
-        if np.median(angle) < _LEAST_TURN:
+        angle = np.arctan2(
+            np.linalg.norm(np.cross(old, new), axis=1), np.einsum("ij,ij->i", old, new)
+        )
+        far = np.maximum(np.linalg.norm(new, axis=1), _NEAREST)
+        nearer = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _NEAREST)))
+        if max(np.median(angle), np.median(nearer)) < _LEAST_TURN:
             return
         self._eye = eye
         level = sun[:2] / np.hypot(sun[0], sun[1])
-        axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         root = np.sqrt(angle) * self.radius
-        move = (shared * root)[:, None] * axes[0]
-        size = self.state.size
-        with threads_for(2e-3 * size**2):
-            add_outer(self.state.p[self.first : size, self.first : size], move.ravel())
+        self._wander_together(shared * root, level)
+        self._wander_together(closing * np.sqrt(nearer) * pixel * far, level)
+        axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes
         self.state.p[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
+
+    def _wander_together(self, sigma: Array, axis: Array) -> None:
+        """Let all rocks have moved along a level axis (2,), by one number times sigma (n,), m."""
+        size = self.state.size
+        move = np.zeros((self.count, AXES))
+        move[:, :2] = sigma[:, None] * axis
+        with threads_for(2e-3 * size**2):
+            add_outer(self.state.p[self.first : size, self.first : size], move.ravel())
 
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
         """Watch what came of a picture, see `PictureWatch`; widen the state where it is doubted.

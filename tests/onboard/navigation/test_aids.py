@@ -81,6 +81,24 @@ def test_a_slanted_beam_tells_less_of_rough_ground():
     assert sigma[1] > 3.0
 
 
+def test_a_beam_of_which_nothing_is_known_tells_less_of_rough_ground_from_a_lander_that_leans():
+    sigma = []
+    lean = quat_from_rotation_vector([0.0, 0.6, 0.0])
+    for relief in (0.0, 0.3):
+        inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.zeros(3), lean, 1.6)
+        ground = LevelGround(0.0, 5.0, relief)
+        state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks_of({}, ground))
+        aids = Aids(state, {}, ground, [])
+        aids.take("new", AltimeterReading(0.0, 100.0 / np.cos(0.6), 0.1), 0.0)
+        assert aids.watches["new range"].degrees == 1
+        at = np.array([2, state.block(GROUND).start])
+        over = np.array([1.0, -1.0])
+        sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
+    # 68 m aside: the ground there lies off by 0.3 sqrt(10 x 68).
+    assert sigma[0] < 0.2
+    assert sigma[1] > 3.0
+
+
 def test_refusals_widen_height_and_ground_until_the_gate_opens():
     state, aids, events = made(sigma=1.0)
     before = np.diag(state.covariance).copy()
@@ -180,8 +198,9 @@ def test_a_beam_that_lies_alone_is_shut_off(beam, off):
 
 
 @pytest.mark.parametrize(
-    "off", [(0.1, 0.1, 0.0), (0.1, 0.1, 0.1), (0.1, 0.0, np.nan), (2.0, 2.0, 2.0)]
-)
+    "off", [(0.1, 0.1, 0.0), (0.1, 0.1, 0.1), (0.1, 0.0, np.nan), (2.0, 2.0, 2.0),
+            (0.15, 0.08, 0.0)],
+)  # fmt: skip
 def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off):
     state, aids, events = made()
     fly_beams(aids, state, 0.0 * np.array(off))

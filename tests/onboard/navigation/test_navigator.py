@@ -248,16 +248,48 @@ def test_lost_and_found_again_are_events(world):
     assert np.linalg.norm(descent.error()[:3]) < 1.0
 
 
-def test_scans_of_too_few_posts_take_no_lock_away(world, monkeypatch):
+def test_scans_of_too_few_posts_take_no_lock_away(world):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
     # A metre across: nothing to compare, nothing against it.
-    monkeypatch.setattr("tests.onboard.navigation.test_navigator.LIDAR",
-                        FlashLidar(24, 24, 0.003, 5e-5))  # fmt: skip
+    descent.lidar = FlashLidar(24, 24, 0.003, 5e-5).build(descent.rng, 0.01)
     descent.fly(5.0, aim=np.zeros(3))
     assert names(descent) == ["lock"]
     assert descent.filter.locked
     assert descent.nees() < 40.0
+
+
+def told_of_height(descent, scans):
+    """Return what scans of one place from one place tell of the lander's height, 1/m^2."""
+    f = descent.filter
+    # A state that knows little by itself, on a lock that is kept.
+    f.state.inflate(np.arange(15), 25.0, np.full(15, 0.2))
+    before = f.estimate_in_site(descent.time, 1.0).covariance[2, 2]
+    for _ in range(scans):
+        f.take("flash", descent.scan(np.array([0.0, 0.0, 0.0])), descent.time)
+    after = f.estimate_in_site(descent.time, 1.0).covariance[2, 2]
+    return 1.0 / after - 1.0 / before
+
+
+def test_a_post_counts_once_however_often_it_is_seen(world):
+    """Its k-th use counts 1 / (k (k + 1)) of a full one."""
+    told = [told_of_height(Descent(world, 1).fly(3.0), scans) for scans in (1, 2, 8)]
+    assert told[1] / told[0] == pytest.approx((2.0 / 3.0) / 0.5, rel=0.05)
+    assert told[2] / told[0] == pytest.approx((8.0 / 9.0) / 0.5, rel=0.05)
+
+
+def test_what_sets_scans_apart_from_posts_makes_them_tell_less(world):
+    told = []
+    for sigma in (0.03, 1.0):
+        descent = Descent(world, 1).fly(3.0)
+        matcher = descent.filter.matcher
+        matcher.settings = replace(matcher.settings, model_sigma=sigma)
+        matcher.prior = matcher.prior
+        told.append(told_of_height(descent, 1))
+    # A first use: twice the variance of posts, and that of a scan's mean; less where the state
+    # itself is what limits the first.
+    most = (2.0 * 0.1**2 + 1.0) / (2.0 * 0.1**2 + 0.03**2)
+    assert 0.5 * most < told[0] / told[1] < most
 
 
 @pytest.mark.parametrize(("share", "least"), [(0.05, 5), (0.2, 2)])

@@ -65,6 +65,8 @@ class TrackerSettings:
     view_wander
         Of rocks' centres as the view turns, see `RockFilter.turn`: along the Sun, across, and what
         all share.
+    range_wander
+        Of rocks' centres as the range falls, see `RockFilter.turn`: what all share, pixels.
     most_off
         Normalised innovation squared a degree of freedom, beyond which an image is refused.
     least_expected
@@ -91,6 +93,7 @@ class TrackerSettings:
     radius_floor: float = 0.25
     common_pixels: float = 0.12
     view_wander: tuple[float, float, float] = (0.2, 0.05, 0.25)
+    range_wander: float = 0.9
     most_off: float = 3.0
     least_expected: float = 8.0
     least_found: float = 0.55
@@ -99,8 +102,8 @@ class TrackerSettings:
     most_updates: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("least_radius", "radius_wander", "radius_doubt"):
-            if not getattr(self, name) >= 0.0:
+        for name in ("least_radius", "radius_wander", "radius_doubt", "range_wander"):
+            if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
         shares = np.ravel((*np.atleast_1d(self.view_wander), self.common_pixels))
         if not (len(shares) == 4 and np.isfinite(shares).all() and (shares >= 0.0).all()):
@@ -225,7 +228,10 @@ class RockTracker:
         if self._time is not None:
             self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
-        self.filter.turn(sun, *s.view_wander)
+        self.filter.turn(
+            sun, *s.view_wander,
+            closing=s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
+        )  # fmt: skip
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
         points = self.filter.ground_points(camera, seen.pixel)
         self._split(seen, points, camera, radius_variance)

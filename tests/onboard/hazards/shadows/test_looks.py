@@ -75,30 +75,57 @@ def test_an_error_that_a_picture_shares_counts_as_much_as_it_is_told_to():
     assert shared[-1].nis < 0.5 * alone[-1].nis
 
 
-@pytest.mark.parametrize(("wander", "axis"), [((0.5, 0.0, 0.0), 0), ((0.0, 0.5, 0.0), 1)])
-def test_centres_wander_along_the_sun_and_across_as_each_is_told(wander, axis):
+def wandered(**settings):
+    """Return how rocks' places err more once the lander has moved and nothing was seen there.
+
+    That is the growth of their covariance (n, 2, n, 2) along the Sun and across, m^2, and their
+    ranges before and after (n,), m, and what a pixel spans at 1 m, m.
+    """
     terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
     start = (-30.0, 0.0, 60.0)
-    tracker = follow(terrain, [start], tracker_at(start, view_wander=wander))
-    before = tracker.filter.rock_covariance()
+    tracker = follow(terrain, [start], tracker_at(start, **settings))
+    rocks, first = tracker.filter, tracker.filter.first
+
+    def covariance():
+        return rocks.covariance[first:, first:].reshape(rocks.count, 3, rocks.count, 3).copy()
+
+    before, far = covariance(), np.linalg.norm(rocks.xyz - rocks.inertial.position, axis=1)
     error = np.zeros(15)
     error[:3] = [20.0, 15.0, 0.0]
-    tracker.filter.inertial.correct(error)
+    rocks.inertial.correct(error)
     # A picture in which nothing is dark.
-    state, camera = at(tracker.filter.inertial.position)
+    state, camera = at(rocks.inertial.position)
     bright = np.full((camera.height, camera.width), 120, np.uint8)
     tracker.update(detect_rocks(bright, camera, state, SUN, model=MODEL), camera, SUN, 0.1)
     level = SUN[:2] / np.hypot(*SUN[:2])
     axes = np.array([level, [-level[1], level[0]]])
-    more = (tracker.filter.rock_covariance() - before)[:, :2, :2]
-    grown = np.einsum("ai,nij,aj->na", axes, more, axes)
+    more = (covariance() - before)[:, :2, :, :2]
+    near = np.linalg.norm(rocks.xyz - rocks.inertial.position, axis=1)
+    pixel = 1.0 / np.sqrt(camera.fx * camera.fy)
+    return np.einsum("ai,minj,bj->manb", axes, more, axes), far, near, pixel
+
+
+@pytest.mark.parametrize(("wander", "axis"), [((0.5, 0.0, 0.0), 0), ((0.0, 0.5, 0.0), 1)])
+def test_centres_wander_along_the_sun_and_across_as_each_is_told(wander, axis):
+    more, *_ = wandered(view_wander=wander, range_wander=0.0)
+    grown = np.einsum("mama->ma", more)
     assert (grown[:, axis] > 1e-4).all()
     assert np.abs(grown[:, 1 - axis]).max() < 1e-12
 
 
+def test_centres_wander_together_along_the_sun_as_the_lander_draws_near():
+    more, far, near, pixel = wandered(view_wander=(0.0, 0.0, 0.0), range_wander=0.5)
+    sigma = 0.5 * pixel * near * np.sqrt(np.abs(np.log(near / far)))
+    assert sigma.max() > 2.0 * sigma.min() > 0.0
+    np.testing.assert_allclose(more[:, 0, :, 0], np.outer(sigma, sigma), rtol=1e-9, atol=1e-12)
+    more[:, 0, :, 0] = 0.0
+    assert np.abs(more).max() < 1e-12
+
+
 @pytest.mark.parametrize(
     "given", [{"view_wander": 0.2}, {"view_wander": (0.2, 0.1, np.nan)},
-              {"view_wander": (0.2, -0.1, 0.2)}, {"common_pixels": np.nan}],
+              {"view_wander": (0.2, -0.1, 0.2)}, {"common_pixels": np.nan},
+              {"range_wander": -0.1}, {"range_wander": np.nan}],
 )  # fmt: skip
 def test_shares_that_cannot_be_are_refused(given):
     with pytest.raises(InputError, match=r"tracker\."):
