@@ -23,6 +23,7 @@ from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.error_state import KEY, MAP
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
@@ -133,6 +134,14 @@ def test_before_the_lock_it_knows_that_it_does_not_know(world):
         assert names(descent) == []
         nees = nees.plus(descent.nees(), 6)
     assert nees.ratio < nees.bounds(0.99)[1]
+
+
+def test_the_level_of_a_map_is_told_once(world):
+    """Every search finds the same one, with the same error."""
+    descent = Descent(world, 3).fly(5.0, aim=np.array([0.0, 105.0, 0.0]))
+    assert names(descent) == []
+    known = np.sqrt(descent.estimate().covariance[2, 2])
+    assert RegistrationSettings().level_sigma < known < 1.0
 
 
 def test_rocks_that_are_tracked_hold_the_lander(world):
