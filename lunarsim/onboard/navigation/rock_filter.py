@@ -112,17 +112,24 @@ class RockFilter(RockStates):
         """
         if len(pixel) == 0:
             return np.empty((0, AXES))
+        eye, per_drop = self._lines(camera, pixel)
+        height = np.full(len(pixel), self.ground)
+        for _ in range(_PASSES):
+            xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
+            seen = np.isfinite(xy).all(1)
+            height[seen] = self.ground_at(xy[seen])
+        return np.column_stack((xy, height))
+
+    def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
+        """Return the camera's place (3,) and how far lines through pixels (n, 2) go east and north.
+
+        That is for each metre that they go down (n, 2); NaN where they do not.
+        """
         view = camera.view(self.inertial)
         tangent = (pixel - [view.cx, view.cy]) / [view.fx, view.fy]
         ray = np.column_stack((tangent, np.ones(len(tangent)))) @ view.axes.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_drop = np.where(ray[:, 2:] < 0.0, ray[:, :2] / -ray[:, 2:], np.nan)
-        height = np.full(len(pixel), self.ground)
-        for _ in range(_PASSES):
-            xy = view.position[:2] + per_drop * (view.position[2] - height)[:, None]
-            seen = np.isfinite(xy).all(1)
-            height[seen] = self.ground_at(xy[seen])
-        return np.column_stack((xy, height))
+            return view.position, np.where(ray[:, 2:] < 0.0, ray[:, :2] / -ray[:, 2:], np.nan)
 
     def in_frame(self, direction: Array) -> Array:
         """Return a direction (3,) of the site frame in that of lander and rocks."""
@@ -328,15 +335,54 @@ class RockFilter(RockStates):
     ) -> Index:
         """Begin to track rocks seen at points (b, 3), with their full cross-covariance.
 
-        Their heights follow their neighbours'. From ``by_pose d(pose) + by_rock d(rock) =
-        d(pixel)`` the error of east and north then follows, as pose, height and pixel have it.
+        Their heights follow their neighbours'.
 
         Returns
         -------
         index
             Of the new rocks (b,).
         """
-        b = len(radius)
+        told = self._told(camera, points, pixel_covariance)
+        index = self.append(points, radius, radius_variance)
+        for rock in index:
+            self.follow_ground(rock)
+        self._stand(index, *told)
+        return index
+
+    def begin_anew(
+        self,
+        index: Index,
+        camera: CameraModel,
+        pixel: Array,
+        pixel_covariance: Array,
+        radius: Array,
+        radius_variance: Array,
+    ) -> None:
+        """Let rocks (b,) stand where one image shows them at pixels (b, 2), undistorted.
+
+        How images before showed them is forgotten, and tells nothing of the lander. Heights stay.
+
+        Raises
+        ------
+        InputError
+            If a line of sight does not meet the ground; nothing changes then.
+        """
+        eye, per_drop = self._lines(camera, pixel)
+        height = self.xyz[index, 2]
+        points = np.column_stack((eye[:2] + per_drop * (eye[2] - height)[:, None], height))
+        told = self._told(camera, points, pixel_covariance)
+        self._xyz[index] = points
+        self._r[index] = np.column_stack((radius, radius_variance))
+        self._stand(index, *told)
+
+    def _told(
+        self, camera: CameraModel, points: Array, pixel_covariance: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return what lines of sight to rocks at points (b, 3) tell of east and north.
+
+        From ``by_pose d(pose) + by_rock d(rock) = d(pixel)``: how they err with the pose (b, 2, 6),
+        with the rock's height (b, 2), and the covariance that the pixel adds (b, 2, 2).
+        """
         sight = self.sight(camera, points)
         back = inverse(sight.by_rock[:, :, :2])
         by_pose = -(back @ sight.by_pose)
@@ -344,9 +390,11 @@ class RockFilter(RockStates):
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
             raise InputError("rocks", points.tolist(), "points on ground in front of the camera")
-        index = self.append(points, radius, radius_variance)
-        for rock in index:
-            self.follow_ground(rock)
+        return by_pose, by_height, own
+
+    def _stand(self, index: Index, by_pose: Array, by_height: Array, own: Array) -> None:
+        """Let east and north of rocks (b,) err as pose, height and pixel have it, see `_told`."""
+        b = len(index)
         p, size, i = self.state.p, self.state.size, self.places(index)
         level = i[:, :2].ravel()
         rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
@@ -357,7 +405,6 @@ class RockFilter(RockStates):
         at = np.arange(2 * b).reshape(b, 2)
         block[at[:, :, None], at[:, None, :]] += own
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
-        return index
 
 
 def _positive(covariance: Array) -> NDArray[np.bool_]:

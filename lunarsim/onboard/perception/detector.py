@@ -61,9 +61,9 @@ class DetectorSettings:
         Standard deviations along the Sun and across by which a centre differs from one look to the
         next, in what a pixel spans on the ground; found by `scenarios/shadows/looks.py`.
     look_small
-        What patches of one pixel a radius differ by along the Sun besides, pixels; it falls as
-        they grow. Found from what filters make of them in flight: a patch that is now one rock's
-        and now also its neighbour's is not paired in the study.
+        What patches of one pixel a radius differ by besides, along the Sun and across, pixels; it
+        falls as they grow. Found from what filters make of them in flight: a patch that is now one
+        rock's and now also its neighbour's is not paired in the study.
     """
 
     gamma: float = 0.7
@@ -75,8 +75,8 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.40, 0.18)
-    look_small: float = 0.5
+    look_sigma: tuple[float, float] = (0.40, 0.14)
+    look_small: tuple[float, float] = (0.35, 0.12)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
@@ -89,11 +89,11 @@ class DetectorSettings:
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "a share above 0, up to 1")
-        pair = np.atleast_1d(self.look_sigma)
-        if not (len(pair) == 2 and np.isfinite(pair).all() and (pair > 0.0).all()):
-            raise InputError("detector.look_sigma", self.look_sigma, "two positive numbers")
-        if not 0.0 <= self.look_small < np.inf:
-            raise InputError("detector.look_small", self.look_small, "0 or more, in pixels")
+        for name, least in (("look_sigma", 1e-9), ("look_small", 0.0)):
+            pair = np.ravel(getattr(self, name))
+            if not (len(pair) == 2 and np.isfinite(pair).all() and (pair >= least).all()):
+                what = "positive numbers" if least else "numbers, 0 or positive"
+                raise InputError(f"detector.{name}", getattr(self, name), f"two {what}, in pixels")
         low, high = self.canny
         if not 0.0 < low < high < np.inf:
             raise InputError("detector.canny", self.canny, "two positive numbers that rise")
@@ -404,8 +404,10 @@ def _look(settings: DetectorSettings, radius: Array, along: Array, across: Array
     `radius` is that of the rocks (n,), `along` and `across` what a pixel spans there (n,), m.
     """
     wide = np.maximum(radius / np.sqrt(along * across), 0.25)
-    first, second = settings.look_sigma
-    return np.column_stack((along * np.hypot(first, settings.look_small / wide), across * second))
+    spans = np.column_stack((along, across))
+    return np.asarray(
+        spans * np.hypot(settings.look_sigma, np.divide(settings.look_small, wide[:, None]))
+    )
 
 
 def _sun_frame(sun: Array) -> Array:

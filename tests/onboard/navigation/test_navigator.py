@@ -153,6 +153,26 @@ def test_rocks_that_are_tracked_hold_the_lander(world):
     assert f.adrift
 
 
+def test_rocks_hang_on_the_ground_of_the_first_scan_with_the_lander(world):
+    descent = Descent(world, 8)
+    f = descent.filter = Navigator(descent.inertial, StartSigmas(5.0, 0.1, 0.01), rocks=True)
+    f.rocks.add_known(np.array([[3.0, 4.0], [-20.0, 9.0]]), np.full(2, 0.2), np.ones(2), np.ones(2))
+    before, sigma = f.rocks.relative_covariance(), f.covariance.diagonal()[:3].copy()
+    f.take("flash", descent.scan(np.zeros(3)), 0.0)
+    assert (np.abs(f.covariance.diagonal()[:3] - sigma) > 0.1).any(), "it hangs elsewhere now"
+    np.testing.assert_allclose(f.rocks.relative_covariance(), before, atol=1e-9)
+
+
+def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
+    # One that errs about body x alone, which points north.
+    north = quat_from_rotation_vector([0.0, 0.0, np.pi / 2])
+    f = Navigator(StrapdownState(START, VELOCITY, north, 9.81), StartSigmas())
+    f.state.widen([9], [[0.04]])
+    turned = f.estimate(0.0, 1.0).covariance[6:, 6:]
+    assert np.argmax(turned.diagonal()) == 1
+    assert turned[1, 1] == pytest.approx(0.04, rel=0.05)
+
+
 def test_odometry_slows_the_drift(world):
     grown = {}
     nees = Consistency()

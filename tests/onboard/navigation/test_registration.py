@@ -228,6 +228,34 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
     assert nees.ratio < 1.6
 
 
+def test_errors_that_a_map_tells_to_be_alike_count_as_fewer(world):
+    rng = np.random.default_rng(8)
+    grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
+    alone = survey(world.terrain, grid, rng, sigma=0.1)
+    alike = PriorMap(grid, alone.elevation, 0.1, 1.0)
+    before = np.diag(np.square([0.05, 0.05, 0.3, 1e-3, 1e-3, 1e-3]))
+    scan = scanned(world, rng)
+    told = [fitted(scan, p, before, np.zeros(6), 0.1**2 + 0.03**2)[2] for p in (alone, alike)]
+    assert alike.together > 20.0
+    ratio = told[0].information[2, 2] / told[1].information[2, 2]
+    assert 0.5 * alike.together < ratio < 1.1 * alike.together
+
+
+def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
+    """The farther off the place may be, the more heights differ by slopes that it may lie on."""
+    rng = np.random.default_rng(9)
+    grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
+    prior = survey(world.terrain, grid, rng, sigma=0.6)
+    scan = scanned(world, rng)
+    told = []
+    for far in (1.5, 15.0):
+        before = np.diag(np.square([far, far, 0.3, 1e-3, 1e-3, 1e-3]))
+        told.append(fitted(scan, prior, before, np.zeros(6), 0.6**2)[2].information)
+    for one in told:
+        assert one[0, 0] < 0.05 * one[2, 2], "the level alone"
+    assert told[1][2, 2] < 0.9 * told[0][2, 2]
+
+
 def test_a_fit_of_nothing_says_nothing():
     result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
     assert result.used == result.offered == 0

@@ -386,7 +386,8 @@ def test_contours_run_round_the_patches():
         ("canny", (100.0, 40.0)), ("largest_radius", -5.0), ("least_fill", 0.0),
         ("pixel_sigma", np.inf), ("least_pixels", 0), ("look_sigma", (0.2, 0.0)),
         ("look_sigma", (0.2,)), ("look_sigma", 0.2), ("look_sigma", (np.nan, 0.1)),
-        ("look_small", -0.1), ("look_small", np.nan),
+        ("look_small", -0.1), ("look_small", np.nan), ("look_small", (0.3, -0.1)),
+        ("look_small", (np.nan, 0.1)), ("look_small", (0.3,)),
     ],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused_when_they_are_made(name, value):
@@ -437,19 +438,32 @@ def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
     assert len(blank) == 0 and (blank.labels > 0).all()
 
 
-def test_small_patches_differ_more_from_look_to_look_along_the_sun():
+@pytest.mark.parametrize("small", [(0.5, 0.0), (0.0, 0.2)])
+def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(small):
     terrain = rocks_on_a_plane("cube", count=110, seed=4)
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
     state, camera, counts = picture(terrain, (-54.0, 0.0, 90.0))
-    plain, told = (
-        detect_rocks(
-            counts, camera, state, SUN, model=model, settings=DetectorSettings(look_small=small)
-        ).look_covariance
-        for small in (0.0, 0.5)
-    )
-    seen = detect_rocks(counts, camera, state, SUN, model=model)
-    # Two pixels a radius and more: half a pixel over the radius beside the 0.4 of all.
-    grown = np.sqrt(np.linalg.eigvalsh(told)[:, 1] / np.linalg.eigvalsh(plain)[:, 1])
-    assert (grown > 1.0).all() and np.allclose(told, seen.look_covariance)
-    assert np.corrcoef(grown, 1.0 / seen.radius)[0, 1] > 0.8
-    assert grown.max() > 1.15
+
+    def looks(*given):
+        settings = DetectorSettings(look_small=given[0]) if given else DetectorSettings()
+        seen = detect_rocks(counts, camera, state, SUN, model=model, settings=settings)
+        point = seen.ground - state.position[:2]
+        by_place = camera.view(state).pinhole.jacobian(
+            np.column_stack((point, np.full(len(seen), -90.0))) @ camera.view(state).axes,
+            camera.view(state).axes[:2].T,
+        )
+        level = SUN[:2] / np.hypot(*SUN[:2])
+        axes = np.array([level, [-level[1], level[0]]]).T
+        back = np.linalg.inv(by_place @ axes)
+        own = back @ seen.look_covariance @ np.swapaxes(back, 1, 2)
+        return np.sqrt(np.diagonal(own, axis1=1, axis2=2)), seen.radius
+
+    (plain, radius), (told, _), (default, _) = looks((0.0, 0.0)), looks(small), looks()
+    grown = told / plain
+    first = int(np.argmax(small))
+    assert (grown[:, first] > 1.0).all()
+    assert grown[:, 1 - first] == pytest.approx(1.0)
+    assert np.corrcoef(grown[:, first], 1.0 / radius)[0, 1] > 0.8
+    assert grown[:, first].max() > 1.15
+    # Both, unless told otherwise.
+    assert (default > plain).all()

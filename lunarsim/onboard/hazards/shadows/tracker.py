@@ -187,6 +187,8 @@ class RockTracker:
         self.renewals = 0
         self._updated = np.empty(0)
         self._established = np.empty(0, bool)
+        # Rocks that were seen once: by the look for which they were chosen.
+        self._young = np.empty(0, bool)
         self._time: float | None = None
 
     def add_known(
@@ -211,6 +213,7 @@ class RockTracker:
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
         self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
         self._established = np.concatenate((self._established, np.zeros(n, bool)))
+        self._young = np.concatenate((self._young, np.zeros(n, bool)))
 
     def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> Outcome:
         """Take in the detections of one image; return what came of the rocks' places.
@@ -250,6 +253,8 @@ class RockTracker:
         self.hits[rock] += 1
         use = np.flatnonzero(sure)
         use = use[self._agreeing(seen, sight, d[use], rock[use])]
+        young = self._young[rock[use]]
+        second, use = use[young], use[~young]
         order = use[np.argsort(self._updated[rock[use]], kind="stable")]
         turn, later = np.split(order, [s.most_updates // 2 if large else s.most_updates])
         self.filter.update_radii(
@@ -261,6 +266,7 @@ class RockTracker:
             b, sight, seen.pixel[a], seen.look_covariance[a], seen.radius[a], radius_variance[a],
             s.common_pixels, s.radius_floor, s.most_off,
         )  # fmt: skip
+        self._begin_anew(rock[second], d[second], seen, camera, radius_variance)
         expected = self._judge(rock, at, seen, d, camera, sun)
         self.explained = np.zeros(len(seen), np.bool_)
         self.explained[d] = self.existence[rock] > _SURE
@@ -434,7 +440,25 @@ class RockTracker:
         now = -np.inf if self._time is None else self._time
         self._updated = np.concatenate((self._updated, np.full(new.size, now)))
         self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
+        self._young = np.concatenate((self._young, np.ones(new.size, bool)))
         return born
+
+    def _begin_anew(
+        self, rock: Index, d: Index, seen: Detections, camera: CameraModel, variance: Array
+    ) -> None:
+        """Let rocks that were seen once stand where detections (m,) show them now.
+
+        A rock begins with a patch that is large enough, and the error that makes a patch large
+        moves its centre towards the Sun: by half a pixel on rendered cubes. Its next look was not
+        chosen so. Taken together, the two would pass for the lander's way.
+        """
+        met = np.isfinite(self.filter.ground_points(camera, seen.pixel[d])).all(1)
+        rock, d = rock[met], d[met]
+        self.filter.begin_anew(
+            rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
+        )
+        self._young[rock] = False
+        self._updated[rock] = -np.inf if self._time is None else self._time
 
     def _merge(self) -> None:
         """Drop the less seen of two rocks of which one's centre lies in the other."""
@@ -482,6 +506,7 @@ class RockTracker:
             self.hits = self.hits[keep]
             self._updated = self._updated[keep]
             self._established = self._established[keep]
+            self._young = self._young[keep]
 
 
 def _ground_covariance(
