@@ -6,6 +6,8 @@ apart is noise of each look: beside it stands what the detector says (`look_cova
 differs more after the view has turned is a rock's own, or alike for all, and wanders
 (`RockFilter.turn`); both are in radii after a radian, as `TrackerSettings.view_wander` has them.
 What is left when the looks of a rock are averaged is its shape: `ShadowModel` holds such figures.
+And the first look that is good enough to begin a rock, against those that follow: it was chosen,
+they were not, so that a tracker begins anew with the second.
 
 python scenarios/shadows/looks.py
 python scenarios/shadows/looks.py --shape irregular --sun-elevation 10
@@ -27,6 +29,7 @@ from scipy.spatial import cKDTree
 
 from lunarsim.frames import direction_from_angles
 from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.hazards.shadows import TrackerSettings
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.sensors.camera import Camera
@@ -45,6 +48,8 @@ LAG, LEAST_TURN = 20, 0.05
 MOST_OFF, ALIKE = 2.5, 1.6
 # Looks at a rock whose mean has its shape left, more than their noise.
 MANY = 10
+# Pictures after the first good one from which on looks count as settled.
+SETTLED = 6
 # Rocks that must show in both pictures for what they share.
 FEWEST = 8
 
@@ -66,6 +71,8 @@ class Looks:
         Radius that a patch was read as over the true one (pictures, rocks).
     radius
         m (rocks,).
+    good
+        Which looks could begin a rock (pictures, rocks).
     """
 
     off: Array
@@ -74,6 +81,7 @@ class Looks:
     sight: Array
     ratio: Array
     radius: Array
+    good: NDArray[np.bool_]
 
 
 def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks:
@@ -93,7 +101,7 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
         camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
         counts = camera.expose(world, state, 0.0, rng).counts
         seen = detect_rocks(counts, camera, state, sun, model=model)
-        row = np.full((len(rocks), 10), np.nan)
+        row = np.full((len(rocks), 11), np.nan)
         if len(seen):
             away, nearest = tree.query(seen.ground)
             like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(ALIKE)
@@ -109,13 +117,18 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
             row[of, :2] = np.einsum("nij,nj->ni", on_ground, moved)
             row[of, 2:4] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
             row[of, 9] = seen.radius[at] / rocks.a[of]
+            row[of, 10] = seen.q[at]
             row[of, 4:6] = 1.0 / np.linalg.norm(by_place @ axes, axis=1)
         sight = true - position
         row[:, 6:9] = sight / np.linalg.norm(sight, axis=1)[:, None]
         rows.append(row)
     table = np.array(rows)
     off, said, pixel, sight = np.split(table[..., :9], (2, 4, 6), axis=-1)
-    return Looks(off, said, pixel, sight, table[..., 9], rocks.a)
+    ratio, q = table[..., 9], table[..., 10]
+    begins, read = TrackerSettings(), ratio * rocks.a
+    sharp = said.max(axis=-1) < np.maximum(begins.birth_sigma, read / 3.0)
+    good = (q >= begins.birth_q) & (read >= begins.least_radius) & sharp
+    return Looks(off, said, pixel, sight, ratio, rocks.a, good)
 
 
 def look_to_look(looks: list[Looks]) -> Array:
@@ -133,6 +146,29 @@ def look_to_look(looks: list[Looks]) -> Array:
         out.append(np.concatenate((size[..., None], change / said, change / pixel), axis=-1))
     rows = np.concatenate([o.reshape(-1, 5) for o in out])
     return rows[np.isfinite(rows).all(1)]
+
+
+def after_the_first(looks: list[Looks]) -> Array:
+    """Return by how much the first good look and those after differ from what comes later (n, 4).
+
+    Of rocks that were seen and not good enough before: along the Sun and across, pixels, and their
+    deviations. Later are looks `SETTLED` to twice as many pictures after the first.
+    """
+    out = []
+    for one in looks:
+        for rock in np.flatnonzero(one.good.any(axis=0) & ~one.good[0]):
+            first = int(np.argmax(one.good[:, rock]))
+            late = one.off[first + SETTLED : first + 2 * SETTLED, rock]
+            if len(late) < SETTLED or np.isfinite(late[:, 0]).sum() < SETTLED // 2:
+                continue
+            row = one.off[first : first + SETTLED, rock] - np.nanmean(late, axis=0)
+            out.append(row / one.pixel[first, rock])
+    if len(out) < 2:
+        return np.full((SETTLED, 4), np.nan)
+    rows = np.array(out)
+    count = np.maximum(np.isfinite(rows[..., 0]).sum(axis=0), 2)[:, None]
+    error = np.nanstd(rows, axis=0, ddof=1) / np.sqrt(count)
+    return np.concatenate((np.nanmean(rows, axis=0), error), axis=1)
 
 
 def wanders(looks: list[Looks]) -> tuple[Array, Array]:
@@ -192,7 +228,7 @@ def shapes(looks: list[Looks]) -> tuple[float, float, int]:
 
 
 def show(looks: list[Looks], console: Console) -> None:
-    """Print both tables."""
+    """Print the tables."""
     rows = look_to_look(looks)
     table = Table(title="From look to look")
     for heading in ("pixels a radius", "looks", "along the Sun (pixels)", "across (pixels)",
@@ -205,6 +241,12 @@ def show(looks: list[Looks], console: Console) -> None:
         along, across, along_px, across_px = np.sqrt(np.mean(at[:, 1:] ** 2, axis=0))
         table.add_row(f"{low:g} - {high:g}", f"{len(at)}", f"{along_px:.2f}", f"{across_px:.2f}",
                       f"{along:.2f}", f"{across:.2f}")  # fmt: skip
+    console.print(table)
+    table = Table(title="After the first look that could begin a rock, against settled ones")
+    for heading in ("look", "along the Sun (pixels)", "across (pixels)"):
+        table.add_column(heading, justify="right")
+    for k, (along, across, e, f) in enumerate(after_the_first(looks)):
+        table.add_row(f"{k + 1}", f"{along:+.2f} ± {e:.2f}", f"{across:+.2f} ± {f:.2f}")
     console.print(table)
     own, shared = wanders(looks)
     console.print(
