@@ -45,6 +45,45 @@ def shifted(rocks, error):
     return RockFilter.of(inertial)
 
 
+def test_rocks_begun_anew_are_as_those_begun_then():
+    """What was seen before is forgotten: the same as if nothing had been."""
+    filters = []
+    for early in (True, False):
+        flight = Flight(np.random.default_rng(7))
+        flight.advance()
+        camera = flight.camera()
+        seen = flight.look(camera)
+        f = flight.filter
+        if early:
+            f.add(camera, flight.ground_of(seen[0], camera), seen[1], seen[2], seen[3])
+        for _ in range(10):
+            flight.advance()
+        camera = flight.camera()
+        pixel, covariance, radius, variance = flight.look(camera)
+        if early:
+            f.begin_anew(np.arange(len(radius)), camera, pixel, covariance, radius, variance)
+        else:
+            f.add(camera, flight.ground_of(pixel, camera), covariance, radius, variance)
+        filters.append(f)
+    anew, then = filters
+    assert anew.xyz == pytest.approx(then.xyz, abs=1e-9)
+    assert anew.radius == pytest.approx(then.radius)
+    assert anew.radius_variance == pytest.approx(then.radius_variance)
+    np.testing.assert_allclose(anew.covariance, then.covariance, rtol=1e-9, atol=1e-12)
+
+
+def test_rocks_begun_anew_where_no_ground_is_seen_are_refused_and_stay():
+    flight = Flight(np.random.default_rng(7))
+    flight.advance()
+    flight.image()
+    f, camera = flight.filter, flight.camera()
+    before, places = f.covariance.copy(), f.xyz.copy()
+    sky = np.array([[320.0, -1e6]])
+    with pytest.raises(InputError, match="in front of the camera"):
+        f.begin_anew(np.array([0]), camera, sky, np.eye(2)[None], np.ones(1), np.ones(1))
+    assert np.array_equal(f.covariance, before) and np.array_equal(f.xyz, places)
+
+
 def test_jacobians_equal_finite_differences():
     flight = Flight(np.random.default_rng(1))
     flight.advance()

@@ -53,6 +53,31 @@ def test_what_lasts_from_look_to_look_is_no_noise_of_the_filter():
     assert (grown[:, :2] > 0.0).all()
 
 
+def test_a_rock_stands_where_its_second_look_shows_it():
+    """The first was chosen for being good, and errs by that: it is forgotten, place and size."""
+    terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
+    tracker = tracker_at((-30.0, 0.0, 60.0))
+    for k, shift in enumerate(([0.2, -0.2], [0.0, 0.0], [0.1, 0.0])):
+        state, camera, counts = picture(terrain, (-30.0, 0.0, 60.0))
+        seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+        bigger = 1.1 if k == 0 else 1.0
+        given = replace(seen, pixel=seen.pixel + shift, radius=bigger * seen.radius)
+        outcome = tracker.update(given, camera, SUN, 0.1 * k)
+        rocks = tracker.filter
+        off = np.linalg.norm(rocks.xy[:, None] - seen.ground, axis=-1)
+        if k == 0:
+            first = rocks.count
+        if k == 1:
+            assert rocks.count == first > 10
+            assert off.min(axis=1).max() < 1e-9
+            assert rocks.radius == pytest.approx(seen.radius[off.argmin(axis=1)])
+            assert outcome.degrees == 0, "it tells nothing of the lander"
+            sigma = rocks.rock_covariance()
+        if k == 2:
+            assert outcome.degrees == 2 * rocks.count
+            assert (np.diagonal(rocks.rock_covariance() - sigma, 0, 1, 2)[:, :2] < 0.0).all()
+
+
 def test_a_pair_that_is_off_beside_the_others_is_left_out():
     def shift(seen, k):
         pixel = seen.pixel.copy()
