@@ -20,7 +20,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.navigation.error_state import KEY, MAP
+from lunarsim.onboard.navigation.error_state import KEY, MAP, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
@@ -171,6 +171,28 @@ def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
     turned = f.estimate(0.0, 1.0).covariance[6:, 6:]
     assert np.argmax(turned.diagonal()) == 1
     assert turned[1, 1] == pytest.approx(0.04, rel=0.05)
+
+
+def test_shadows_that_fall_elsewhere_lose_the_navigator(world):
+    f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
+    for k in range(60):
+        assert f.lost == f.rocks.pictures.lost
+        f.rocks.judge("shadows", 0.1 * k, Outcome(900.0, 1, False))
+    assert f.lost
+
+
+def test_an_azimuth_that_is_corrected_turns_no_ground(world):
+    descent = Descent(world, 8)
+    f = descent.filter
+    f.take("flash", descent.scan(np.zeros(3)), 0.0)
+    up = np.zeros(f.state.size)
+    up[9:12] = quat_rotate(quat_conjugate(f.inertial.attitude), [0.0, 0.0, 1e-2])
+    f.state.correct(up)
+    assert f.ground_turn.rotation == pytest.approx(np.eye(3), abs=1e-12)
+    tilt = np.zeros(f.state.size)
+    tilt[9] = 1e-2
+    f.state.correct(tilt)
+    assert np.abs(f.ground_turn.rotation - np.eye(3)).max() > 0.009
 
 
 def test_odometry_slows_the_drift(world):

@@ -72,6 +72,33 @@ def test_rocks_begun_anew_are_as_those_begun_then():
     np.testing.assert_allclose(anew.covariance, then.covariance, rtol=1e-9, atol=1e-12)
 
 
+def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
+    """The same as a measurement of places that could have been anywhere."""
+    flight = Flight(np.random.default_rng(9), ground=LevelGround(0.0, 2.0, 0.1))
+    flight.draw_heights(2.0, 0.1)
+    for _ in range(3):
+        flight.advance()
+        flight.image()
+    flight.advance()
+    f, camera = flight.filter, flight.camera()
+    pixel, covariance, radius, variance = flight.look(camera)
+    index, level = np.arange(f.count), f.places()[:, :2].ravel()
+    p, places, heights = f.covariance.copy(), f.xyz.copy(), f.xyz[:, 2].copy()
+    assert p[f.places()[:, 2], f.places()[:, 2]].min() > 0.01
+    f.begin_anew(index, camera, pixel, covariance, radius, variance)
+    anew, anew_xyz = f.covariance.copy(), f.xyz.copy()
+    assert np.array_equal(anew_xyz[:, 2], heights)
+    f.covariance[:] = p
+    f.covariance[level], f.covariance[:, level] = 0.0, 0.0
+    f.covariance[level, level] = 1e7
+    f.xyz[:] = np.column_stack((anew_xyz[:, :2], places[:, 2]))
+    f.update_rocks(index, f.sight(camera), pixel, covariance, radius, variance)
+    assert f.xyz == pytest.approx(anew_xyz, abs=1e-6)
+    scale = np.sqrt(np.outer(anew.diagonal(), anew.diagonal())) + 1e-12
+    assert np.abs(f.covariance - anew).max() < 1e-3 * scale.max()
+    assert (np.abs(f.covariance - anew) / scale).max() < 1e-3
+
+
 def test_rocks_begun_anew_where_no_ground_is_seen_are_refused_and_stay():
     flight = Flight(np.random.default_rng(7))
     flight.advance()

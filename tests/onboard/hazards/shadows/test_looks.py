@@ -78,6 +78,23 @@ def test_a_rock_stands_where_its_second_look_shows_it():
             assert (np.diagonal(rocks.rock_covariance() - sigma, 0, 1, 2)[:, :2] < 0.0).all()
 
 
+def test_whoever_was_seen_once_is_remembered_when_rocks_go():
+    terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
+    tracker = tracker_at((-30.0, 0.0, 60.0))
+    state, camera, counts = picture(terrain, (-30.0, 0.0, 60.0))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    hidden = seen.pixel.copy()
+    hidden[::2] = np.nan
+    tracker.update(replace(seen, pixel=hidden), camera, SUN, 0.0)
+    old = tracker.filter.count
+    # The first of those is none; the last of those that come now takes its place.
+    tracker.existence[0] = 1e-6
+    tracker.update(seen, camera, SUN, 0.1)
+    assert tracker.filter.count > old
+    outcome = tracker.update(seen, camera, SUN, 0.2)
+    assert outcome.degrees == 2 * (old - 1)
+
+
 def test_a_pair_that_is_off_beside_the_others_is_left_out():
     def shift(seen, k):
         pixel = seen.pixel.copy()
