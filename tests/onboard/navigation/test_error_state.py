@@ -127,19 +127,42 @@ def test_gates_and_what_is_not_finite_change_nothing():
     assert np.array_equal(state.inertial.position, x)
 
 
-def test_variances_grow_and_correlations_stay():
+def test_what_others_do_not_tell_grows_and_all_else_stays():
     state = made(np.random.default_rng(3))
-    p = state.covariance.copy()
-    state.inflate([3, 4, 5], 9.0, 1e3)
-    scale = np.ones(SIZE)
-    scale[3:6] = 3.0
-    assert state.covariance == pytest.approx(p * np.outer(scale, scale))
+    p, at = state.covariance.copy(), [3, 4, 5]
+    others = np.setdiff1d(np.arange(SIZE), at)
+    told = p[np.ix_(at, others)] @ np.linalg.solve(p[np.ix_(others, others)], p[np.ix_(others, at)])
+    state.inflate(at, 9.0, 1e3)
+    expected = p.copy()
+    expected[np.ix_(at, at)] = told + 9.0 * (p[np.ix_(at, at)] - told)
+    assert state.covariance == pytest.approx(expected, rel=1e-6)
+    grown = np.sqrt(expected[5, 5])
     for _ in range(40):
-        state.inflate([3, 4, 5], 1e4, [50.0, 50.0, 1.0])
-    assert np.sqrt(np.diag(state.covariance))[3:6] == pytest.approx(
-        [50.0, 50.0, max(1.0, 3.0 * np.sqrt(p[5, 5]))]
-    )
+        state.inflate(at, 1e4, [50.0, 50.0, 1.0])
+    assert np.sqrt(np.diag(state.covariance))[at] == pytest.approx([50.0, 50.0, max(1.0, grown)])
     assert np.linalg.eigvalsh(state.covariance).min() > 0.0
+
+
+def test_errors_that_no_other_tells_of_grow_whole():
+    state = ErrorState(still(), blocks={"two": [[4.0, 3.9], [3.9, 4.0]]})
+    own, before = np.arange(15, 17), state.covariance.copy()
+    state.inflate(own, 9.0, np.full(2, 1e3))
+    assert state.covariance[15:, 15:] == pytest.approx(9.0 * before[15:, 15:])
+    assert np.array_equal(state.covariance[:15], before[:15])
+
+
+@pytest.mark.parametrize("doubted", [0, 1])
+def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
+    """Two heights of 5 m, the same to 2 cm: to doubt one of them teaches nothing of either."""
+    both = 25.0 + np.diag([2e-4, 2e-4])
+    state = ErrorState(still(), blocks={"heights": both})
+    for _ in range(3):
+        state.inflate([15 + doubted], 100.0, [1e3])
+        difference = state.covariance[15, 15] + state.covariance[16, 16]
+        difference -= 2.0 * state.covariance[15, 16]
+        state.measure([[1.0, -1.0]], [15, 16], [0.0], [1e-4])
+        assert difference > 5e-3, "either may have moved"
+        assert np.sqrt(np.diag(state.covariance)[15:]).min() > 4.9
 
 
 def test_a_covariance_that_rounding_has_eaten_is_told_and_not_used():

@@ -1,0 +1,283 @@
+"""A data set of descents of least propellant in Minari's format: states, and thrust at each.
+
+Starts are drawn over what an approach of the default lander meets (`DrawnStarts`), and each is
+solved by `lunarsim.optimal` under the limits of the law `optimal`. Shards of `SHARD` descents are
+kept as they are done, so that a run that was broken off goes on; with all of them the data set is
+written. Same seed, same bits, whatever the number of processes. Starts from which no end can be
+reached are counted and left out.
+
+An episode holds the nodes of one descent: from the end of the approach to the lander (3,), m,
+velocity (3,), m/s, both ENU, and mass, kg. The action is the thrust over mass (3,), m/s^2, held
+until the next node; the reward is minus the propellant of the interval, kg. Infos hold what is left
+of the descent, s ("time_to_go").
+
+    python scenarios/learning/optimal_descents.py --descents 1000 --out build/descents
+    python scenarios/learning/optimal_descents.py --descents 100000 --jobs 2 --out build/descents
+
+Read it with ``minari.MinariDataset("build/descents/data")``; the extra `data` installs Minari.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+
+from lunarsim import __version__
+from lunarsim.campaign.pool import outcomes
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.optimal_law import OptimalLaw
+from lunarsim.optimal.errors import InfeasibleError, SolverError
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.problem import Descent
+from lunarsim.scenario import Scenario
+from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
+
+Array = NDArray[np.float64]
+
+SHARD = 250
+_DROP = 0.5  # of the glideslope's tip under the end, m: as the laws have it
+# Columns of an observation, and of an action.
+OBSERVED, COMMANDED = 7, 3
+
+
+@dataclass(frozen=True)
+class Task:
+    """One shard."""
+
+    number: int
+    count: int
+    seed: int
+    intervals: int
+
+
+@dataclass(frozen=True)
+class DrawnStarts:
+    """Where descents begin, drawn evenly.
+
+    Attributes
+    ----------
+    height, aside
+        Above the end and beside it, m.
+    elevation
+        Least, as seen from the end, deg.
+    closing
+        In how long the horizontal gap would close at the speed over ground, s.
+    across, sink
+        Speed across the way there, and downward, m/s.
+    load
+        Propellant over what the reserve keeps back, a share of full tanks.
+    """
+
+    height: tuple[float, float] = (15.0, 800.0)
+    aside: tuple[float, float] = (0.0, 1000.0)
+    elevation: float = 15.0
+    closing: tuple[float, float] = (12.0, 60.0)
+    across: tuple[float, float] = (-10.0, 10.0)
+    sink: tuple[float, float] = (0.0, 35.0)
+    load: tuple[float, float] = (0.3, 1.0)
+
+    @classmethod
+    def key(cls, task: Task) -> str:
+        """Return what tells shards of other settings, or of another release, apart."""
+        told = {"starts": asdict(cls()), "task": asdict(task), "release": __version__}
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+    def draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
+        """Return the gap from the end (3,), m, the velocity (3,), m/s, and the load."""
+        while True:
+            height, aside = rng.uniform(*self.height), rng.uniform(*self.aside)
+            if height >= aside * np.tan(np.deg2rad(self.elevation)):
+                break
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        along = np.array([np.cos(turn), np.sin(turn), 0.0])
+        left = np.array([-along[1], along[0], 0.0])
+        speed = -aside / rng.uniform(*self.closing)
+        velocity = speed * along + rng.uniform(*self.across) * left
+        velocity[2] = -rng.uniform(*self.sink)
+        return aside * along + [0.0, 0.0, height], velocity, rng.uniform(*self.load)
+
+
+@cache
+def _default() -> Scenario:
+    """Return the scenario of the default lander."""
+    return Scenario.from_dict({"name": "descents"})
+
+
+def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
+    """Return the descent of the default lander from a start, under the limits of the law."""
+    scenario = _default()
+    lander, approach, law = scenario.vehicle.make(), Approach(), OptimalLaw()
+    margin = approach.throttle_margin * (lander.thrust_max - lander.thrust_min)
+    dry = lander.dry_mass + approach.reserve
+    return Descent(
+        gap, velocity, dry + load * (lander.wet_mass - dry), np.zeros(3),
+        np.array([0.0, 0.0, -approach.vertical_speed]), scenario.gravity_m_s2,
+        lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity, dry,
+        approach.max_tilt, approach.glideslope, _DROP,
+        end_tilt=law.end_tilt, tilt_rate=law.tilt_rate,
+    )  # fmt: skip
+
+
+def solve(task: Task) -> dict[str, Array]:
+    """Solve one shard.
+
+    Returns
+    -------
+    shard
+        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), "propellant" (k,), kg,
+        of the k descents that there are, and "tried" and "failed": starts without an end in reach,
+        and those the solver gave up on.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
+    planner, starts = Planner(task.intervals), DrawnStarts()
+    seen, done, times, spent = [], [], [], []
+    out_of_reach = failed = 0
+    while len(seen) < task.count:
+        try:
+            path = least_propellant(planner, problem_of(*starts.draw(rng)))
+        except InfeasibleError:
+            out_of_reach += 1
+            continue
+        except SolverError:
+            failed += 1
+            continue
+        seen.append(np.column_stack((path.position, path.velocity, path.mass)))
+        done.append(path.thrust)
+        times.append(path.duration)
+        spent.append(path.propellant)
+    return {
+        "observations": np.array(seen), "actions": np.array(done), "duration": np.array(times),
+        "propellant": np.array(spent), "out_of_reach": np.array(out_of_reach),
+        "failed": np.array(failed),
+    }  # fmt: skip
+
+
+def solve_all(tasks: list[Task], folder: Path, jobs: int, console: Console) -> list[Path]:
+    """Return the files of all shards; those that are there already are not solved again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{task.number:05d}-{DrawnStarts.key(task)}.npz" for task in tasks]
+    todo = [k for k, file in enumerate(files) if not file.exists()]
+    with Progress(console=console) as progress:
+        bar = progress.add_task("shards", total=len(tasks), completed=len(tasks) - len(todo))
+        for at, shard in outcomes(solve, [tasks[k] for k in todo], jobs):
+            write_whole(files[todo[at]], lambda part, shard=shard: _save(part, shard))
+            progress.advance(bar)
+    return files
+
+
+def _save(path: Path, shard: dict[str, Array]) -> None:
+    with path.open("wb") as file:
+        np.savez_compressed(file, **shard)
+
+
+def write_dataset(files: list[Path], folder: Path, task: Task, console: Console) -> dict[str, Any]:
+    """Write all shards as one data set; return its figures."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    figures = {"descents": 0, "out_of_reach": 0, "failed": 0}
+    spent, digest = [], hashlib.sha256()
+    storage = MinariStorage.new(
+        folder, Box(-np.inf, np.inf, (OBSERVED,), np.float64),
+        Box(-np.inf, np.inf, (COMMANDED,), np.float64), data_format="hdf5",
+    )  # fmt: skip
+    with Progress(console=console) as progress:
+        for file in progress.track(files, description="writing"):
+            shard = np.load(file, allow_pickle=False)
+            storage.update_episodes(_episodes(shard, figures["descents"], EpisodeBuffer))
+            figures["descents"] += len(shard["duration"])
+            figures["out_of_reach"] += int(shard["out_of_reach"])
+            figures["failed"] += int(shard["failed"])
+            spent.append(shard["propellant"])
+            digest.update(np.ascontiguousarray(shard["observations"]).tobytes())
+            digest.update(np.ascontiguousarray(shard["actions"]).tobytes())
+    kg = np.concatenate(spent)
+    figures |= {
+        "propellant_kg": [float(v) for v in np.percentile(kg, (5, 50, 95))],
+        "seed": task.seed, "intervals": task.intervals, "sha256": digest.hexdigest(),
+    }  # fmt: skip
+    storage.update_metadata(
+        {
+            "dataset_id": "lunarsim/optimal-descents-v0",
+            "algorithm_name": "lossless convexification, best final time",
+            "description": "Descents of least propellant of the default lander of lunarsim",
+            "author": {"lunarsim"}, "minari_version": minari.__version__,
+            "lunarsim_version": __version__,
+            "starts": json.dumps(asdict(DrawnStarts())), "figures": json.dumps(figures),
+        }
+    )  # fmt: skip
+    return figures
+
+
+def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
+    """Return the episodes of a shard, whose first has a number."""
+    out = []
+    for k, (seen, done) in enumerate(zip(shard["observations"], shard["actions"], strict=True)):
+        ends = np.arange(len(done)) == len(done) - 1
+        left = np.linspace(float(shard["duration"][k]), 0.0, len(seen))
+        out.append(
+            buffer(
+                id=first + k, observations=seen, actions=done, rewards=np.diff(seen[:, 6]),
+                terminations=ends, truncations=np.zeros(len(done), bool),
+                infos={"time_to_go": left},
+            )
+        )  # fmt: skip
+    return out
+
+
+@click.command()
+@click.option("--descents", type=click.IntRange(min=1), default=1000, show_default=True,
+              help="With an end in reach.")  # fmt: skip
+@click.option("--intervals", type=click.IntRange(8, 200), default=40, show_default=True,
+              help="Of constant thrust over mass in a descent.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
+              help="Folder of the shards, and of the data set in `data`.")  # fmt: skip
+def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None:
+    """Solve descents of least propellant and write them as a data set."""
+    console = Console(width=110, soft_wrap=True)
+    if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
+        raise click.UsageError("minari or h5py is missing: the extra `data` installs them")
+    data = out / "data"
+    if data.exists() and any(data.iterdir()):
+        raise click.UsageError(f"--out = '{out}': one without a data set: there is one in {data}")
+    whole, rest = divmod(descents, SHARD)
+    counts = [SHARD] * whole + [rest] * (rest > 0)
+    tasks = [Task(k, count, seed, intervals) for k, count in enumerate(counts)]
+    try:
+        files = solve_all(tasks, out / "shards", jobs, console)
+    except KeyboardInterrupt:
+        raise click.ClickException(
+            f"interrupted; shards that are done are kept in {out / 'shards'}: "
+            "the same command goes on"
+        ) from None
+    with filled_whole(data):
+        data.mkdir(parents=True, exist_ok=True)
+        figures = write_dataset(files, data, tasks[0], console)
+    write_text_whole(out / "figures.json", json.dumps(figures, indent=1) + "\n")
+    low, middle, high = figures["propellant_kg"]
+    console.print(
+        f"{figures['descents']} descents in {data}, propellant {middle:.1f} kg ({low:.1f} to "
+        f"{high:.1f}, 90 %); {figures['out_of_reach']} starts had no end in reach, the solver gave "
+        f"up on {figures['failed']}; sha256 {figures['sha256'][:16]}"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""The data set of optimal descents: read as others would, set against the equations of motion."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from dataclasses import replace
+
+import minari
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.scenario import Scenario
+
+
+@pytest.fixture
+def small(script, monkeypatch):
+    """Return the study with small shards."""
+    study = script("learning", "optimal_descents")
+    monkeypatch.setattr(study, "SHARD", 3)
+    return study
+
+
+def written(study, folder, *options):
+    done = CliRunner().invoke(study.main, ["--descents", "7", "--out", str(folder), *options])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def episodes(folder):
+    data = minari.MinariDataset(folder / "data")
+    return [data[k] for k in range(data.total_episodes)]
+
+
+def test_episodes_move_as_a_lander_that_burns(small, tmp_path):
+    output = written(small, tmp_path)
+    scenario = Scenario.from_dict({"name": "check"})
+    lander, gravity = scenario.vehicle.make(), scenario.gravity_m_s2
+    all_of_them = episodes(tmp_path)
+    assert len(all_of_them) == 7
+    assert "7 descents" in output
+    for one in all_of_them:
+        position, velocity, mass = np.split(one.observations, (3, 6), axis=1)
+        step = -np.diff(one.infos["time_to_go"])[:, None]
+        assert one.infos["time_to_go"][-1] == 0.0
+        moved = velocity[:-1] + step * (one.actions - [0.0, 0.0, gravity])
+        assert velocity[1:] == pytest.approx(moved, abs=1e-5)
+        assert position[1:] == pytest.approx(
+            position[:-1] + 0.5 * step * (velocity[:-1] + velocity[1:]), abs=1e-5
+        )
+        # It burns what it pushes with; at a switch of the thrust there may be a little more.
+        push = np.linalg.norm(one.actions, axis=1)
+        burnt = mass[:-1, 0] * -np.expm1(-push * step[:, 0] / lander.exhaust_velocity)
+        assert one.rewards == pytest.approx(np.diff(mass[:, 0]))
+        assert -one.rewards.sum() == pytest.approx(burnt.sum(), rel=0.01)
+        thrust = push * np.sqrt(mass[:-1, 0] * mass[1:, 0])
+        assert thrust.max() < 1.003 * lander.thrust_max
+        assert np.linalg.norm(one.observations[-1, :3]) < 1e-4
+        assert one.terminations.tolist() == [False] * 39 + [True]
+        assert not one.truncations.any()
+
+
+def test_same_seed_same_bits_in_any_number_of_processes_and_after_a_break(small, tmp_path):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    written(small, whole)
+    # Two of three shards are there already.
+    (broken / "shards").mkdir(parents=True)
+    for file in sorted((whole / "shards").iterdir())[:2]:
+        (broken / "shards" / file.name).write_bytes(file.read_bytes())
+    written(small, broken)
+    figures = [json.loads((f / "figures.json").read_text()) for f in (whole, broken)]
+    assert figures[0] == figures[1]
+    tasks = [small.Task(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
+    again = small.solve(tasks[1])
+    stored = np.load(sorted((whole / "shards").iterdir())[1])
+    assert np.array_equal(again["observations"], stored["observations"])
+    other = small.solve(replace(tasks[1], seed=2))
+    assert not np.array_equal(other["observations"], stored["observations"])
+    assert small.DrawnStarts.key(tasks[1]) != small.DrawnStarts.key(replace(tasks[1], intervals=30))
+
+
+def test_what_cannot_be_done_is_told(small, tmp_path, monkeypatch):
+    def refused(*options):
+        done = CliRunner().invoke(small.main, [*options])
+        assert done.exit_code == 2, done.output
+        return done.output
+
+    assert "--out" in refused("--descents", "5")
+    assert "'--descents'" in refused("--descents", "0", "--out", str(tmp_path))
+    assert "'--intervals'" in refused("--intervals", "3", "--out", str(tmp_path))
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "mine.txt").write_text("kept")
+    assert "there is one in" in refused("--out", str(tmp_path))
+    assert (tmp_path / "data" / "mine.txt").read_text() == "kept"
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert "the extra `data`" in refused("--out", str(tmp_path / "new"))
+    assert not (tmp_path / "new").exists()
+
+
+def test_an_interrupt_keeps_the_shards_that_are_done(small, tmp_path, monkeypatch):
+    solve, left = small.solve, [2]
+
+    def broken(task):
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        return solve(task)
+
+    monkeypatch.setattr(small, "solve", broken)
+    done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "the same command goes on" in done.output
+    assert len(list((tmp_path / "shards").iterdir())) == 2
+    assert not (tmp_path / "data").exists()
+    left[0] = 1
+    output = written(small, tmp_path)
+    assert "7 descents" in output
