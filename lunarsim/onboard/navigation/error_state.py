@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc
 from threadpoolctl import ThreadpoolController
@@ -20,6 +20,7 @@ from threadpoolctl import ThreadpoolController
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.doubt import inflate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
     INERTIAL,
@@ -152,40 +153,8 @@ class ErrorState:
         return name in self._blocks
 
     def inflate(self, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
-        """Multiply the variances of some errors (k,) by a factor, as far as no other tells of them.
-
-        An error is what the others make of it and a rest; the rest grows, all of it alike, so that
-        what these errors have to do with each other and with the others stays. Had they grown
-        whole, a measurement of how they differ from one that did not would tell them both: two
-        heights of 5 m that are known to be the same to 2 cm, one of them doubled, are told by the
-        next look at their difference to be nothing.
-
-        No standard deviation grows beyond `most` (k,).
-        """
-        at, p = np.asarray(columns), self.covariance
-        told = self._told_by_others(at)
-        own = p[np.ix_(at, at)]
-        rest = own - told
-        # Where rounding has eaten a variance all is refused; what is left is not spoilt besides.
-        variance = np.maximum(rest.diagonal(), 0.0)
-        room = np.square(most) - np.maximum(told.diagonal(), 0.0)
-        times = np.sqrt(np.clip(room / np.maximum(variance, 1e-300), 1.0, factor))
-        p[np.ix_(at, at)] = own + (np.outer(times, times) - 1.0) * rest
-
-    def _told_by_others(self, at: Index) -> Array:
-        """Return the covariance of what all other errors tell of some (k, k)."""
-        p = self.covariance
-        others = np.setdiff1d(np.arange(self.size), at)
-        unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
-        cross = p[np.ix_(at, others)] / unit
-        correlation = p[np.ix_(others, others)] / np.outer(unit, unit)
-        correlation.flat[:: len(others) + 1] += _SINGULAR
-        try:
-            found = cross @ cho_solve(cho_factor(correlation), cross.T)
-        except np.linalg.LinAlgError:
-            # No covariance any more: everything is refused from now on, whatever grows.
-            return np.zeros((len(at), len(at)))
-        return np.asarray(0.5 * (found + found.T))
+        """Multiply the variances of some errors (k,), see `doubt.inflate`."""
+        inflate(self.covariance, columns, factor, most)
 
     def let_go(self, columns: ArrayLike, sigma: ArrayLike) -> None:
         """Widen errors (k,) to standard deviations (k,) where they are less; correlations fade."""

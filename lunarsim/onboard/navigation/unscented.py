@@ -41,6 +41,7 @@ from lunarsim.messages.measurements import (
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
 from lunarsim.onboard.navigation.aids import WATCHED, gate_of, one_each
 from lunarsim.onboard.navigation.arrivals import Arrivals
+from lunarsim.onboard.navigation.doubt import inflate
 from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
@@ -435,22 +436,14 @@ class UnscentedFilter(Navigation):
             # There is no state for it: the next reading is believed again.
             self._turn *= growth
         elif verdict is Verdict.DRIFT:
-            self._inflate(np.arange(9)[ACCELEROMETER], _GROWTH[1], _MOST_BIAS)
+            inflate(self.kalman.P, np.arange(9)[ACCELEROMETER], _GROWTH[1], _MOST_BIAS)
         elif verdict is not Verdict.WELL and kind == "range":
-            self._inflate(np.array([2]), growth, _MOST_HEIGHT)
+            inflate(self.kalman.P, [2], growth, _MOST_HEIGHT)
         elif verdict is not Verdict.WELL:
-            self._inflate(_VELOCITY, growth, _MOST_SPEED)
+            inflate(self.kalman.P, _VELOCITY, growth, _MOST_SPEED)
         elif before and not watch.lost:
             name = "believed"
         if verdict is Verdict.DRIFT and watch.lost and not before:
             name = "lost"
         if name is not None and not (name == "lost" and before):
             self.events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))
-
-    def _inflate(self, at: NDArray[np.int64], factor: float, most: float) -> None:
-        """Multiply variances (k,) by a factor, no deviation beyond `most`; correlations stay."""
-        p = self.kalman.P
-        room = np.maximum(most / np.sqrt(p[at, at]), 1.0)
-        times = np.minimum(np.sqrt(factor), room)
-        p[at] *= times[:, None]
-        p[:, at] *= times

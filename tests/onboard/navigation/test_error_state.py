@@ -149,6 +149,9 @@ def test_errors_that_no_other_tells_of_grow_whole():
     state.inflate(own, 9.0, np.full(2, 1e3))
     assert state.covariance[15:, 15:] == pytest.approx(9.0 * before[15:, 15:])
     assert np.array_equal(state.covariance[:15], before[:15])
+    whole = state.covariance.copy()
+    state.inflate(np.arange(17), 2.0, np.full(17, 1e9))
+    assert state.covariance == pytest.approx(2.0 * whole)
 
 
 @pytest.mark.parametrize("doubted", [0, 1])
