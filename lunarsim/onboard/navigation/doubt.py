@@ -53,7 +53,7 @@ def _told_by_others(p: Array, at: Index) -> Array:
     correlation.flat[:: len(others) + 1] += _SINGULAR
     try:
         found = cross @ cho_solve(cho_factor(correlation), cross.T)
-    except np.linalg.LinAlgError:
-        # No covariance any more: everything is refused from now on, whatever grows.
+    except (np.linalg.LinAlgError, ValueError):
+        # Not positive or not finite: everything is refused from now on, whatever grows.
         return np.zeros((len(at), len(at)))
     return np.asarray(0.5 * (found + found.T))

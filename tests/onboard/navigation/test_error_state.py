@@ -242,6 +242,9 @@ def test_information_on_a_covariance_that_is_none_is_refused():
     assert (found.nis, found.taken) == (np.inf, False)
     state.inflate(POSE, 4.0, np.full(6, 10.0))
     assert np.isfinite(state.covariance).all()
+    state.p[3, 3] = np.nan
+    state.inflate(POSE, 4.0, np.full(6, 10.0))
+    assert np.isfinite(state.covariance[np.ix_(POSE, POSE)]).all()
 
 
 def test_information_is_judged_as_the_measurement_of_the_same():

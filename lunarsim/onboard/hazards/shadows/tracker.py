@@ -449,11 +449,12 @@ class RockTracker:
         """Let rocks that were seen once stand where detections (m,) show them now.
 
         A rock begins with a patch that is large enough, and the error that makes a patch large
-        moves its centre towards the Sun: by half a pixel on rendered cubes. Its next look was not
-        chosen so. Taken together, the two would pass for the lander's way.
+        moves its centre towards the Sun: by a third of a pixel on rendered cubes. Its next look was
+        not chosen so. Taken together, the two would pass for the lander's way.
         """
-        met = np.isfinite(self.filter.ground_points(camera, seen.pixel[d])).all(1)
-        rock, d = rock[met], d[met]
+        good = np.isfinite(self.filter.ground_points(camera, seen.pixel[d])).all(1)
+        good &= np.isfinite(variance[d]) & np.isfinite(seen.look_covariance[d]).all((1, 2))
+        rock, d = rock[good], d[good]
         self.filter.begin_anew(
             rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
         )

@@ -78,6 +78,20 @@ def test_a_rock_stands_where_its_second_look_shows_it():
             assert (np.diagonal(rocks.rock_covariance() - sigma, 0, 1, 2)[:, :2] < 0.0).all()
 
 
+def test_a_second_look_that_is_no_number_changes_nothing():
+    def broken(seen, k):
+        look = seen.look_covariance.copy()
+        if k == 1:
+            look[::2] = np.nan
+        return replace(seen, look_covariance=look)
+
+    (one, _), (other, found) = twice(broken)
+    assert np.isfinite(other.filter.covariance).all() and np.isfinite(other.filter.xyz).all()
+    # Half of the rocks are begun anew an image later.
+    assert other.filter.count == one.filter.count
+    assert found[-1].degrees < 0.6 * 2 * one.filter.count
+
+
 def test_whoever_was_seen_once_is_remembered_when_rocks_go():
     terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
     tracker = tracker_at((-30.0, 0.0, 60.0))
