@@ -39,6 +39,7 @@ FAR = np.array([300.0, 300.0, 15.0, 5.0, 15.0, 1500.0])
 NEAR = np.array([10.0, 10.0, 1.0, 0.5, 2.0, 1500.0])
 SCALE = np.array([1.0, 1.0, 1.0, 20.0])
 _BATCH = 4096
+_BEYOND = 0.01  # share of the range of what was shown by which its bounds are wider
 _LEAST_LEFT = 1.0  # states later than that are not shown, s: the law hands over before
 
 
@@ -153,21 +154,23 @@ def main(
     descents: Path, epochs: int, minutes: float, width: int, seed: int, out: Path, told: Path | None
 ) -> None:
     """Train a network on the shards of a folder."""
-    if importlib.util.find_spec("torch") is None:
-        raise click.UsageError("torch is missing: the extra `rl` installs it")
     console = Console(width=110, soft_wrap=True)
     files = sorted((descents / "shards").glob("*.npz"))
     if len(files) < 2:
         raise click.UsageError(
             f"DESCENTS = '{descents}': two shards at least, of optimal_descents.py; one is kept out"
         )
+    if importlib.util.find_spec("torch") is None:
+        raise click.UsageError("torch is missing: the extra `rl` installs it")
     out_of = max(len(files) // 20, 1)
     learnt, kept = Descents.load(files[:-out_of]), Descents.load(files[-out_of:])
     gravity = Scenario.from_dict({"name": "descents"}).gravity_m_s2
     layers = trained(learnt, gravity, minutes, epochs, width, seed, console)
     shown, _ = learnt.within(np.zeros(learnt.done.shape[:2]), gravity)
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    beyond = _BEYOND * (high - low)  # a start with full tanks is at an edge
     network = OptimalNetwork(
-        FAR, NEAR, shown.min(axis=0), shown.max(axis=0), SCALE,
+        FAR, NEAR, low - beyond, high + beyond, SCALE,
         tuple(w for w, _ in layers), tuple(b for _, b in layers), problem_figures(),
     )  # fmt: skip
     network.save(out)

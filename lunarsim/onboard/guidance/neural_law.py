@@ -4,7 +4,8 @@ What it was taught are descents of `lunarsim.optimal` under the limits of the de
 approach. Each cycle it tells thrust and time-to-go from where the lander will be once attitude and
 engine have answered. Where it is asked what it was not taught, or its answer breaks the limits of
 thrust or tilt, the Apollo law flies, and the network is asked again an interval later. The last
-seconds are flown by the Apollo polynomial: a network ends near the place, a polynomial at it.
+seconds are flown by E-guidance from where the network has led, as it holds nearly constant thrust to
+the end and asks for no thrust of its own there: a network ends near the place, a path at it.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
 from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
 from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduced
 from lunarsim.onboard.guidance.path_law import PathLaw
@@ -49,9 +51,9 @@ class NeuralOptimalLaw(PathLaw):
     Attributes
     ----------
     least_time_to_go
-        Below this time-to-go the polynomial's last path is flown out open loop, s.
+        Below this time-to-go the last path of E-guidance is flown out open loop, s.
     handover
-        Below this time-to-go the Apollo polynomial flies to the end, s.
+        Below this time-to-go E-guidance flies to the end, s.
     interval
         After which a network that was left is asked again, s.
     thrust_slack, tilt_slack
@@ -59,7 +61,7 @@ class NeuralOptimalLaw(PathLaw):
         and rad. Beyond, it is not feasible.
     """
 
-    handover: float = quantity(4.0, "s", gt=0, help="time-to-go below which a polynomial flies")
+    handover: float = quantity(4.0, "s", gt=0, help="time-to-go below which E-guidance flies")
     interval: float = quantity(1.0, "s", gt=0, le=60, help="until the network is asked again")
     thrust_slack: float = quantity(0.05, ge=0, le=1, help="of the greatest thrust, cut back")
     tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="over the greatest tilt, cut back")
@@ -98,9 +100,15 @@ class NeuralGuidance:
         self.asked = self.infeasible = 0
         self._field = briefing.field
         self._answering = Answering(lag)
-        self._apollo = PathGuidance(
-            APOLLO, self.gravity, answering=self._answering,
-            least_time_to_go=ApolloLaw().least_time_to_go, field=briefing.field,
+        self._apollo, self._last = (
+            PathGuidance(
+                shape, self.gravity, answering=self._answering,
+                least_time_to_go=least, field=briefing.field,
+            )
+            for shape, least in (
+                (APOLLO, ApolloLaw().least_time_to_go),
+                (EGuidanceLaw().shape, settings.least_time_to_go),
+            )
         )  # fmt: skip
         self._end: PhaseEnd | None = None
         self._next = -np.inf
@@ -126,7 +134,8 @@ class NeuralGuidance:
         if not self._ending and time >= self._next - 1e-9:
             push = self._told(estimate, end, time)
         if push is None:
-            return self._apollo.command(estimate, end, time, self.arrival - time)
+            law = self._last if self._ending else self._apollo
+            return law.command(estimate, end, time, self.arrival - time)
         moves = push - np.array([0.0, 0.0, self.gravity])
         self._answering.ask(moves)
         if self._field is None:
@@ -134,7 +143,7 @@ class NeuralGuidance:
         return np.asarray(moves - self._field.felt(estimate.position, estimate.velocity))
 
     def _told(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
-        """Return the network's thrust over mass (3,), m/s^2; None: the polynomial flies."""
+        """Return the network's thrust over mass (3,), m/s^2; None: a path flies."""
         if not self._taught(end):
             return self._fall_back(estimate, end, time, "another problem")
         position, velocity = self._answering.ahead(estimate)
