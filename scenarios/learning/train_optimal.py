@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from optimal_descents import problem_of
 from rich.console import Console
 
+from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
     INPUTS,
     OUTPUTS,
@@ -116,12 +117,21 @@ def trained(
 
 
 def judged(network: OptimalNetwork, kept: Descents, gravity: float) -> dict[str, Any]:
-    """Return errors on descents that were kept out."""
+    """Return errors on descents that were kept out, and what breaks the law's limits there."""
     shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
-    off = network(shown) - wanted * SCALE
+    told = network(shown)
+    off = told - wanted * SCALE
+    law, lander = NeuralOptimalLaw(), Scenario.from_dict({"name": "descents"}).vehicle.make()
+    force = np.linalg.norm(told[:, :3], axis=1) * shown[:, 5]
+    tilt = np.arctan2(np.hypot(told[:, 0], told[:, 1]), told[:, 2])
+    beyond = np.maximum(force - lander.thrust_max, lander.thrust_min - force)
+    broken = (beyond > law.thrust_slack * lander.thrust_max) | (
+        tilt > network.problem[5] + law.tilt_slack
+    )
     push = np.linalg.norm(off[:, :3], axis=1)
     return {
         "descents": len(kept.duration),
+        "infeasible": float(np.mean(broken | (told[:, 3] <= 0.0))),
         "thrust_m_s2": [float(v) for v in np.percentile(push, (50, 95))],
         "time_to_go_s": [float(v) for v in np.percentile(np.abs(off[:, 3]), (50, 95))],
     }

@@ -4,8 +4,8 @@ What it was taught are descents of `lunarsim.optimal` under the limits of the de
 approach. Each cycle it tells thrust and time-to-go from where the lander will be once attitude and
 engine have answered. Where it is asked what it was not taught, or its answer breaks the limits of
 thrust or tilt, the Apollo law flies, and the network is asked again an interval later. The last
-seconds are flown by E-guidance from where the network has led, as it holds nearly constant thrust to
-the end and asks for no thrust of its own there: a network ends near the place, a path at it.
+seconds are flown by E-guidance, whose thrust may be anything at the end, as an optimal descent's
+is: a network ends near the place, a path at it.
 """
 
 from __future__ import annotations
@@ -145,18 +145,21 @@ class NeuralGuidance:
     def _told(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
         """Return the network's thrust over mass (3,), m/s^2; None: a path flies."""
         if not self._taught(end):
-            return self._fall_back(estimate, end, time, "another problem")
+            self._fall_back(estimate, end, time, "another problem")
+            return None
         position, velocity = self._answering.ahead(estimate)
         shown, axes = reduced(position - end.position, velocity, estimate.mass)
         if not self.network.knows(shown):
-            return self._fall_back(estimate, end, time, "outside what it was taught")
+            self._fall_back(estimate, end, time, "outside what it was taught")
+            return None
         self.asked += 1
         told = self.network(shown)
         push = self._within_limits(axes.T @ told[:3], estimate.mass)
         left = float(told[3])
         if push is None or not left > 0.0:
             self.infeasible += 1
-            return self._fall_back(estimate, end, time, "infeasible")
+            self._fall_back(estimate, end, time, "infeasible")
+            return None
         if self._fallen:
             self.events.append((time, "guidance-planned", {}))
         self._fallen = False

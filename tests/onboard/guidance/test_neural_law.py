@@ -15,19 +15,41 @@ from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.neural_law import NeuralGuidance, NeuralOptimalLaw, shipped
 from lunarsim.onboard.guidance.optimal_network import SHIPPED, OptimalNetwork, reduced
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
-from tests.onboard.guidance.test_optimal_law import END, LANDER, MOON, R, V, estimate
-from tests.onboard.guidance.test_optimal_law import flown as flown_with
-from tests.optimal.cases import moon
+from tests.optimal.cases import MOON, moon
 
+LANDER = Lander()
+END = PhaseEnd(np.array([0.0, 0.0, 11.6]), np.array([0.0, 0.0, -2.0]))
+R, V = np.array([-600.0, 0.0, 500.0]), np.array([28.0, 0.0, -18.0])
 BRIEFING = SimpleNamespace(
     weight=MOON, field=None, lander=LANDER, software=SimpleNamespace(approach=Approach())
 )
 
 
-def flown(law=None, **given):
-    return flown_with(law or NeuralOptimalLaw(), briefing=BRIEFING, **given)
+def estimate(position=R, velocity=V, mass=1500.0, time=0.0) -> Estimate:
+    return Estimate(
+        time, np.asarray(position, float), np.asarray(velocity, float),
+        np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), mass, np.eye(9),
+    )  # fmt: skip
+
+
+def flown():
+    """Fly a point mass with commands held for 0.1 s; return its state and the law."""
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    r, v, mass, t = R.copy(), V.copy(), 1500.0, 0.0
+    while t < 80.0:
+        wanted = flight.command(estimate(r, v, mass, t), END, t, 34.0 - t)
+        wanted = wanted * min(1.0, LANDER.thrust_max / mass / np.linalg.norm(wanted))
+        step = min(0.1, flight.arrival - t)
+        if step <= 0.0:
+            break
+        a = wanted - [0.0, 0.0, MOON]
+        r, v = r + step * v + 0.5 * step**2 * a, v + step * a
+        mass *= np.exp(-step * float(np.linalg.norm(wanted)) / LANDER.exhaust_velocity)
+        t += step
+    return r, v, mass, flight
 
 
 def constant(push, left):
