@@ -129,6 +129,7 @@ CONTRACTS: dict[str, Contract] = {
                 "lunarsim.onboard.guidance.fractional:FractionalPolynomialLaw"
             ),
             "optimal": "lunarsim.onboard.guidance.optimal_law:OptimalLaw",
+            "neural-optimal": "lunarsim.onboard.guidance.neural_law:NeuralOptimalLaw",
         },
         ("build", "cost"),
     ),

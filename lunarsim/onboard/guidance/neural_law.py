@@ -1,0 +1,212 @@
+"""The law of least propellant as a network has learnt it: no solver on board.
+
+What it was taught are descents of `lunarsim.optimal` under the limits of the default lander and
+approach. Each cycle it tells thrust and time-to-go from where the lander will be once attitude and
+engine have answered. Where it is asked what it was not taught, or its answer breaks the limits of
+thrust or tilt, the Apollo law flies, and the network is asked again an interval later. The last
+seconds are flown by E-guidance, whose thrust may be anything at the end, as an optimal descent's
+is: a network ends near the place, a path at it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.apollo import ApolloLaw
+from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
+from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
+from lunarsim.onboard.guidance.following import Answering, PathGuidance
+from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduced
+from lunarsim.onboard.guidance.path_law import PathLaw
+from lunarsim.onboard.guidance.paths import APOLLO, PathShape
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
+
+_MOVED = 1.0  # of the end, m: a divert
+_SAME = 1e-3  # share by which figures of the problem may differ from those it was taught
+
+
+@cache
+def shipped() -> OptimalNetwork:
+    """Return the network that comes along."""
+    return OptimalNetwork.load()
+
+
+@dataclass(frozen=True)
+class NeuralOptimalLaw(PathLaw):
+    """Least propellant as a network tells it; the Apollo law where it cannot.
+
+    What it costs to reach a site is told by the paths of the Apollo law, which it falls back to.
+
+    Attributes
+    ----------
+    least_time_to_go
+        Below this time-to-go the last path of E-guidance is flown out open loop, s.
+    handover
+        Below this time-to-go E-guidance flies to the end, s.
+    interval
+        After which a network that was left is asked again, s.
+    thrust_slack, tilt_slack
+        By how much its answer may break the limits and be cut back: a share of the greatest thrust,
+        and rad. Beyond, it is not feasible.
+    """
+
+    handover: float = quantity(4.0, "s", gt=0, help="time-to-go below which E-guidance flies")
+    interval: float = quantity(1.0, "s", gt=0, le=60, help="until the network is asked again")
+    thrust_slack: float = quantity(0.05, ge=0, le=1, help="of the greatest thrust, cut back")
+    tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="over the greatest tilt, cut back")
+
+    @property
+    def shape(self) -> PathShape:
+        """Of the paths that reach is told by."""
+        return APOLLO
+
+    def build(self, briefing: Briefing, lag: float) -> NeuralGuidance:  # type: ignore[override]
+        """Return the law of one flight."""
+        return NeuralGuidance(self, briefing, lag, shipped())
+
+
+class NeuralGuidance:
+    """The law in flight; see `NeuralOptimalLaw`.
+
+    Attributes
+    ----------
+    arrival
+        When it means to be at the end, s; None before the first command.
+    events
+        What happened: time (s), name ("guidance-fallback", "guidance-planned"), details.
+    asked, infeasible
+        How often the network was asked, and answered with what breaks the limits.
+    """
+
+    def __init__(
+        self, settings: NeuralOptimalLaw, briefing: Briefing, lag: float, network: OptimalNetwork
+    ) -> None:
+        self.settings, self.network = settings, network
+        self.lander, self.gravity = briefing.lander, briefing.weight
+        self.limits = briefing.software.approach.limits
+        self.arrival: float | None = None
+        self.events: list[tuple[float, str, dict[str, Any]]] = []
+        self.asked = self.infeasible = 0
+        self._field = briefing.field
+        self._answering = Answering(lag)
+        self._apollo, self._last = (
+            PathGuidance(
+                shape, self.gravity, answering=self._answering,
+                least_time_to_go=least, field=briefing.field,
+            )
+            for shape, least in (
+                (APOLLO, ApolloLaw().least_time_to_go),
+                (EGuidanceLaw().shape, settings.least_time_to_go),
+            )
+        )  # fmt: skip
+        self._end: PhaseEnd | None = None
+        self._next = -np.inf
+        self._fallen = self._ending = False
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        Raises
+        ------
+        InputError
+            If the estimate, the end or the time-to-go is not finite.
+        """
+        refuse_unknown(estimate, end)
+        if not np.isfinite(time_to_go):
+            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+        self._answering.follow(time)
+        if self._end is None or _apart(self._end, end) > _MOVED:
+            self._end, self._next, self._ending = end, -np.inf, False
+            self.arrival = time + time_to_go
+        assert self.arrival is not None
+        push = None
+        if not self._ending and time >= self._next - 1e-9:
+            push = self._told(estimate, end, time)
+        if push is None:
+            law = self._last if self._ending else self._apollo
+            return law.command(estimate, end, time, self.arrival - time)
+        moves = push - np.array([0.0, 0.0, self.gravity])
+        self._answering.ask(moves)
+        if self._field is None:
+            return push
+        return np.asarray(moves - self._field.felt(estimate.position, estimate.velocity))
+
+    def _told(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
+        """Return the network's thrust over mass (3,), m/s^2; None: a path flies."""
+        if not self._taught(end):
+            self._fall_back(estimate, end, time, "another problem")
+            return None
+        position, velocity = self._answering.ahead(estimate)
+        shown, axes = reduced(position - end.position, velocity, estimate.mass)
+        if not self.network.knows(shown):
+            self._fall_back(estimate, end, time, "outside what it was taught")
+            return None
+        self.asked += 1
+        told = self.network(shown)
+        push = self._within_limits(axes.T @ told[:3], estimate.mass)
+        left = float(told[3])
+        if push is None or not left > 0.0:
+            self.infeasible += 1
+            self._fall_back(estimate, end, time, "infeasible")
+            return None
+        if self._fallen:
+            self.events.append((time, "guidance-planned", {}))
+        self._fallen = False
+        # The lag is made up for by commanding that much ahead, and the end comes the sooner.
+        self.arrival = time + self._answering.lead + left
+        self._ending = left < self.settings.handover
+        return None if self._ending else push
+
+    def _taught(self, end: PhaseEnd) -> bool:
+        """Tell whether this is the problem that the network was taught."""
+        lander, limits = self.lander, self.limits
+        margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+        mine = np.array(
+            [
+                self.gravity, lander.thrust_min + margin, lander.thrust_max - margin,
+                lander.exhaust_velocity, -end.velocity[2], limits.max_tilt, limits.glideslope,
+            ]
+        )  # fmt: skip
+        level = float(np.hypot(end.velocity[0], end.velocity[1])) < 1e-6
+        return level and np.allclose(mine, self.network.problem, rtol=_SAME, atol=1e-9)
+
+    def _within_limits(self, push: Array, mass: float) -> Array | None:
+        """Return a thrust over mass cut back to the limits; None where it breaks them by more."""
+        lander, slack = self.lander, self.settings.thrust_slack * self.lander.thrust_max
+        force = float(np.linalg.norm(push)) * mass
+        tilt = float(np.arctan2(np.hypot(push[0], push[1]), push[2]))
+        if not lander.thrust_min - slack <= force <= lander.thrust_max + slack:
+            return None
+        if not tilt <= self.limits.max_tilt + self.settings.tilt_slack:
+            return None
+        if tilt > self.limits.max_tilt:
+            aside = force / mass * np.sin(self.limits.max_tilt) / np.hypot(push[0], push[1])
+            push = np.array([*(aside * push[:2]), force / mass * np.cos(self.limits.max_tilt)])
+        wanted = min(max(force, lander.thrust_min), lander.thrust_max)
+        return np.asarray(push * (wanted / force))
+
+    def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, why: str) -> None:
+        """Let the Apollo law fly on, with its own time-to-go where it has an admissible one."""
+        self._next = time + self.settings.interval
+        if not self._fallen:
+            self.events.append((time, "guidance-fallback", {"reason": why}))
+            one = replace(end, position=end.position[None, :])
+            cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
+            if np.isfinite(cost.time_to_go[0]):
+                self.arrival = time + float(cost.time_to_go[0])
+        self._fallen = True
+
+
+def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
+    return float(np.hypot(*(a.position[:2] - b.position[:2])))

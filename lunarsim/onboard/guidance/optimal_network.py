@@ -1,0 +1,162 @@
+"""A network that tells thrust and time-to-go of descents of least propellant: NumPy, no pickle."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.whole_arrays import write_arrays_whole
+
+Array = NDArray[np.float64]
+
+SHIPPED = Path(__file__).parent / "trained" / "optimal.npz"
+INPUTS, OUTPUTS = 6, 4  # numbers that it is shown, and that it tells
+_FORMAT = "lunarsim optimal network 1"
+_LARGEST = 1_000_000  # of a file, bytes
+_PROBLEM = 7  # figures of the problem, see `OptimalNetwork.problem`
+
+
+def reduced(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
+    """Return what a network is shown, and the axes in which it tells the thrust.
+
+    A descent turned about the vertical through its end, or mirrored, is a descent: the first axis
+    points from the end to the lander over ground, the second to where it moves across that.
+
+    Parameters
+    ----------
+    gap, velocity
+        From the end to the lander, and over the ground (..., 3), ENU, m and m/s.
+    mass
+        (...), kg.
+
+    Returns
+    -------
+    shown
+        Distance over ground, height, speed along the first axis, across, upward (m and m/s), mass
+        (..., 6).
+    axes
+        In rows (..., 3, 3), ENU.
+    """
+    gap, velocity = np.asarray(gap, np.float64), np.asarray(velocity, np.float64)
+    aside = np.hypot(gap[..., 0], gap[..., 1])
+    near = aside < 1e-9
+    along = np.where(near[..., None], [1.0, 0.0], gap[..., :2] / np.maximum(aside, 1e-9)[..., None])
+    across = np.stack((-along[..., 1], along[..., 0]), axis=-1)
+    side = np.sum(across * velocity[..., :2], axis=-1)
+    across = across * np.where(side < 0.0, -1.0, 1.0)[..., None]
+    shown = np.stack(
+        (
+            aside, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1), np.abs(side),
+            velocity[..., 2], np.broadcast_to(np.asarray(mass, np.float64), aside.shape),
+        ),
+        axis=-1,
+    )  # fmt: skip
+    axes = np.zeros((*aside.shape, 3, 3))
+    axes[..., 0, :2], axes[..., 1, :2], axes[..., 2, 2] = along, across, 1.0
+    return shown, axes
+
+
+@dataclass(frozen=True)
+class OptimalNetwork:
+    """Layers of tanh on two scales of each number shown.
+
+    Attributes
+    ----------
+    far, near
+        The first layer is shown every number over `far`, and the inverse hyperbolic sine of it over
+        `near` (6,).
+    low, high
+        Bounds of what it was trained on (6,); see `reduced`.
+    scale
+        Of the outputs (4,): thrust over mass in the axes of `reduced`, m/s^2, and time-to-go, s.
+    weights, biases
+        Of the layers (m, n) and (m,).
+    problem
+        What it was trained for (7,): gravity (m/s^2), least and greatest thrust (N), exhaust
+        velocity and speed of sinking at the end (m/s), greatest tilt and glideslope (rad).
+    """
+
+    far: Array
+    near: Array
+    low: Array
+    high: Array
+    scale: Array
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    problem: Array
+
+    def knows(self, shown: Array) -> bool:
+        """Tell whether it was trained where it is asked (6,)."""
+        return bool(np.all(shown >= self.low) and np.all(shown <= self.high))
+
+    def __call__(self, shown: Array) -> Array:
+        """Return thrust over mass in the axes of `reduced` and time-to-go (..., 4)."""
+        layer = np.concatenate((shown / self.far, np.arcsinh(shown / self.near)), axis=-1)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            layer = np.tanh(layer @ weight.T + bias)
+        return np.asarray((layer @ self.weights[-1].T + self.biases[-1]) * self.scale)
+
+    def save(self, path: Path) -> None:
+        """Write it as ``.npz``, weights in single precision."""
+        held: dict[str, Any] = {f"weight_{i}": np.float32(w) for i, w in enumerate(self.weights)}
+        held |= {f"bias_{i}": np.float32(b) for i, b in enumerate(self.biases)}
+        for name in ("far", "near", "low", "high", "scale", "problem"):
+            held[name] = getattr(self, name)
+        write_arrays_whole(path, held | {"format": _FORMAT})
+
+    @classmethod
+    def load(cls, path: Path = SHIPPED) -> OptimalNetwork:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, larger than 1 MB or something else, or its layers do not fit.
+        """
+        try:
+            if path.stat().st_size > _LARGEST:
+                raise ValueError("more than 1 MB")
+            with np.load(path, allow_pickle=False) as found:
+                held = {name: found[name] for name in found.files}
+            if str(held.pop("format")) != _FORMAT:
+                raise ValueError("its format is another")
+            layers = sum(name.startswith("weight_") for name in held)
+            wide = {name: np.asarray(array, np.float64) for name, array in held.items()}
+            network = cls(
+                **{n: wide[n] for n in ("far", "near", "low", "high", "scale", "problem")},
+                weights=tuple(wide[f"weight_{i}"] for i in range(layers)),
+                biases=tuple(wide[f"bias_{i}"] for i in range(layers)),
+            )
+            network._check()
+        except (
+            OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile, EOFError, AttributeError,
+        ) as error:  # fmt: skip
+            raise InputError(
+                "guidance.weights", str(path),
+                f"a network written by scenarios/learning/train_optimal.py ({error})",
+            ) from None  # fmt: skip
+        return network
+
+    def _check(self) -> None:
+        """Refuse layers that do not fit on each other, or are not finite."""
+        told = (self.far, self.near, self.low, self.high)
+        if any(a.shape != (INPUTS,) for a in told) or not self.weights:
+            raise ValueError("layers or scales are missing")
+        if self.scale.shape != (OUTPUTS,) or self.problem.shape != (_PROBLEM,):
+            raise ValueError("outputs or the problem are of another shape")
+        width = 2 * INPUTS
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            if bias.ndim != 1 or weight.shape != (len(bias), width):
+                raise ValueError(f"a layer of shape {weight.shape} on {width} numbers")
+            width = len(bias)
+        if width != OUTPUTS:
+            raise ValueError(f"{width} outputs")
+        arrays = (*told, self.scale, self.problem, *self.weights, *self.biases)
+        if not all(np.isfinite(a).all() for a in arrays):
+            raise ValueError("numbers that are not finite")

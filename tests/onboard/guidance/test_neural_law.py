@@ -1,0 +1,194 @@
+"""The law that a network was taught: what it spends, when it falls back, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.apollo import ApolloLaw
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
+from lunarsim.onboard.guidance.neural_law import NeuralGuidance, NeuralOptimalLaw, shipped
+from lunarsim.onboard.guidance.optimal_network import SHIPPED, OptimalNetwork, reduced
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.planner import Planner
+from tests.optimal.cases import MOON, moon
+
+LANDER = Lander()
+END = PhaseEnd(np.array([0.0, 0.0, 11.6]), np.array([0.0, 0.0, -2.0]))
+R, V = np.array([-600.0, 0.0, 500.0]), np.array([28.0, 0.0, -18.0])
+BRIEFING = SimpleNamespace(
+    weight=MOON, field=None, lander=LANDER, software=SimpleNamespace(approach=Approach())
+)
+
+
+def estimate(position=R, velocity=V, mass=1500.0, time=0.0) -> Estimate:
+    return Estimate(
+        time, np.asarray(position, float), np.asarray(velocity, float),
+        np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), mass, np.eye(9),
+    )  # fmt: skip
+
+
+def flown():
+    """Fly a point mass with commands held for 0.1 s; return its state and the law."""
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    r, v, mass, t = R.copy(), V.copy(), 1500.0, 0.0
+    while t < 80.0:
+        wanted = flight.command(estimate(r, v, mass, t), END, t, 34.0 - t)
+        wanted = wanted * min(1.0, LANDER.thrust_max / mass / np.linalg.norm(wanted))
+        step = min(0.1, flight.arrival - t)
+        if step <= 0.0:
+            break
+        a = wanted - [0.0, 0.0, MOON]
+        r, v = r + step * v + 0.5 * step**2 * a, v + step * a
+        mass *= np.exp(-step * float(np.linalg.norm(wanted)) / LANDER.exhaust_velocity)
+        t += step
+    return r, v, mass, flight
+
+
+def constant(push, left):
+    """Return the shipped network with an answer that does not depend on what it is shown."""
+    net = shipped()
+    last = np.array([*push, left]) / net.scale
+    return replace(
+        net, weights=(*net.weights[:-1], 0.0 * net.weights[-1]), biases=(*net.biases[:-1], last)
+    )
+
+
+def test_it_spends_little_over_the_optimum_and_ends_where_it_should():
+    r, v, mass, flight = flown()
+    lander = Lander()
+    margin = Approach().throttle_margin * (lander.thrust_max - lander.thrust_min)
+    best = least_propellant(
+        Planner(40),
+        moon(thrust_min=lander.thrust_min + margin, thrust_max=lander.thrust_max - margin),
+    ).propellant
+    assert np.linalg.norm(r - END.position) < 1.0
+    assert np.linalg.norm(v - END.velocity) < 0.5
+    assert 0.97 * best < 1500.0 - mass < 1.05 * best
+    assert flight.events == []
+    assert flight.infeasible == 0 < flight.asked
+    assert isinstance(flight, PlansArrival)
+
+
+def test_a_descent_turned_or_mirrored_is_flown_alike():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        gap, velocity = rng.normal(0.0, 100.0, 3), rng.normal(0.0, 10.0, 3)
+        shown, axes = reduced(gap, velocity, 1400.0)
+        c, s = np.cos(a := rng.uniform(0.0, 6.0)), np.sin(a)
+        turn = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]])  # and mirrored
+        again, turned = reduced(turn @ gap, turn @ velocity, 1400.0)
+        assert np.allclose(shown, again)
+        assert np.allclose(turned, axes @ turn.T)
+        assert np.allclose(axes @ gap, [shown[0], 0.0, shown[1]], atol=1e-9)
+        assert np.allclose(axes @ velocity, shown[2:5])
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"weight": 3.71}, "another problem"),
+        ({"lander": Lander(thrust_max=9000.0)}, "another problem"),
+        ({"software": SimpleNamespace(approach=Approach(max_tilt=0.9))}, "another problem"),
+    ],
+)
+def test_another_problem_than_it_was_taught_is_flown_by_apollo(change, why):
+    told = SimpleNamespace(**{**vars(BRIEFING), **change})
+    flight, apollo = NeuralOptimalLaw().build(told, 0.0), ApolloLaw().build(told, 0.0)
+    got = flight.command(estimate(), END, 0.0, 34.0)
+    assert np.array_equal(got, apollo.command(estimate(), END, 0.0, flight.arrival))
+    assert flight.events == [(0.0, "guidance-fallback", {"reason": why})]
+    assert flight.asked == 0
+
+
+def test_outside_of_what_it_was_taught_apollo_flies_until_it_is_within():
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    flight.command(estimate(velocity=V - [0.0, 0.0, 60.0]), END, 0.0, 30.0)
+    flight.command(estimate(time=0.5), END, 0.5, 29.5)  # not asked before an interval is over
+    assert flight.asked == 0
+    flight.command(estimate(time=1.0), END, 1.0, 29.0)
+    assert [(t, name) for t, name, _ in flight.events] == [
+        (0.0, "guidance-fallback"), (1.0, "guidance-planned"),
+    ]  # fmt: skip
+    assert flight.asked == 1
+
+
+@pytest.mark.parametrize(
+    ("push", "left"), [((0.0, 0.0, 6.0), 20.0), ((0.0, 0.0, 0.1), 20.0), ((3.0, 0.0, 2.0), 20.0),
+                       ((0.0, 0.0, -2.0), 20.0), ((0.0, 0.0, 2.0), -1.0)],
+)  # fmt: skip
+def test_an_answer_that_breaks_the_limits_is_counted_and_not_flown(push, left):
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant(push, left))
+    flight.command(estimate(), END, 0.0, 34.0)
+    assert (flight.asked, flight.infeasible) == (1, 1)
+    assert flight.events == [(0.0, "guidance-fallback", {"reason": "infeasible"})]
+
+
+def test_an_answer_that_breaks_them_by_little_is_cut_back():
+    most, tilt = LANDER.thrust_max, Approach().max_tilt
+    lean = tilt + np.deg2rad(2.0)
+    size = 1.03 * most / 1500.0
+    network = constant((size * np.sin(lean), 0.0, size * np.cos(lean)), 20.0)
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, network)
+    got = flight.command(estimate(), END, 0.0, 34.0)
+    assert np.linalg.norm(got) * 1500.0 == pytest.approx(most)
+    assert np.arccos(got[2] / np.linalg.norm(got)) == pytest.approx(tilt)
+    assert flight.infeasible == 0
+
+
+def test_what_is_no_number_is_refused():
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    with pytest.raises(InputError, match="estimate"):
+        flight.command(estimate(R * np.nan), END, 0.0, 34.0)
+    with pytest.raises(InputError, match="time_to_go"):
+        flight.command(estimate(), END, 0.0, np.inf)
+    with pytest.raises(InputError, match="estimate"):
+        flight.command(estimate(), PhaseEnd(END.position, END.velocity * np.nan), 0.0, 34.0)
+
+
+def test_weights_come_back_and_are_small(tmp_path):
+    network = shipped()
+    network.save(tmp_path / "a.npz")
+    again = OptimalNetwork.load(tmp_path / "a.npz")
+    shown, _ = reduced(R - END.position, V, 1500.0)
+    assert np.array_equal(network(shown), again(shown))
+    assert SHIPPED.stat().st_size < 1_000_000
+
+
+def broken(**changes):
+    with np.load(SHIPPED, allow_pickle=False) as found:
+        return {**{n: found[n] for n in found.files}, **changes}
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"format": "lunarsim optimal network 0"}, "format"),
+        ({"weight_1": np.zeros((3, 5))}, "a layer of shape"),
+        ({"bias_0": np.full(96, np.nan)}, "not finite"),
+        ({"scale": np.ones(3)}, "another shape"),
+        ({"far": np.ones(5)}, "missing"),
+        ({"more": np.random.default_rng(1).random(200_000)}, "more than 1 MB"),
+        ({"low": np.array([None])}, "pickle"),
+    ],
+)
+def test_weights_of_another_kind_are_refused(tmp_path, changes, told):
+    path = tmp_path / "b.npz"
+    np.savez(path, allow_pickle=True, **broken(**changes))
+    with pytest.raises(InputError, match=told):
+        OptimalNetwork.load(path)
+
+
+def test_no_file_or_no_network_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"none\.npz"):
+        OptimalNetwork.load(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("no weights")
+    with pytest.raises(InputError, match=r"train_optimal\.py"):
+        OptimalNetwork.load(tmp_path / "text.npz")

@@ -1,0 +1,65 @@
+"""Distilling descents of least propellant into a network."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.onboard.guidance.optimal_network import OptimalNetwork
+
+
+@pytest.fixture
+def study(script):
+    return script("learning", "train_optimal")
+
+
+@pytest.fixture
+def shards(script, tmp_path):
+    """Write two shards of three descents."""
+    descents = script("learning", "optimal_descents")
+    folder = tmp_path / "set" / "shards"
+    folder.mkdir(parents=True)
+    for k in range(2):
+        np.savez(folder / f"{k}.npz", **descents.solve(descents.Task(k, 3, 5, 12)))
+    return tmp_path / "set"
+
+
+def test_states_between_nodes_lie_on_the_descent(study, shards):
+    descents = study.Descents.load(sorted((shards / "shards").glob("*.npz")))
+    gravity = study.problem_figures()[0]
+    start, wanted = descents.within(np.zeros(descents.done.shape[:2]), gravity)
+    end, _ = descents.within(np.full(descents.done.shape[:2], 1.0 - 1e-9), gravity)
+    first = descents.seen[0]
+    assert start[0, 0] == pytest.approx(np.hypot(*first[0, :2]))
+    assert end[0, 0] == pytest.approx(np.hypot(*first[1, :2]), rel=1e-6)
+    assert end[0, [1, 4, 5]] == pytest.approx(first[1, [2, 5, 6]], rel=1e-6)
+    assert np.linalg.norm(wanted[0, :3]) == pytest.approx(np.linalg.norm(descents.done[0, 0]))
+    assert wanted[0, 3] * 20.0 == pytest.approx(descents.duration[0])
+
+
+def test_a_missing_extra_and_too_few_shards_are_told(study, shards, tmp_path, monkeypatch):
+    done = CliRunner().invoke(study.main, [str(tmp_path), "--out", str(tmp_path / "w.npz")])
+    assert done.exit_code == 2
+    assert "two shards" in done.output
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    done = CliRunner().invoke(study.main, [str(shards), "--out", str(tmp_path / "w.npz")])
+    assert done.exit_code == 2
+    assert "the extra `rl` installs it" in done.output
+    assert not (tmp_path / "w.npz").exists()
+
+
+def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
+    pytest.importorskip("torch")
+    nets = []
+    for name in ("a", "b"):
+        path = tmp_path / f"{name}.npz"
+        given = [str(shards), "--epochs", "2", "--width", "8", "--out", str(path)]
+        done = CliRunner().invoke(study.main, given)
+        assert done.exit_code == 0, done.output
+        nets.append(OptimalNetwork.load(path))
+    for a, b in zip(nets[0].weights, nets[1].weights, strict=True):
+        assert np.array_equal(a, b)
+    assert np.array_equal(nets[0].problem, study.problem_figures())
