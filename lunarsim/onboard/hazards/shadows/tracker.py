@@ -224,17 +224,7 @@ class RockTracker:
             If time runs backwards.
         """
         s = self.settings
-        if not time >= (-np.inf if self._time is None else self._time):
-            raise InputError(
-                "picture.time", time, f"at least {self._time} s: time does not run backwards"
-            )
-        if self._time is not None:
-            self.filter.widen(s.radius_wander, time - self._time)
-        self._time = time
-        self.filter.turn(
-            sun, *s.view_wander,
-            closing=s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
-        )  # fmt: skip
+        self._pass_time(camera, sun, time)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
         points = self.filter.ground_points(camera, seen.pixel)
         self._split(seen, points, camera, radius_variance)
@@ -281,6 +271,21 @@ class RockTracker:
         small = self.filter.radius < _SHRUNK * s.least_radius
         self._drop(np.flatnonzero(small | (self.existence < _GONE)))
         return found
+
+    def _pass_time(self, camera: CameraModel, sun: Array, time: float) -> None:
+        """Let rocks wander since the last image."""
+        s = self.settings
+        if not time >= (-np.inf if self._time is None else self._time):
+            raise InputError(
+                "picture.time", time, f"at least {self._time} s: time does not run backwards"
+            )
+        if self._time is not None:
+            self.filter.widen(s.radius_wander, time - self._time)
+        self._time = time
+        self.filter.turn(
+            sun, *s.view_wander,
+            closing=s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
+        )  # fmt: skip
 
     def large_rocks(self, diameter: float, grid: Grid) -> int:
         """Return how many rocks on a grid are likelier than not to be there and so large (m)."""
