@@ -66,6 +66,21 @@ def _fixed() -> float:
     return clarabel
 
 
+def _network(clarabel: float) -> None:
+    """Print what an answer of the network takes that was taught such descents."""
+    from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduced
+
+    network, here = OptimalNetwork.load(), _descent()
+    many = 200
+
+    def answer() -> None:
+        for _ in range(many):
+            network(reduced(here.gap, here.velocity, here.mass)[0])
+
+    took = median_ms(answer, 7) / many
+    print(f"    network of `neural-optimal`     {took:7.3f} ms  {took / clarabel:6.4f} of it")
+
+
 def _free(clarabel: float) -> None:
     """Print searches of the best final time: from a solution a second ago, and from nothing."""
     from lunarsim.optimal.final_time import least_propellant
@@ -138,6 +153,7 @@ def optimal() -> None:
     from lunarsim.optimal.planner import Planner
 
     clarabel = _fixed()
+    _network(clarabel)
     _free(clarabel)
     path = least_propellant(Planner(40), _descent())
     began = time.perf_counter()
