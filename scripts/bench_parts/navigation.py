@@ -27,21 +27,28 @@ def navigation() -> None:
     plain = Scenario.load(SCENARIOS / "instruments.toml")
     for name, changes in cases.items():
         print(f"  {name}: {_share(Simulation, plain.changed(**changes)):.3f} of real time")
-    eyes = Scenario.load(SCENARIOS / "two_eyes.toml").changed(
-        terrain={"rms_slope_deg": 1.5},
-        sensors={"flash": {"rows": 128, "cols": 128, "half_width": 0.1}},
-        start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
-        tasking={"flash": {"kind": "periodic", "rate_hz": 10.0}, "camera": {"rate_hz": 10.0}},
-        prior_map={"posting_m": 0.5, "size_m": 100.0},
-        mappers={"dem": None, "rocks": {"size_m": 60.0}}, decisions={"map": "rocks"},
-    )  # fmt: skip
-    share = _share(Simulation, eyes)
+    share = _share(Simulation, two_eyes())
     print(f"  camera and flashes at 10 Hz, rocks, prior map: {share:.3f} of real time, "
           "without what finds rocks in pictures")  # fmt: skip
     near = {"position_m": [-100.0, -100.0, 180.0], "velocity_m_s": [7.8, 7.8, -9.0]}
     rocks = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(start=near)
     print(f"  camera, rocks by their shadows: {_share(Simulation, rocks):.3f} of real time, "
           "without what finds them in pictures")  # fmt: skip
+
+
+def two_eyes():
+    """Return the flight with camera and flashes at 10 Hz and a prior map."""
+    from lunarsim.scenario import Scenario
+
+    return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
+        terrain={"rms_slope_deg": 1.5},
+        sensors={"flash": {"rows": 128, "cols": 128, "half_width": 0.1}},
+        start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
+        tasking={"flash": {"kind": "periodic", "rate_hz": 10.0}, "camera": {"rate_hz": 10.0}},
+        prior_map={"posting_m": 0.5, "size_m": 100.0},
+        mappers={"dem": None, "fused": None, "rocks": {"size_m": 60.0}},
+        decisions={"map": "rocks"},
+    )  # fmt: skip
 
 
 def _share(simulate, scenario, seconds: float = 15.0) -> float:
