@@ -61,7 +61,7 @@ class NeuralOptimalLaw(PathLaw):
         and rad. Beyond, it is not feasible.
     """
 
-    handover: float = quantity(4.0, "s", gt=0, help="time-to-go below which E-guidance flies")
+    handover: float = quantity(3.0, "s", gt=0, help="time-to-go below which E-guidance flies")
     interval: float = quantity(1.0, "s", gt=0, le=60, help="until the network is asked again")
     thrust_slack: float = quantity(0.05, ge=0, le=1, help="of the greatest thrust, cut back")
     tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="over the greatest tilt, cut back")
