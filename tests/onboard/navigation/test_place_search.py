@@ -237,6 +237,32 @@ def test_the_right_place_outside_what_is_looked_at_is_not_forgotten():
     assert match.certainty < 0.99999 or np.abs(match.shift - SHIFT).max() < 1.0
 
 
+def test_places_that_are_not_looked_at_keep_their_share_of_what_was_known():
+    rng = np.random.default_rng(5)
+    prior = small_map(rng, np.zeros((70, 70)), sigma=0.1)
+    search = PlaceSearch(MapFeatures(prior))
+    search.add(points_of(np.zeros((70, 70)), (20, 50), (20, 50)))
+    # A search looks at 1,000 places to either side: here at some half of what was known.
+    covariance = np.diag([3.0**2, 1600.0**2])
+    search.search(0.0, np.zeros(2), covariance)
+    match = search.search(2.0, np.zeros(2), covariance)
+    found, origin = search.evidence
+    unit = search.spacing
+    # All places that there are, those off the search without evidence for or against them.
+    rows = np.arange(-int(9600.0 / unit), int(9600.0 / unit) + 1)
+    cols = np.arange(-int(30.0 / unit), int(30.0 / unit) + 1)
+    log = np.zeros((len(rows), len(cols)))
+    at = np.subtract(origin, (rows[0], cols[0]))
+    log[at[0] : at[0] + found.shape[0], at[1] : at[1] + found.shape[1]] += found
+    log -= 0.5 * ((unit * rows[:, None] / 1600.0) ** 2 + (unit * cols / 3.0) ** 2)
+    p = np.exp(log - log.max())
+    p /= p.sum()
+    r, c = np.unravel_index(np.argmax(p), p.shape)
+    near = np.hypot(rows[:, None] - rows[r], cols - cols[c]) * unit <= 1.5 * POSTING + 1e-9
+    assert len(found) * unit < 0.7 * 2.0 * 1600.0
+    assert match.certainty == pytest.approx(p[near].sum(), rel=1e-6)
+
+
 def test_level_ground_is_not_found_but_its_height_is():
     rng = np.random.default_rng(4)
     prior = small_map(rng, np.zeros((90, 90)), sigma=0.1)
