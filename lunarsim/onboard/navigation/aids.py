@@ -49,6 +49,8 @@ WATCHED = {
     "attitude": WatchSettings(patience=None, drift_s=8.0, drift_patience=0),
     # A part of a map may be out of date, and is then refused for as long as it is looked at.
     "map": WatchSettings(least=10, most_refused=0.8, drift_s=8.0),
+    # Fits that are well, but elsewhere: once the scanner may be what errs, twice it cannot be told.
+    "fits": WatchSettings(least=10, most_refused=0.8, patience=1),
     # A scan's noise is in all that is compared with it: innovations are alike for its time.
     "scans": WatchSettings(),
 }
@@ -386,7 +388,7 @@ class Aids:
         time: float,
         *,
         drifting: tuple[NDArray[np.int64], Any] | None = None,
-    ) -> None:
+    ) -> Verdict:
         """Watch what came of a measurement; widen what it depends on where it is doubted.
 
         Parameters
@@ -398,11 +400,17 @@ class Aids:
         drifting
             What may be wrong where innovations lie to one side: errors (j,) and deviations (j,) to
             let them go to; left out: a bias of the inertial unit.
+
+        Returns
+        -------
+        verdict
+            What was found, and acted on.
         """
         watch = self._watch(sensor, kind)
         before = watch.lost
         verdict = watch.note(time, found)
         self._act(sensor, kind, verdict, columns, most, time, before=before, drifting=drifting)
+        return verdict
 
     def _act(
         self, sensor: str, kind: str, verdict: Verdict, columns: NDArray[np.int64], most: Any,

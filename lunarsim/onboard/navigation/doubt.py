@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from lunarsim.errors import InputError
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -32,8 +34,17 @@ def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> Non
         1 or more.
     most
         Deviations (k,), or one for all, beyond which none grows.
+
+    Raises
+    ------
+    InputError
+        If the factor is less than 1 or no number, or a deviation is negative or none.
     """
-    at = np.asarray(columns)
+    if not 1.0 <= factor < np.inf:
+        raise InputError("factor", factor, "a number of 1 or more")
+    if not (np.asarray(most) >= 0.0).all():
+        raise InputError("most", most, "deviations that are not negative")
+    at = np.asarray(columns, dtype=np.int64)
     told = _told_by_others(p, at)
     own = p[np.ix_(at, at)]
     rest = own - told

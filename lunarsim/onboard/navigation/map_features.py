@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation import _place_kernels as k
 from lunarsim.onboard.navigation.features import above_plane
@@ -38,6 +39,11 @@ class FeatureSettings:
         What else sets a scan's mean over a post's square apart from the post, m.
     alike
         Over such a length posts agree or fail as one, m: a rock hides the ground behind it.
+
+    Raises
+    ------
+    InputError
+        If one is out of range.
     """
 
     width: float = 50.0
@@ -45,6 +51,14 @@ class FeatureSettings:
     outlier: float = 0.05
     model_sigma: float = 0.03
     alike: float = 0.7
+
+    def __post_init__(self) -> None:
+        for name in ("changed", "outlier"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise InputError(f"features.{name}", getattr(self, name), "between 0 and 1")
+        for name in ("width", "model_sigma", "alike"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InputError(f"features.{name}", getattr(self, name), "a positive number")
 
 
 @dataclass(frozen=True)

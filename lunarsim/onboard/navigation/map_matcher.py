@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
@@ -18,12 +19,16 @@ from lunarsim.onboard.navigation.local_frame import LocalFrame
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.parts import Shared
 from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
-from lunarsim.onboard.navigation.registration import register
+from lunarsim.onboard.navigation.registration import register, solved
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.seen_scan import LET_GO, SeenScan
+from lunarsim.onboard.navigation.watch import Verdict
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+# A scan that does not fit is tried with deviations so many times larger.
+_LOOSE = 20.0
 # The local frame may turn by so much before a search begins anew, rad.
 _TURNED = 0.01
 
@@ -146,18 +151,57 @@ class MapMatcher:
             self._variance,
         )  # fmt: skip
         if not s.believes(result):
+            if self.locked:
+                self._judge_elsewhere(sensor, seen, time)
             return False
         outcome = self._inform(sensor, result.information, result.vector, s.map_chance)
         if self.locked:
             self.shared.judge(sensor, "map", outcome, time)
         if not outcome.taken:
             return False
+        self._watch(sensor, outcome, time)
         self._uses[posts] += 1
         self._variance[posts] = self._of_uses(self.prior, self._uses[posts])
         if not self.locked:
             self._lock(time)
         self._agreed = time
         return True
+
+    def _judge_elsewhere(self, sensor: str, seen: SeenScan, time: float) -> None:
+        """Watch a scan that fits the map, but not where it is taken to lie on it.
+
+        One that fits nowhere about has met ground that has changed: it tells of nothing else. One
+        that fits as a whole, farther off than errors reach, contradicts the state. A lander does
+        not jump from scan to scan, so the scanner's errors alone are let go, as far as it is off;
+        where that explains nothing, navigation is lost.
+        """
+        columns, jacobian = self._errors(sensor)
+        own = self.shared.state.covariance[np.ix_(columns, columns)]
+        loose = _LOOSE**2 * jacobian @ own @ jacobian.T
+        in_site = self.frame.in_site(seen)
+        result, _ = register(in_site, self._features, loose, self._variance)
+        if not self.settings.believes(result):
+            return
+        told = jacobian.T @ result.information @ jacobian, jacobian.T @ result.vector
+        # Nothing is taken in: with a gate below any distance it is only told.
+        outcome = self.shared.state.inform(columns, *told, -1.0)
+        if chdtrc(max(outcome.degrees, 1), outcome.nis) >= self.settings.map_chance:
+            return
+        if self._watch(sensor, outcome, time) is Verdict.WELL:
+            return
+        scanner = self.shared.scanner(sensor)
+        middle = np.nanmean(in_site.points(), axis=0)
+        off = float(np.abs(in_site.point_jacobian(middle) @ solved(result, loose)).max())
+        turned = off / float(np.linalg.norm(middle - in_site.position))
+        least = np.array([off, *np.full(3, turned), 0.0])
+        self.shared.state.let_go(scanner, np.maximum(LET_GO, least)[: len(scanner)])
+
+    def _watch(self, sensor: str, outcome: Outcome, time: float) -> Verdict:
+        """Watch whether scans that fit the map fit it where they are taken to lie."""
+        scanner = self.shared.scanner(sensor)
+        return self.shared.aids.judge(
+            sensor, "fits", outcome, scanner, LET_GO[: len(scanner)], time
+        )
 
     def _errors(self, sensor: str) -> tuple[Index, Array]:
         """Return on what of the state (k,) a scan's errors depend, and how (11, k), site frame."""

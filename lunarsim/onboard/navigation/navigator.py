@@ -29,6 +29,7 @@ from lunarsim.onboard.navigation.map_matcher import MapMatcher
 from lunarsim.onboard.navigation.parts import Part, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.scan_health import is_noisy, noise_of, without_spikes
 from lunarsim.onboard.navigation.scan_odometry import (
     ScanOdometry,
     key_block,
@@ -109,6 +110,7 @@ class Navigator(Navigation):
         self.rocks = RockFilter(self.state, self._aids) if rocks else None
         self._shared = shared
         self._hangs = False
+        self._noisy: set[str] = set()
         self._ground_turn: GroundTurn | None = None
         self.state.listeners.append(self._turn_ground)
 
@@ -186,13 +188,22 @@ class Navigator(Navigation):
             return
         scan = isinstance(measurement, LidarScan)
         if scan:
-            measurement = plausible(measurement)
-            if not np.isfinite(width_of(measurement)):
+            measurement = without_spikes(plausible(measurement))
+            if not np.isfinite(width_of(measurement)) or self._drowns(sensor, measurement, time):
                 return
             self._hang(sensor, measurement)
         # Products of a scan are too small to share: threads that wait for them cost as much again.
         with BLAS.limit(limits=1, user_api="blas") if scan else nullcontext():
             self._offer(sensor, measurement, time)
+
+    def _drowns(self, sensor: str, scan: LidarScan, time: float) -> bool:
+        """Tell whether a scan is all noise, and report when that begins and ends."""
+        noisy = is_noisy(scan)
+        if noisy != (sensor in self._noisy):
+            (self._noisy.add if noisy else self._noisy.discard)(sensor)
+            name = "scans-refused" if noisy else "scans-accepted"
+            self._note(time, name, {"sensor": sensor, "noise": noise_of(scan)})
+        return noisy
 
     def _offer(self, sensor: str, measurement: Any, time: float) -> None:
         """Offer a measurement to the parts in their order."""

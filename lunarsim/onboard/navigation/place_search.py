@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.special import ndtr
 
+from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.features import above_plane
 from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
 from lunarsim.onboard.navigation.submap import Submap
@@ -40,11 +42,22 @@ class SearchSettings:
         A tile that grows no more for so long is compared as it is, s.
     held_s
         A speed that is wrong stays so for so long, s: what places drift by.
+
+    Raises
+    ------
+    InputError
+        If one is not positive.
     """
 
     tile: float = 8.0
     deaf_s: float = 1.0
     held_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not 0.0 < value < np.inf:
+                raise InputError(f"search.{f.name}", value, "a positive number")
 
 
 @dataclass(frozen=True)
@@ -173,7 +186,15 @@ class PlaceSearch:
         -------
         match
             None before anything was compared.
+
+        Raises
+        ------
+        InputError
+            If time runs backwards, or what is known is no number, covariance or deviation.
         """
+        _check_known(mean, covariance, speed_sigma)
+        if not (np.isfinite(time) and (self._time is None or time >= self._time)):
+            raise InputError("time", time, f"at least {self._time} s: time does not run backwards")
         self._cover(mean, covariance)
         self._blur(time, speed_sigma)
         away = self._away(mean, covariance)
@@ -189,7 +210,7 @@ class PlaceSearch:
             if usual[n] is not None and told[n] >= least:
                 self._compare(due[n], away, usual[n])
         self._tiles += due
-        return self._match(away, covariance) if self._tiles else None
+        return self._match(away, mean, covariance) if self._tiles else None
 
     def _cover(self, mean: Array, covariance: Array) -> None:
         """Make the posterior reach as far as the prior does; what is new has told nothing yet."""
@@ -314,14 +335,15 @@ class PlaceSearch:
 
     # --- outcome --------------------------------------------------------------------------
 
-    def _match(self, away: Array, covariance: Array) -> Match:
+    def _match(self, away: Array, mean: Array, covariance: Array) -> Match:
         """Weigh all places, and all that lie farther off by what was known before."""
         log = self._log - away
         best = log.max()
         p = np.exp(log - best)
         every = 2.0 * np.pi * np.sqrt(np.linalg.det(covariance)) / self._unit**2
-        elsewhere = max(every - float(np.exp(-away).sum()), 0.0) * float(np.exp(-best))
-        p /= p.sum() + elsewhere
+        with np.errstate(divide="ignore"):
+            beyond = float(np.log(every * self._beyond(mean, covariance)) - best)
+        p /= p.sum() + np.exp(min(beyond, 700.0))
         row, col = np.unravel_index(int(np.argmax(p)), p.shape)
         rows, cols = np.indices(p.shape)
         near = np.hypot(rows - row, cols - col) <= 1.5 * self._ways + 1e-9
@@ -339,6 +361,18 @@ class PlaceSearch:
             np.array([*middle, up if rise is None else rise]),
             np.diag([*spread, error]), certainty, share, up, up_variance,
         )  # fmt: skip
+
+    def _beyond(self, mean: Array, covariance: Array) -> float:
+        """Return the share of the prior beyond the places searched, at most.
+
+        By its tails past each side, and not by what places within add up to: of a prior narrower
+        than their distance that may be anything.
+        """
+        sigma = np.sqrt(np.diag(covariance))
+        low = self._unit * (np.array(self._origin[::-1]) - 0.5)
+        high = low + self._unit * np.array(self._log.shape[::-1])
+        past = ndtr((low - mean) / sigma) + ndtr((mean - high) / sigma)
+        return min(float(past.sum()), 1.0)
 
     def _under(
         self, tile: _Tile, row: IntArray, col: IntArray
@@ -405,6 +439,18 @@ class PlaceSearch:
         weight /= weight.sum()
         up = float(weight @ mean)
         return up, float(weight @ (mean - up) ** 2)
+
+
+def _check_known(mean: Array, covariance: Array, speed_sigma: float) -> None:
+    """Refuse what cannot be known of a place."""
+    if np.shape(mean) != (2,) or not np.isfinite(mean).all():
+        raise InputError("mean", mean, "two numbers, m")
+    p = np.asarray(covariance, dtype=np.float64)
+    fits = p.shape == (2, 2) and np.isfinite(p).all() and np.allclose(p, p.T, rtol=1e-6)
+    if not (fits and p[0, 0] > 0.0 and np.linalg.det(p) > 0.0):
+        raise InputError("covariance", covariance, "a positive definite matrix (2, 2), m^2")
+    if not 0.0 <= speed_sigma < np.inf:
+        raise InputError("speed_sigma", speed_sigma, "0 or a positive number, m/s")
 
 
 def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:

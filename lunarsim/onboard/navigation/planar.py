@@ -29,3 +29,11 @@ def squared_distance(offset: Array, a: Array) -> Array:
     determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
     square = a[:, 1, 1] * x * x - (a[:, 0, 1] + a[:, 1, 0]) * x * y + a[:, 0, 0] * y * y
     return np.asarray(square / determinant)
+
+
+def positive(covariance: Array) -> NDArray[np.bool_]:
+    """Return which covariances (n, 2, 2) are finite and positive (n,)."""
+    with np.errstate(invalid="ignore"):
+        determinant = np.linalg.det(covariance)
+        found = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
+    return np.asarray(np.isfinite(covariance).all((1, 2)) & found)

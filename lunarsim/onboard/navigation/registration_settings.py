@@ -68,8 +68,10 @@ class RegistrationSettings:
     key_share: float = 0.8
 
     def __post_init__(self) -> None:
-        least, greatest = self.odometry_postings
-        if not 0.0 < least <= greatest < np.inf:
+        if not (
+            np.shape(self.odometry_postings) == (2,)
+            and 0.0 < self.odometry_postings[0] <= self.odometry_postings[1] < np.inf
+        ):
             raise InputError(
                 "navigation.odometry_postings",
                 self.odometry_postings,

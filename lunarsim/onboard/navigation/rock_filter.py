@@ -21,7 +21,7 @@ from lunarsim.onboard.navigation.error_state import BLAS, KEY, MAP, POSE, ErrorS
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
-from lunarsim.onboard.navigation.planar import inverse
+from lunarsim.onboard.navigation.planar import inverse, positive
 from lunarsim.onboard.navigation.rock_sight import Sight, sight_of
 from lunarsim.onboard.navigation.rock_states import AXES, RockStates
 
@@ -214,7 +214,7 @@ class RockFilter(RockStates):
             Of the pixel coordinates; chi-squared with two degrees of freedom a rock.
         """
         self.update_radii(index, radius, radius_variance, radius_floor)
-        good = np.isfinite(pixel).all(1) & _positive(pixel_covariance)
+        good = np.isfinite(pixel).all(1) & positive(pixel_covariance)
         if not good.any():
             return Outcome(0.0, 0, False)
         with BLAS.limit(limits=1, user_api="blas"):
@@ -405,11 +405,3 @@ class RockFilter(RockStates):
         at = np.arange(2 * b).reshape(b, 2)
         block[at[:, :, None], at[:, None, :]] += own
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
-
-
-def _positive(covariance: Array) -> NDArray[np.bool_]:
-    """Return which covariances (n, 2, 2) are finite and positive (n,)."""
-    with np.errstate(invalid="ignore"):
-        determinant = np.linalg.det(covariance)
-        positive = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
-    return np.asarray(np.isfinite(covariance).all((1, 2)) & positive)

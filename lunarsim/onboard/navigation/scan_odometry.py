@@ -182,7 +182,7 @@ def _differences(
 
 
 def plausible(scan: LidarScan) -> LidarScan:
-    """Return a scan without ranges that no LiDAR could give.
+    """Return a scan without ranges that no LiDAR could give, or that have no deviation.
 
     With none if its mount turns nothing, or its rays are no unit vectors.
 
@@ -203,6 +203,7 @@ def plausible(scan: LidarScan) -> LidarScan:
         return replace(scan, range=np.full(n, np.nan))
     with np.errstate(invalid="ignore"):
         good = (scan.range > 0.0) & (scan.range < _FARTHEST)
+        good &= (scan.sigma >= 0.0) & (scan.sigma < np.inf)
     return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.navigation.doubt import inflate
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 
@@ -344,3 +345,28 @@ def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_und
     expected = carried @ p @ carried.T
     state.correct(error)
     assert state.covariance == pytest.approx(expected, abs=1e-10)
+
+
+def test_what_is_doubted_grows_by_what_two_errors_that_are_the_same_do_not_tell():
+    # The first two are one error, which the third is but for 0.1.
+    p = np.ones((3, 3))
+    p[2, 2] = 1.01
+    inflate(p, [2], 4.0, 1e3)
+    assert p[2, 2] == pytest.approx(1.0 + 4.0 * 0.01, rel=1e-4)
+
+
+def test_what_is_doubted_grows_whole_where_nothing_can_be_told():
+    p = np.eye(3)
+    p[0, 0] = np.nan
+    inflate(p, [2], 4.0, 1e3)
+    assert p[2, 2] == pytest.approx(4.0)
+    inflate(p, [], 4.0, 1e3)
+    assert p[2, 2] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("factor", "most"), [(0.5, 1.0), (np.nan, 1.0), (4.0, np.nan), (4.0, -1)])
+def test_growth_that_is_none_is_refused(factor, most):
+    p = np.eye(3)
+    with pytest.raises(InputError):
+        inflate(p, [1], factor, most)
+    assert np.array_equal(p, np.eye(3))

@@ -9,102 +9,26 @@ import pytest
 
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.frames import (
-    attitude_from_thrust,
     quat_conjugate,
     quat_from_rotation_vector,
-    quat_multiply,
     quat_rotate,
-    quat_to_rotation_vector,
 )
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.error_state import KEY, MAP, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.vehicle import State
 from lunarsim.world import World
-from lunarsim.world.survey import survey
 from lunarsim.world.terrain import Heightfield, Terrain, hazard_field
-
-LIDAR = FlashLidar(128, 128, 0.03, 5e-5)
-START, VELOCITY = np.array([-220.0, 0.0, 140.0]), np.array([5.0, 0.0, -3.0])
-UPRIGHT = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
-KEEP = np.r_[0:3, 6:9]
+from tests.lidar_descent import KEEP, LIDAR, START, VELOCITY, Descent, mapped, names
 
 
 @pytest.fixture(scope="module")
 def world():
     return World(hazard_field(np.random.default_rng(4), surround=280.0, posting=0.5), 9.81)
-
-
-def mapped(world, rng, **options):
-    return survey(world.terrain, Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options)
-
-
-class Descent:
-    """A straight descent with a filter on board."""
-
-    def __init__(self, world, seed, prior=None, errors=None, lidar=LIDAR):
-        self.rng = np.random.default_rng(seed)
-        self.world = world
-        errors = errors or StartSigmas(15.0, 0.1, np.deg2rad(0.3))
-        drawn = self.rng.standard_normal((3, 3))
-        self.inertial = StrapdownState(
-            START + errors.position * drawn[0],
-            VELOCITY + errors.velocity * drawn[1],
-            quat_multiply(UPRIGHT, quat_from_rotation_vector(errors.attitude * drawn[2])),
-            9.81,
-        )
-        prior = prior if prior is not None else mapped(world, self.rng)
-        self.lidar = lidar.build(self.rng, 0.01)
-        self.filter = Navigator(
-            self.inertial, errors, prior, instruments={"flash": lidar.calibration()}
-        )
-        self.imu = Imu(self.rng)
-        self.time = 0.0
-
-    @property
-    def position(self):
-        return START + VELOCITY * self.time
-
-    def estimate(self):
-        return self.filter.estimate_in_site(self.time, 1.0)
-
-    def error(self):
-        """Of position and of attitude (small rotation, ENU), both in the site frame."""
-        found = self.estimate()
-        turn = quat_multiply(UPRIGHT, quat_conjugate(found.attitude))
-        return np.concatenate((self.position - found.position, quat_to_rotation_vector(turn)))
-
-    def nees(self):
-        p = self.estimate().covariance
-        return normalised_square(self.error(), p[np.ix_(KEEP, KEEP)])
-
-    def scan(self, aim):
-        state = State(self.position, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
-        found = self.estimate()
-        mount = gimbal_mount(found.attitude, aim - found.position)
-        return self.lidar.measure(self.world, state, self.time, self.rng, mount)
-
-    def fly(self, seconds, aim=None, scans=True):
-        for _ in range(round(seconds / 0.1)):
-            if scans:
-                angle = 2.0 * np.pi * self.time / 3.0
-                spot = np.array([25.0 * np.cos(angle), 25.0 * np.sin(angle), 0.0])
-                self.filter.take("flash", self.scan(spot if aim is None else aim), self.time)
-            force = quat_rotate(quat_conjugate(UPRIGHT), [0.0, 0.0, 9.81])
-            self.filter.propagate(*self.imu.measure(np.zeros((10, 3)), np.tile(force, (10, 1))))
-            self.time += 0.1
-        return self
-
-
-def names(descent):
-    return [event.name for event in descent.filter.events]
 
 
 def test_it_locks_and_then_errs_as_it_says(world):

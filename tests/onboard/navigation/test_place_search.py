@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -11,7 +12,7 @@ from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.features import above_plane
 from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeatures, Tile
 from lunarsim.onboard.navigation.map_information import can_lock
-from lunarsim.onboard.navigation.place_search import PlaceSearch
+from lunarsim.onboard.navigation.place_search import PlaceSearch, SearchSettings
 from lunarsim.onboard.navigation.submap import Submap
 from lunarsim.world.survey import survey
 from lunarsim.world.terrain import hazard_field
@@ -230,6 +231,28 @@ def test_drift_blurs_what_is_known():
     assert np.exp(after).sum() == pytest.approx(np.exp(before).sum(), rel=0.05)
 
 
+def test_places_drift_by_a_speed_that_stays_wrong_for_seconds():
+    search, _ = found_on(swept(sigma=0.1)[0], swept(sigma=0.1)[1])
+    before = search.evidence[0].copy()
+    search.search(5.0, np.zeros(2), np.eye(2) * 8.0**2, speed_sigma=0.15)
+    # 3 s on: a speed that is drawn anew every 4 s has gone sqrt(3 x 4) of it.
+    wide = 0.15 * np.sqrt(3.0 * 4.0) / search.spacing
+    expected = ndimage.gaussian_filter(np.exp(before - before.max()), wide, mode="nearest")
+    after = np.exp(search.evidence[0] - before.max())
+    np.testing.assert_allclose(after, expected, atol=1e-9)
+
+
+def test_a_height_is_told_by_posts_that_agree():
+    prior, points = swept(sigma=0.1)
+    _, match = found_on(prior, points)
+    # Many posts; a place known to half a post leaves the height of its slopes open.
+    assert match.covariance[2, 2] == pytest.approx((0.4 * 0.5) ** 2, rel=0.1)
+    changed = points.copy()
+    changed[changed[:, 0] > 8.0, 2] += 1.5 * np.sin(3.0 * changed[changed[:, 0] > 8.0, 1])
+    _, other = found_on(prior, changed)
+    assert other.share < 0.9 * match.share
+
+
 def test_the_right_place_outside_what_is_looked_at_is_not_forgotten():
     prior, points = swept(sigma=0.1)
     # 9 m off at a stated 1.5 m: six deviations.
@@ -260,7 +283,73 @@ def test_places_that_are_not_looked_at_keep_their_share_of_what_was_known():
     r, c = np.unravel_index(np.argmax(p), p.shape)
     near = np.hypot(rows[:, None] - rows[r], cols - cols[c]) * unit <= 1.5 * POSTING + 1e-9
     assert len(found) * unit < 0.7 * 2.0 * 1600.0
-    assert match.certainty == pytest.approx(p[near].sum(), rel=1e-6)
+    assert match.certainty == pytest.approx(p[near].sum(), rel=1e-4)
+
+
+def test_what_lies_beyond_the_places_searched_keeps_its_share():
+    rng = np.random.default_rng(4)
+    prior = small_map(rng, np.zeros((90, 90)), sigma=0.1)
+    search = PlaceSearch(MapFeatures(prior))
+    search.add(points_of(np.zeros((90, 90)), (25, 60), (25, 60), (0.0, 0.0, 0.0)))
+    for n in range(3):
+        match = search.search(float(n), np.zeros(2), np.eye(2) * 0.2**2)
+    assert match.certainty > 0.99, "what was searched about there is all there is"
+    # Known only to 1 km later on: the few metres searched can't be all.
+    search._cover = lambda mean, covariance: None
+    assert search.search(9.0, np.zeros(2), np.eye(2) * 1e6).certainty < 1e-2
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.02, 0.01, 0.003, 1e-4])
+def test_a_place_known_better_than_places_lie_apart_is_certain(sigma):
+    prior, points = swept(sigma=0.1)
+    search = PlaceSearch(MapFeatures(prior))
+    search.add(points - SHIFT)
+    # In the middle between four places.
+    mean = 0.25 * np.round(SHIFT[:2] / 0.25) + 0.125
+    for n in range(3):
+        match = search.search(float(n), mean, np.eye(2) * sigma**2)
+    assert match.certainty > 0.99999
+    assert np.abs(match.shift[:2] - SHIFT[:2]).max() < 0.25
+
+
+def test_a_prior_that_leans_weighs_places_as_it_leans():
+    search = PlaceSearch(MapFeatures(swept(sigma=0.1)[0]))
+    covariance, mean = np.array([[4.0, 3.0], [3.0, 9.0]]), np.array([0.7, -1.3])
+    search._cover(mean, covariance)
+    north, east = np.indices(search.evidence[0].shape)
+    at = search.spacing * np.stack(
+        (east + search.evidence[1][1], north + search.evidence[1][0]), -1
+    )
+    expected = 0.5 * np.einsum("...i,ij,...j->...", at - mean, np.linalg.inv(covariance), at - mean)
+    np.testing.assert_allclose(search._away(mean, covariance), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [(SearchSettings, {"tile": np.nan}), (SearchSettings, {"deaf_s": -1.0}),
+     (SearchSettings, {"held_s": 0.0}), (FeatureSettings, {"changed": 2.0}),
+     (FeatureSettings, {"outlier": 0.0}), (FeatureSettings, {"model_sigma": -1.0}),
+     (FeatureSettings, {"alike": np.nan}), (FeatureSettings, {"width": np.inf})],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused(kind, given):
+    with pytest.raises(InputError, match=next(iter(given))):
+        kind(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [({"mean": [np.nan, 0.0]}, "mean"), ({"covariance": np.zeros((2, 2))}, "covariance"),
+     ({"covariance": -np.eye(2)}, "covariance"), ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "cov"),
+     ({"covariance": np.full((2, 2), np.nan)}, "covariance"), ({"speed_sigma": -1.0}, "speed"),
+     ({"speed_sigma": np.nan}, "speed"), ({"time": 1.0}, "time"), ({"time": np.nan}, "time")],
+)  # fmt: skip
+def test_what_cannot_be_known_of_a_place_is_refused(given, match):
+    search, _ = found_on(*swept(sigma=0.1))
+    before = search.evidence[0].copy()
+    known = {"time": 3.0, "mean": np.zeros(2), "covariance": np.eye(2), "speed_sigma": 0.1} | given
+    with pytest.raises(InputError, match=match):
+        search.search(**{k: np.asarray(v) if np.ndim(v) else v for k, v in known.items()})
+    assert np.array_equal(search.evidence[0], before)
 
 
 def test_level_ground_is_not_found_but_its_height_is():
@@ -273,6 +362,13 @@ def test_level_ground_is_not_found_but_its_height_is():
     assert match.certainty < 0.5
     assert match.up == pytest.approx(12.0, abs=0.1)
     assert match.up_variance < 0.05
+    # On a slope the height is known no better than the place.
+    ramp = 0.1 * np.arange(90.0) + np.zeros((90, 90))
+    search = PlaceSearch(MapFeatures(small_map(rng, ramp, sigma=0.1)))
+    search.add(points_of(ramp, (25, 60), (25, 60)))
+    for n in range(3):
+        match = search.search(float(n), np.zeros(2), np.eye(2) * 8.0**2)
+    assert 0.2 < match.up_variance < 1.0
 
 
 def test_scans_off_the_map_and_empty_ones_tell_nothing():

@@ -215,3 +215,13 @@ def test_trust_does_not_come_back_while_it_was_doubted_of_late():
     assert back is not None
     # Widenings count for three windows of 2 s.
     assert 4.0 < back < 6.5
+
+
+def test_what_was_doubted_drifts_by_what_comes_after():
+    """A doubt widens the state: how innovations lay before says nothing of it any more."""
+    watch = Watch(WatchSettings(drift_s=1e3, window_s=1.0, least=6))
+    one = Outcome(2.2, 1, True, np.array([1.5]))
+    assert all(watch.note(0.1 * k, one) is Verdict.WELL for k in range(10))
+    verdicts = [watch.note(1.0 + 0.1 * k, Outcome(50.0, 1, False)) for k in range(8)]
+    assert Verdict.WIDEN in verdicts
+    assert all(watch.note(2.0 + 0.1 * k, one) is Verdict.WELL for k in range(8))

@@ -14,11 +14,16 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.picture_watch import Remedy
-from lunarsim.onboard.navigation.planar import inverse, largest_eigenvalue, squared_distance
+from lunarsim.onboard.navigation.planar import (
+    inverse,
+    largest_eigenvalue,
+    positive,
+    squared_distance,
+)
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.rock_sight import Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.detector import Detections, unit_vector
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
@@ -35,6 +40,8 @@ _SURE, _SURE_HITS = 0.9, 5
 _SHRUNK = 0.85
 # As many rocks tell how well places about them are known.
 _ABOUT = 8
+# A second look that shows a place so many times worse than a first one may is none.
+_VAGUE = 4.0
 # Chi-squared with 2 degrees of freedom at 99.7 %.
 _AGREEMENT = 11.6
 
@@ -102,9 +109,17 @@ class TrackerSettings:
     most_updates: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("least_radius", "radius_wander", "radius_doubt", "range_wander"):
+        for name in ("least_radius", "radius_wander", "radius_doubt", "range_wander", "birth_q",
+                     "birth_sigma", "radius_floor", "most_off", "least_expected", "large",
+                     "most_rocks", "most_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
+        if not 0.0 <= self.least_found <= 1.0:
+            raise InputError("tracker.least_found", self.least_found, "a share from 0 to 1")
+        if self.region is not None:
+            west, east, south, north = self.region
+            if not (west < east and south < north):
+                raise InputError("tracker.region", self.region, "west < east and south < north")
         shares = np.ravel((*np.atleast_1d(self.view_wander), self.common_pixels))
         if not (len(shares) == 4 and np.isfinite(shares).all() and (shares >= 0.0).all()):
             given = (self.view_wander, self.common_pixels)
@@ -227,7 +242,7 @@ class RockTracker:
         self._pass_time(camera, sun, time)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
         points = self.filter.ground_points(camera, seen.pixel)
-        self._split(seen, points, camera, radius_variance)
+        parted = self._split(seen, points, camera, radius_variance)
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
@@ -240,6 +255,10 @@ class RockTracker:
             self.filter.radius[at], self.filter.radius_variance[at],
         )  # fmt: skip
         rock = at[j]
+        # What has just been begun by a look is not seen by the same look once more.
+        known = self.filter.count - parted
+        at, again = at[at < known], rock < known
+        d, rock, sure = d[again], rock[again], sure[again]
         self.hits[rock] += 1
         use = np.flatnonzero(sure)
         use = use[self._agreeing(seen, sight, d[use], rock[use])]
@@ -275,10 +294,12 @@ class RockTracker:
     def _pass_time(self, camera: CameraModel, sun: Array, time: float) -> None:
         """Let rocks wander since the last image."""
         s = self.settings
-        if not time >= (-np.inf if self._time is None else self._time):
+        if not (-np.inf if self._time is None else self._time) <= time < np.inf:
             raise InputError(
                 "picture.time", time, f"at least {self._time} s: time does not run backwards"
             )
+        if not np.hypot(*unit_vector(sun)[:2]) > 0.0:
+            raise InputError("sun", sun, "a direction off the zenith, by which shadows fall")
         if self._time is not None:
             self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
@@ -422,8 +443,7 @@ class RockTracker:
         """
         s = self.settings
         # Where it shows must be known to a fraction of the distance between rocks.
-        shown = _ground_covariance(points, seen.look_covariance, self.filter, camera)
-        spread = np.sqrt(largest_eigenvalue(shown))
+        spread = _spread(points, seen.look_covariance, self.filter, camera)
         sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
@@ -457,8 +477,13 @@ class RockTracker:
         moves its centre towards the Sun: by a third of a pixel on rendered cubes. Its next look was
         not chosen so. Taken together, the two would pass for the lander's way.
         """
-        good = np.isfinite(self.filter.ground_points(camera, seen.pixel[d])).all(1)
-        good &= np.isfinite(variance[d]) & np.isfinite(seen.look_covariance[d]).all((1, 2))
+        look = seen.look_covariance[d]
+        points = self.filter.ground_points(camera, seen.pixel[d])
+        good = np.isfinite(points).all(1) & positive(look)
+        good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
+        # One that says next to nothing is waited out, and no look is chosen by how well it shows.
+        vague = _spread(points, look, self.filter, camera)
+        good &= vague <= _VAGUE * np.maximum(self.settings.birth_sigma, seen.radius[d] / 3)
         rock, d = rock[good], d[good]
         self.filter.begin_anew(
             rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
@@ -486,11 +511,17 @@ class RockTracker:
         dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
         self._drop(dropped)
 
-    def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> None:
-        """Replace a rock by the smaller ones into which a sharper image resolves it."""
+    def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> int:
+        """Replace a rock by the smaller ones into which a sharper image resolves it.
+
+        Returns
+        -------
+        parted
+            How many were begun: the last of all.
+        """
         f = self.filter
         if f.count == 0 or len(seen) < 2:
-            return
+            return 0
         where = np.nan_to_num(points[:, :2], nan=1e9)
         inside = cKDTree(where).query_ball_point(f.xy, np.maximum(f.radius, 1e-3))
         parts = [
@@ -498,12 +529,12 @@ class RockTracker:
             if len(k) >= 2 and (seen.radius[k] < 0.6 * f.radius[j]).all()
         ]  # fmt: skip
         if not parts:
-            return
+            return 0
         born = np.unique(np.concatenate([k for _, k in parts]))
         self._drop(np.array([j for j, _ in parts]))
         fresh = np.zeros(len(seen), bool)
         fresh[born] = True
-        self._birth(fresh, seen, points, camera, variance)
+        return int(self._birth(fresh, seen, points, camera, variance).sum())
 
     def _drop(self, index: Index) -> None:
         if len(index):
@@ -523,6 +554,14 @@ def _ground_covariance(
         return np.empty((0, 2, 2))
     back = inverse(rocks.sight(camera, points).by_rock[:, :, :2])
     return np.asarray(back @ pixel_covariance @ np.swapaxes(back, 1, 2))
+
+
+def _spread(points: Array, look: Array, rocks: RockFilter, camera: CameraModel) -> Array:
+    """Return how well looks show points (n, 3), 1 sigma along the worse way (n,), m; NaN: not."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            np.sqrt(largest_eigenvalue(_ground_covariance(points, look, rocks, camera)))
+        )
 
 
 def _in_view(sight: Sight, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:

@@ -78,18 +78,20 @@ def test_a_rock_stands_where_its_second_look_shows_it():
             assert (np.diagonal(rocks.rock_covariance() - sigma, 0, 1, 2)[:, :2] < 0.0).all()
 
 
-def test_a_second_look_that_is_no_number_changes_nothing():
+@pytest.mark.parametrize("share", [np.nan, np.inf, 0.0, -1.0, 1e12])
+def test_a_second_look_that_errs_by_no_covariance_or_all_changes_nothing(share):
     def broken(seen, k):
         look = seen.look_covariance.copy()
         if k == 1:
-            look[::2] = np.nan
+            look[::2] *= share
         return replace(seen, look_covariance=look)
 
     (one, _), (other, found) = twice(broken)
     assert np.isfinite(other.filter.covariance).all() and np.isfinite(other.filter.xyz).all()
     # Half of the rocks are begun anew an image later.
     assert other.filter.count == one.filter.count
-    assert found[-1].degrees < 0.6 * 2 * one.filter.count
+    assert 0 < found[-1].degrees < 0.6 * 2 * one.filter.count
+    assert found[-1].taken
 
 
 def test_whoever_was_seen_once_is_remembered_when_rocks_go():
@@ -181,7 +183,11 @@ def test_centres_wander_together_along_the_sun_as_the_lander_draws_near():
 @pytest.mark.parametrize(
     "given", [{"view_wander": 0.2}, {"view_wander": (0.2, 0.1, np.nan)},
               {"view_wander": (0.2, -0.1, 0.2)}, {"common_pixels": np.nan},
-              {"range_wander": -0.1}, {"range_wander": np.nan}],
+              {"range_wander": -0.1}, {"range_wander": np.nan}, {"birth_q": np.nan},
+              {"birth_sigma": -1.0}, {"radius_floor": np.nan}, {"most_off": np.nan},
+              {"least_expected": np.nan}, {"least_found": 1.5}, {"large": -1}, {"most_rocks": -1},
+              {"most_updates": -1}, {"region": (1.0, -1.0, 0.0, 2.0)},
+              {"region": (0.0, 1.0, 0.0, np.nan)}],
 )  # fmt: skip
 def test_shares_that_cannot_be_are_refused(given):
     with pytest.raises(InputError, match=r"tracker\."):
@@ -200,3 +206,14 @@ def test_a_rock_is_begun_where_its_place_shows_well_though_its_shape_is_not_know
 
     (_, _), (none, _) = twice(blurred)
     assert none.filter.count == 0
+
+
+@pytest.mark.parametrize(
+    ("sun", "time", "match"),
+    [([0.0, 0.0, 1.0], 0.0, "sun"), ([np.nan, 0.0, 1.0], 0.0, "sun"), (SUN, np.inf, "time")],
+)
+def test_a_sun_without_shadows_and_times_that_are_none_are_refused(sun, time, match):
+    state, camera, counts = picture(rocks_on_a_plane("hemisphere", seed=5, count=40), (-30, 0, 60))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    with pytest.raises(InputError, match=match):
+        tracker_at((-30.0, 0.0, 60.0)).update(seen, camera, sun, time)

@@ -42,6 +42,12 @@ def test_a_cluster_seen_as_one_is_split_when_it_is_resolved():
     tracker.update(seen, camera, SUN, 0.0)
     assert tracker.filter.count == 2
     assert np.sort(tracker.filter.xy[:, 0]) == pytest.approx([-1.1, 1.1], abs=0.25)
+    # One look is one look: it began them, and tells no more of them.
+    assert tracker.hits.tolist() == [1, 1]
+    own = 1.0 - tracker.rates.false_positive(seen.q)
+    assert np.sort(tracker.existence) == pytest.approx(np.sort(np.clip(own, 0.1, 0.99)))
+    assert tracker.update(seen, camera, SUN, 0.1).degrees == 0, "the second begins them anew"
+    assert tracker.update(seen, camera, SUN, 0.2).degrees == 4
 
 
 def test_doubles_are_merged_and_ghosts_pruned():

@@ -1,0 +1,97 @@
+"""Scans whose pixels cannot be the ground's, against neighbours looked at one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation.scan_health import is_noisy, noise_of, without_spikes
+from lunarsim.onboard.navigation.scan_odometry import plausible
+
+
+def scan_of(image, sigma=0.01):
+    r = np.asarray(image, dtype=np.float64)
+    direction = np.tile([0.0, 0.0, 1.0], (r.size, 1))
+    return LidarScan(0.0, r.ravel(), direction, np.eye(3), np.full(r.size, sigma), r.shape)
+
+
+def slope(rows=40, cols=50):
+    row, col = np.mgrid[:rows, :cols]
+    return 200.0 + 0.7 * row - 0.4 * col
+
+
+def spikes_by_hand(r, sigma):
+    """Pixels that lie farther off three of their neighbours, to one side, than ground may."""
+    out = np.zeros(r.shape, bool)
+    for i in range(r.shape[0]):
+        for j in range(r.shape[1]):
+            near = [
+                r[a, b]
+                for a, b in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1))
+                if 0 <= a < r.shape[0] and 0 <= b < r.shape[1]
+            ]
+            gaps = np.array([r[i, j] - v for v in near if np.isfinite(v)])
+            far = 1.0 + 6.0 * sigma
+            out[i, j] = np.sum(gaps > far) >= 3 or np.sum(gaps < -far) >= 3
+    return out
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.05])
+def test_spikes_are_those_found_pixel_by_pixel(sigma):
+    rng = np.random.default_rng(1)
+    r = slope() + 0.05 * rng.standard_normal((40, 50))
+    off = rng.random(r.shape) < 0.1
+    r[off] += rng.choice([-1.0, 1.0], off.sum()) * rng.uniform(0.8, 6.0, off.sum())
+    r[rng.random(r.shape) < 0.05] = np.nan
+    scan = scan_of(r, sigma)
+    expected = spikes_by_hand(r, sigma)
+    assert expected.sum() > 50
+    found = without_spikes(scan).range.reshape(r.shape)
+    assert np.array_equal(np.isnan(found), np.isnan(r) | expected)
+    assert np.array_equal(found[~np.isnan(found)], r[~np.isnan(found)])
+
+
+def test_ground_has_no_spikes():
+    r = slope()
+    r[10:14, 20:23] -= 2.0  # a rock of a few pixels
+    r[:, 40:] += 5.0  # the edge of a cliff
+    scan = scan_of(r)
+    assert without_spikes(scan) is scan
+    small = scan_of(np.full((2, 9), 50.0))
+    assert without_spikes(small) is small
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.3, 1.0])
+def test_noise_is_what_ranges_scatter_by(sigma):
+    rng = np.random.default_rng(2)
+    r = slope(128, 128) + sigma * rng.standard_normal((128, 128))
+    r[rng.random(r.shape) < 0.2] = np.nan
+    assert noise_of(scan_of(r)) == pytest.approx(sigma, rel=0.05)
+
+
+def test_a_scan_is_noisy_where_it_scatters_beyond_what_is_stated():
+    rng = np.random.default_rng(3)
+    r = slope() + 0.5 * rng.standard_normal((40, 50))
+    assert is_noisy(scan_of(r, 0.02))
+    assert not is_noisy(scan_of(r, 0.2)), "three deviations and rough ground"
+    assert not is_noisy(scan_of(slope(), 0.02))
+    assert not is_noisy(scan_of(np.full((40, 50), np.nan)))
+    assert np.isnan(noise_of(scan_of(np.full((9, 9), 10.0)))), "too few to tell"
+
+
+def test_rows_and_columns_that_are_not_those_of_the_pixels_are_refused():
+    with pytest.raises(InputError, match=r"scan\.shape"):
+        without_spikes(replace(scan_of(slope()), shape=(40, 49)))
+
+
+@pytest.mark.parametrize("sigma", [np.nan, -0.01, np.inf])
+def test_a_range_without_a_deviation_tells_nothing(sigma):
+    scan = scan_of(slope())
+    broken = scan.sigma.copy()
+    broken[::3] = sigma
+    found = plausible(replace(scan, sigma=broken))
+    assert np.isnan(found.range[::3]).all() and np.isfinite(found.range[1::3]).all()

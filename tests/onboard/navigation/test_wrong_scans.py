@@ -1,0 +1,96 @@
+"""Scans that contradict the map, or what the scanner states, while the lander is locked to it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
+from lunarsim.world import World
+from lunarsim.world.terrain import hazard_field
+from tests.lidar_descent import KEEP, VELOCITY, Descent, mapped, names
+
+FROM = 4.0
+
+
+@pytest.fixture(scope="module")
+def ground():
+    world = World(hazard_field(np.random.default_rng(4), surround=280.0, posting=0.5), 9.81)
+    return world, mapped(world, np.random.default_rng(1))
+
+
+def flown(ground, seed, change, seconds):
+    """Fly with scans that are changed from 4 s on; return the descent and its worst errors.
+
+    Of position and attitude, in deviations, at the end of each second while not called lost.
+    """
+    world, prior = ground
+    descent = Descent(world, seed, prior)
+    honest = descent.filter.take
+
+    def take(sensor, scan, time):
+        honest(sensor, scan if time < FROM else change(scan), time)
+
+    descent.filter.take = take
+    worst = 0.0
+    for _ in range(seconds):
+        descent.fly(1.0)
+        sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
+        if not descent.filter.lost:
+            worst = max(worst, float((np.abs(descent.error()) / sigma).max()))
+    return descent, worst
+
+
+def velocity_off(descent):
+    """Greatest error of velocity, in deviations."""
+    found = descent.estimate()
+    sigma = np.sqrt(np.diag(found.covariance)[3:6])
+    return float((np.abs(VELOCITY - found.velocity) / sigma).max())
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_ranges_that_are_all_too_long_are_laid_to_the_scanner(ground, seed):
+    descent, worst = flown(ground, seed, lambda s: replace(s, range=s.range + 1.0), 8)
+    assert names(descent) == ["lock", "doubted"]
+    assert descent.filter.locked
+    assert worst < 4.0 and velocity_off(descent) < 4.0
+    bias = descent.filter.state.value("lidar flash")[0]
+    assert abs(bias) == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_the_scanner_cannot_have_erred_by_is_lost(ground):
+    """The base of its gimbal turns: neither range, boresight nor latency."""
+    turn = quat_to_matrix(quat_from_rotation_vector([np.deg2rad(1.0), 0.0, 0.0]))
+    descent, worst = flown(ground, 11, lambda s: replace(s, mount=turn @ s.mount), 9)
+    assert names(descent)[-1] == "lost"
+    assert descent.filter.lost and worst < 4.0
+
+
+def test_flecks_are_taken_out_before_they_draw_a_fit_along(ground):
+    rng = np.random.default_rng(0)
+
+    def flecks(scan):
+        far = rng.random(len(scan.range)) < 0.1
+        return replace(scan, range=np.where(far, scan.range + 5.0, scan.range))
+
+    descent, worst = flown(ground, 11, flecks, 7)
+    assert names(descent) == ["lock"]
+    assert worst < 4.0 and velocity_off(descent) < 4.0
+
+
+def test_noise_that_drowns_the_ground_tells_nothing(ground):
+    rng = np.random.default_rng(0)
+
+    def noise(scan):
+        return replace(scan, range=scan.range + 0.5 * rng.standard_normal(len(scan.range)))
+
+    descent, worst = flown(ground, 11, noise, 7)
+    assert names(descent) == ["lock", "scans-refused"]
+    assert worst < 4.0 and velocity_off(descent) < 4.0
+    told = descent.filter.events[-1].details
+    assert told["noise"] == pytest.approx(0.5, rel=0.1)
+    descent.filter.take = type(descent.filter).take.__get__(descent.filter)
+    descent.fly(0.2)
+    assert names(descent)[-1] == "scans-accepted"
