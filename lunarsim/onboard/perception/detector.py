@@ -33,6 +33,8 @@ _USUAL = 1.25
 _MERGED = 0.78
 # A patch that the rock hides but for this length, in radii, tells too little.
 _LEAST_LENGTH = 0.3
+# Elevation of the Sun at which what looks differ by was found, rad.
+_LOOK_SUN = float(np.deg2rad(20.0))
 
 
 @dataclass(frozen=True)
@@ -379,7 +381,7 @@ def _measure(
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     frame = _sun_frame(sun)
-    look = _look(settings, rocks.radius, along_px, across_px)
+    look = _look(settings, rocks.radius, along_px, across_px, sun)
     offset, spread = _place(t, rocks, unit, look)
     offset = offset @ frame.T
     pixel, turned = _to_pixels(offset, ground - view.position[2], view, frame)
@@ -398,13 +400,18 @@ def _measure(
     )  # fmt: skip
 
 
-def _look(settings: DetectorSettings, radius: Array, along: Array, across: Array) -> Array:
+def _look(
+    settings: DetectorSettings, radius: Array, along: Array, across: Array, sun: Array
+) -> Array:
     """Return by how much centres differ from look to look along the Sun and across (n, 2), m.
 
-    `radius` is that of the rocks (n,), `along` and `across` what a pixel spans there (n,), m.
+    `radius` is that of the rocks (n,), `along` and `across` what a pixel spans there (n,), m. Where
+    the Sun is lower than that by which the settings were found, the end of a shadow differs by as
+    much more as the shadow is longer.
     """
     wide = np.maximum(radius / np.sqrt(along * across), 0.25)
-    spans = np.column_stack((along, across))
+    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
+    spans = np.column_stack((max(float(longer), 1.0) * along, across))
     return np.asarray(
         spans * np.hypot(settings.look_sigma, np.divide(settings.look_small, wide[:, None]))
     )
