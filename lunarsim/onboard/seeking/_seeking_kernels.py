@@ -90,10 +90,13 @@ def along(target, asked, total, table, s, powers, x, gravity, place, pull):
 
 @kernel(inner=True)
 def seen(
-    target, asked, total, table, powers, x, gravity, ground, nodes, sharp, open_, astray, told,
-    figures, stations, at, best,
+    target, asked, total, table, powers, x, gravity, end_tilt, ground, nodes, sharp, open_, astray,
+    told, figures, stations, at, best,
 ):  # fmt: skip
     """Raise what is known of each node (g,) by all looks along a path.
+
+    Returns False where the thrust leans by more than `end_tilt` (a tangent) once looks no longer
+    count.
 
     `ground` (5,): the site, the height of the centre of mass of a lander that stands there, and the
     altitude below which looks no longer count. `stations` (eyes, k): altitudes of single looks of
@@ -104,6 +107,10 @@ def seen(
     for s in range(table.shape[0]):
         along(target, asked, total, table, s, powers, x, gravity, at[0], at[1])
         altitude = at[0, 2] - level
+        if altitude < least:
+            lean = np.sqrt(at[1, 0] ** 2 + at[1, 1] ** 2)
+            if lean > end_tilt * at[1, 2]:
+                return False
         left = table[s, SHARE] * total
         for eye in range(figures.shape[0]):
             if not np.isnan(stations[eye, 0]):
@@ -116,11 +123,18 @@ def seen(
                     part = min(max(part, 0.0), 1.0)
                     for i in range(3):
                         at[3, i] = at[2, i] + part * (at[0, i] - at[2, i])
-                    look(at[3], at[1], left, ground, nodes, eye, sharp, open_, astray, told, figures, best)
+                    look(
+                        at[3], at[1], left, ground, nodes, eye, sharp, open_, astray, told,
+                        figures, best,
+                    )  # fmt: skip
             elif max(figures[eye, LOWEST], least) <= altitude <= figures[eye, HIGHEST]:
-                look(at[0], at[1], left, ground, nodes, eye, sharp, open_, astray, told, figures, best)
+                look(
+                    at[0], at[1], left, ground, nodes, eye, sharp, open_, astray, told, figures,
+                    best,
+                )  # fmt: skip
         lowest = min(lowest, altitude)
         at[2] = at[0]
+    return True
 
 
 @kernel(shared=True)
@@ -141,7 +155,7 @@ def score(
     powers, vehicle
         See `measure`.
     end_tilt
-        Tangent of the greatest lean of the thrust at the end.
+        Tangent of the greatest lean of the thrust once looks no longer count, and at the end.
     ground, stations
         See `seen`.
     nodes
@@ -167,13 +181,14 @@ def score(
             continue
         if not measure(state, target, asked, plans[n, 0], fine, powers, vehicle, x, found):
             continue
-        out[n, 1] = found[0]
         for g in range(nodes.shape[0]):
             best[g] = nodes[g, KNOWN]
-        seen(
-            target, asked, plans[n, 0], coarse, powers, x, vehicle[GRAVITY], ground, nodes, sharp,
-            open_, astray, told, figures, stations, at, best,
-        )  # fmt: skip
+        if not seen(
+            target, asked, plans[n, 0], coarse, powers, x, vehicle[GRAVITY], end_tilt, ground,
+            nodes, sharp, open_, astray, told, figures, stations, at, best,
+        ):  # fmt: skip
+            continue
+        out[n, 1] = found[0]
         mean = 0.0
         for g in range(nodes.shape[0]):
             mean += nodes[g, WEIGHT] * best[g]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
 from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 _MOVED = 1.0  # of the end, m: a divert
 # With less time left than this the last plan is flown out, s.
 _LAST = 6.0
+# After a look the map is drawn anew within so long, s.
+_DRAWN = 1.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class InformationSeekingLaw(PathLaw):
     least_diameter
         Of a rock that is a hazard, m.
     end_tilt
-        Greatest lean of the thrust at the end of the approach, rad.
+        Greatest lean of the thrust once looks no longer count, rad.
     """
 
     interval: float = quantity(2.0, "s", gt=0, le=60, help="between plans")
@@ -73,7 +75,7 @@ class InformationSeekingLaw(PathLaw):
         0.02, ge=0, help="share of the uncertainty that a kilogram is worth"
     )
     least_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="of a rock that is a hazard")
-    end_tilt: float = quantity(25.0, "deg", ge=0, lt=85, help="greatest at the end of the approach")
+    end_tilt: float = quantity(25.0, "deg", ge=0, lt=85, help="greatest below the last decision")
 
     @property
     def shape(self) -> PathShape:
@@ -116,7 +118,7 @@ class SeekingGuidance:
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plan: Plan | None = None
-        self.limits = briefing.software.approach.limits
+        self.limits: PathLimits = briefing.software.approach.limits
         eyes = eyes_of(briefing, settings.least_diameter)
         if not eyes:
             raise InputError(
@@ -170,10 +172,12 @@ class SeekingGuidance:
         """Whether looks no longer count: nothing is decided by them."""
         return bool(self._lowest <= self.briefing.software.decisions.last_altitude)
 
-    def _cheapest(self, estimate: Estimate, end: PhaseEnd) -> tuple[float, float]:
+    def _cheapest(
+        self, estimate: Estimate, end: PhaseEnd, limits: PathLimits
+    ) -> tuple[float, float]:
         """Return propellant (kg) and time-to-go (s) of the cheapest path; inf and NaN: none."""
         one = replace(end, position=end.position[None, :])
-        cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
+        cost = divert_cost(estimate, one, self.lander, self.gravity, limits=limits)
         return float(cost.propellant[0]), float(cost.time_to_go[0])
 
     def _site(self, end: PhaseEnd) -> Array:
@@ -195,7 +199,7 @@ class SeekingGuidance:
             self._go_down(estimate, end, time)
             return
         here, lead = self._ahead(estimate), self._answering.lead
-        cheapest, soonest = self._cheapest(here, end)
+        cheapest, soonest = self._cheapest(here, end, self.limits)
         left = (self.arrival or time) - time - lead
         problem = self._problem(here, end, site)
         last = None if self.plan is None else replace(self.plan, time_to_go=left)
@@ -230,8 +234,13 @@ class SeekingGuidance:
         self._fallen = True
 
     def _go_down(self, estimate: Estimate, end: PhaseEnd, time: float) -> None:
-        """Take the cheapest path where looks no longer count, if there is one."""
-        _, soonest = self._cheapest(self._ahead(estimate), end)
+        """Take the cheapest path that leans little where looks no longer count, if there is one.
+
+        Else the plan is flown out, which leans little from there on too.
+        """
+        upright = min(self.settings.end_tilt, self.limits.max_tilt)
+        limits = replace(self.limits, max_tilt=upright)
+        _, soonest = self._cheapest(self._ahead(estimate), end, limits)
         if np.isfinite(soonest):
             self.plan, self._over = None, True
             self.arrival = time + soonest + self._answering.lead
@@ -244,17 +253,20 @@ class SeekingGuidance:
             return None
         nodes = nodes_of(hazard_map, self.settings.squares, self._prior, site)
         away = np.hypot(*(nodes[:, :2] - site[:2]).T)
-        # A path with T left answers a step d to the side with 6 d / T^2 at once.
-        needs = np.sqrt(6.0 * away / self._aside(here.mass))
+        # A path with T left answers a step d to the side with 6 d / T^2 at once; before that the
+        # map has to be drawn, and the site chosen.
+        decisions = self.briefing.software.decisions
+        needs = np.sqrt(6.0 * away / self._aside(here.mass)) + _DRAWN + decisions.interval
         return Problem(
             here, end, site, np.column_stack((nodes, needs)), self.lander, self.gravity,
-            self.limits, self.lander.com_height, self.briefing.software.decisions.last_altitude,
-            self._lowest,
+            self.limits, self.lander.com_height, decisions.last_altitude, self._lowest,
         )  # fmt: skip
 
     def _aside(self, mass: float) -> float:
         """Return the acceleration that a divert may ask for to the side, m/s^2."""
-        most = self.lander.thrust_max / mass
+        lander = self.lander
+        margin = self.limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+        most = (lander.thrust_max - margin) / mass
         spare = np.sqrt(max(most**2 - self.gravity**2, 1e-4))
         return float(min(self.gravity * np.tan(self.limits.max_tilt), spare))
 
