@@ -104,7 +104,9 @@ def compared(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
         digits = 2 if "," in name else 3
         line = {path: mean_interval(v).text(digits) for path, v in values.items()}
         for other in ("nominal", "modified"):
-            line[f"seeking - {other}"] = mean_interval(values["seeking"] - values[other]).text(digits)
+            line[f"seeking - {other}"] = mean_interval(values["seeking"] - values[other]).text(
+                digits
+            )
         out[name] = line
     return out
 

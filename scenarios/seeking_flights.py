@@ -99,17 +99,21 @@ def _eyes(sensors: str) -> dict[str, Any]:
     if sensors == "camera":
         return {"mappers": {"rocks": map_of}, "tasking": {"camera": camera}}
     if sensors == "lidar":
-        gone = {"sensors": {"camera": None}, "tasking": {"camera": None}, "mappers": {"rocks": None}}
-        both = {table: {**flash[table], **gone[table]} for table in flash}
-        return {**both, "navigation": {"kind": "inertial"}}
-    both = {
+        # Without rocks to navigate by, an inertial unit alone drifts by metres from scan to scan.
+        fixes = {"fixes": {"kind": "navigation-fix"}, "altimeter": None}
+        return {
+            "sensors": {**flash["sensors"], **fixes, "camera": None},
+            "tasking": {**flash["tasking"], "camera": None},
+            "mappers": {**flash["mappers"], "rocks": None},
+            "navigation": {"kind": "fixes"},
+        }
+    return {
         "sensors": flash["sensors"],
         "tasking": {**flash["tasking"], "camera": camera},
         "mappers": {
             **flash["mappers"], "rocks": map_of, "fused": {"kind": "fused", "of": ["dem", "rocks"]},
         },
     }  # fmt: skip
-    return both
 
 
 def fly(task: Task) -> dict[str, Any]:
@@ -142,8 +146,7 @@ def fly(task: Task) -> dict[str, Any]:
 def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
     """Compare the map that decides with the truth, in the frame that the lander lands in.
 
-    Sites are looked at a metre apart. With `whole` also what every threshold would say of them
-    and, of a shadow map, how its cells are classed.
+    Sites are looked at a metre apart. With `whole` also how the cells of a shadow map are classed.
     """
     computer = simulation.computer
     hazard_map = computer.mapper.hazard_map()
@@ -164,11 +167,9 @@ def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
         "unsafe": int((~safe).sum()),
         "place": [float(v) for v in simulation.state.position - computer.briefing.target],
     }
-    if whole:
-        curve = PrecisionRecall.of(p, safe)
-        out["recall_at_099"] = curve.recall_at(0.99)
-        if "rocks" in computer.mappers:
-            out |= cells_of(simulation)
+    out["recall_at_099"] = PrecisionRecall.of(p, safe).recall_at(0.99)
+    if whole and "rocks" in computer.mappers:
+        out |= cells_of(simulation)
     return out
 
 

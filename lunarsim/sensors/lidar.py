@@ -121,7 +121,8 @@ class FlashLidar:
         spread = self.half_width if self.spacing == "tangent" else np.arctan(self.half_width)
         return LidarInstrument(
             self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma,
-            2.0 * float(spread) / min(self.rows, self.cols), self.half_width, self.max_range, self.max_incidence,
+            2.0 * float(spread) / min(self.rows, self.cols), self.half_width, self.max_range,
+            self.max_incidence,
         )  # fmt: skip
 
     def directions(self) -> Array:

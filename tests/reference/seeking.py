@@ -22,10 +22,10 @@ def told_by(eye, place, node, site, pull, left):
         return 0.0
     azimuth = np.arctan2(away[0], away[1]) - eye["sun_azimuth"]
     at = np.array([[np.cos(azimuth), away[2] / distance]])
-    sharp, open_, astray = (
-        float(RegularGridInterpolator(eye["axes"], eye[name])(at)[0])
-        for name in ("sharp", "open", "astray")
-    )
+    if "between" not in eye:
+        tables = np.dstack([eye[name] for name in ("sharp", "open", "astray")])
+        eye["between"] = RegularGridInterpolator(eye["axes"], tables)
+    sharp, open_, astray = eye["between"](at)[0]
     sharpness = sharp / (distance * eye["pixel"])
     told = np.interp(sharpness, np.linspace(0.0, eye["sharpest"], len(eye["told"])), eye["told"])
     return told * open_ * np.exp(-astray * distance**2)

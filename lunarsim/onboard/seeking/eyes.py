@@ -4,8 +4,8 @@ Two tables over the cosine of the azimuth off the Sun and the sine of the depres
 sight say how sharp a look is and how much of the ground it can tell of; a third, over sharpness,
 says what it takes away of the uncertainty. A camera sees rocks by their shadows: q, the root of the
 dark pixels of a rock, and its miss rate are those of the shadow mapper's model; what lies in the
-shadow of another rock it cannot tell. A LiDAR sees them by returns: one is missed if no return falls
-on it, and what lies behind another rock it cannot tell.
+shadow of another rock it cannot tell. A LiDAR sees them by returns: one is missed if no return
+falls on it, and what lies behind another rock it cannot tell.
 """
 
 from __future__ import annotations

@@ -71,9 +71,7 @@ class InformationSeekingLaw(PathLaw):
     allowance: float = quantity(
         1.5, "kg", ge=0, help="propellant that seeing may cost over the cheapest path"
     )
-    price: float = quantity(
-        0.02, ge=0, help="share of the uncertainty that a kilogram is worth"
-    )
+    price: float = quantity(0.02, ge=0, help="share of the uncertainty that a kilogram is worth")
     least_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="of a rock that is a hazard")
     end_tilt: float = quantity(25.0, "deg", ge=0, lt=85, help="greatest below the last decision")
 

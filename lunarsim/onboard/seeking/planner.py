@@ -123,8 +123,12 @@ class SeekingPlanner:
         self._figures = np.array([_figures_of(e, o) for e, o in zip(eyes, looks, strict=True)])
         self._fine, self._coarse = _samples(_FINE), _samples(_COARSE)
 
-    def best(self, problem: Problem, expected: float, most: float, last: Plan | None) -> Plan | None:
+    def best(
+        self, problem: Problem, expected: float, most: float, last: Plan | None
+    ) -> Plan | None:
         """Return the best path that keeps the limits; None without one.
+
+        Where none is to be had for what it may take, it is the one that takes least.
 
         Parameters
         ----------
@@ -142,6 +146,9 @@ class SeekingPlanner:
         plans = wide if last is None else np.vstack((_row(last), wide))
         plans = self._turned(problem, plans, given=0 if last is None else 1)
         value, known, burnt = self._values(problem, plans, most)
+        if not np.isfinite(value).any():
+            most = float(np.min(burnt))
+            value, known, burnt = self._values(problem, plans, most)
         first = int(np.argmax(value))
         if not np.isfinite(value[first]):
             return None
@@ -180,7 +187,7 @@ class SeekingPlanner:
         return out
 
     def _values(self, problem: Problem, plans: Array, most: float) -> tuple[Array, Array, Array]:
-        """Return worth, share known and propellant (kg) of plans (n,); worth -inf: not to be had."""
+        """Return worth, share known and propellant (kg) of plans (n,); -inf: not to be had."""
         scored = self.score(problem, plans)
         e, lander = problem.estimate, problem.lander
         burnt = e.mass * -np.expm1(-scored[:, 1] / lander.exhaust_velocity)

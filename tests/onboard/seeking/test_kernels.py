@@ -35,7 +35,9 @@ def an_eye(rng, *, stations=(), gimbal=180.0, half_field=30.0, highest=380.0):
 
 
 def as_arrays(eyes):
-    tables = [np.ascontiguousarray([e[n] for e in eyes]) for n in ("sharp", "open", "astray", "told")]
+    tables = [
+        np.ascontiguousarray([e[n] for e in eyes]) for n in ("sharp", "open", "astray", "told")
+    ]
     figures = np.array([
         [
             e["pixel"], e["sharpest"], np.cos(np.radians(e["half_field_deg"])),
@@ -50,7 +52,7 @@ def as_arrays(eyes):
     return tables, figures, stations
 
 
-def some_nodes(rng, count=12):
+def some_nodes(rng, count=7):
     out = [
         {
             "at": np.array([*rng.uniform(-60.0, 60.0, 2), rng.normal(0.0, 2.0)]),
@@ -63,11 +65,23 @@ def some_nodes(rng, count=12):
     return out
 
 
-def some_plans(rng, count=60):
+def some_plans(rng, count=40):
     return np.column_stack((
         rng.uniform(25.0, 60.0, count), rng.uniform(-0.8, 0.8, (count, 2)),
         rng.uniform(-0.3, 1.2, count),
     ))  # fmt: skip
+
+
+def scored(eyes, plans, nodes, vehicle, *, end_tilt=0.9, least=45.0):
+    tables, figures, stations = as_arrays(eyes)
+    out = np.empty((len(plans), 2))
+    rows = np.array([[*n["at"], n["weight"], n["known"], n["needs"]] for n in nodes])
+    kernels.score(
+        np.array([R, V]), TARGET, SPEED, plans, table(FINE), table(COARSE), POWERS,
+        np.array(vehicle), np.tan(end_tilt), np.array([*SITE, SITE[2] + STANDING, least]), rows,
+        *tables, figures, stations, out,
+    )  # fmt: skip
+    return out
 
 
 def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1), end_tilt=0.9, least=45.0):
@@ -77,24 +91,18 @@ def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1), end_tilt=0.9, leas
         R, V, TARGET, SPEED, plans, (FINE, COARSE), vehicle, end_tilt, (SITE, STANDING, least),
         nodes, eyes,
     )  # fmt: skip
-    tables, figures, stations = as_arrays(eyes)
-    out = np.empty((len(plans), 2))
-    rows = np.array([[*n["at"], n["weight"], n["known"], n["needs"]] for n in nodes])
-    kernels.score(
-        np.array([R, V]), TARGET, SPEED, plans, table(FINE), table(COARSE), POWERS,
-        np.array(vehicle), np.tan(end_tilt), np.array([*SITE, SITE[2] + STANDING, least]), rows,
-        *tables, figures, stations, out,
-    )  # fmt: skip
-    return out, wanted
+    return scored(eyes, plans, nodes, vehicle, end_tilt=end_tilt, least=least), wanted
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_what_paths_let_a_lander_know(seed):
     rng = np.random.default_rng(seed)
     eyes = [an_eye(rng), an_eye(rng, stations=(350.0, 160.0, 60.0), half_field=12.0)]
-    eyes = {0: eyes, 1: eyes[:1], 2: eyes[1:], 3: [an_eye(rng, gimbal=70.0), eyes[1]]}.get(seed, eyes)
+    eyes = {0: eyes, 1: eyes[:1], 2: eyes[1:], 3: [an_eye(rng, gimbal=70.0), eyes[1]]}.get(
+        seed, eyes
+    )
     found, wanted = both(rng, eyes, some_plans(rng))
-    assert np.isfinite(wanted[:, 1]).sum() > 8
+    assert np.isfinite(wanted[:, 1]).sum() > 5
     np.testing.assert_array_equal(np.isfinite(found), np.isfinite(wanted))
     good = np.isfinite(wanted[:, 1])
     assert wanted[good, 0].max() > wanted[good, 0].min() + 0.01
@@ -102,10 +110,10 @@ def test_what_paths_let_a_lander_know(seed):
     assert (found[~good, 0] == 0.0).all()
 
 
-@pytest.mark.parametrize("end_tilt", [0.1, 0.3])
+@pytest.mark.parametrize("end_tilt", [0.2, 0.3])
 def test_what_leans_at_the_end_is_refused(end_tilt):
     rng = np.random.default_rng(8)
-    plans = some_plans(rng, 120)
+    plans = some_plans(rng, 90)
     found, wanted = both(rng, [an_eye(rng)], plans, end_tilt=end_tilt)
     loose, _ = both(np.random.default_rng(8), [an_eye(rng)], plans)
     np.testing.assert_array_equal(np.isfinite(found[:, 1]), np.isfinite(wanted[:, 1]))
@@ -115,14 +123,9 @@ def test_what_leans_at_the_end_is_refused(end_tilt):
 def test_nothing_to_look_at_is_nothing_known():
     rng = np.random.default_rng(2)
     eye = an_eye(rng)
-    tables, figures, stations = as_arrays([eye])
-    nodes = np.array([[0.0, 0.0, 0.0, 0.0, 0.4, 0.0]])
-    plans, out = some_plans(rng, 20), np.empty((20, 2))
-    kernels.score(
-        np.array([R, V]), TARGET, SPEED, plans, table(FINE), table(COARSE), POWERS,
-        np.array([G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1]), 2.0,
-        np.array([*SITE, 1.2, 45.0]), nodes, *tables, figures, stations, out,
-    )  # fmt: skip
+    node = {"at": np.zeros(3), "weight": 0.0, "known": 0.4, "needs": 0.0}
+    vehicle = (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1)
+    out = scored([eye], some_plans(rng, 20), [node], vehicle)
     assert (out[:, 0] == 0.0).all()
     assert np.isfinite(out[:, 1]).any()
 
@@ -137,9 +140,9 @@ def test_a_time_that_is_none_is_refused():
 
 def test_bits_do_not_depend_on_threads():
     rng = np.random.default_rng(4)
-    plans = some_plans(rng, 200)
+    plans, eyes, nodes = some_plans(rng, 500), [an_eye(rng)], some_nodes(rng)
     results = []
     for threads in (1, numba.config.NUMBA_NUM_THREADS):
         numba.set_num_threads(threads)
-        results.append(both(np.random.default_rng(5), [an_eye(np.random.default_rng(6))], plans)[0])
+        results.append(scored(eyes, plans, nodes, (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1)))
     np.testing.assert_array_equal(*results)
