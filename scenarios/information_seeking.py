@@ -1,4 +1,4 @@
-"""Does a path that is chosen for what it lets the lander see beat a recipe, and none at all?
+"""Whether a path that is chosen for what it lets the lander see beats a recipe, and none at all.
 
 Direct, modified and information-seeking descents over the same fields of rocks, paired: what they
 know of the ground at 50 m, where they could still land, how they end and what they burn. First on
@@ -152,7 +152,7 @@ def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Fields of rocks on the paper's set-up; each is flown on all paths.")  # fmt: skip
+              help="Fields on the paper's set-up; each is flown on all paths.")  # fmt: skip
 @click.option("--sobol", "points", type=click.IntRange(min=0, max=4096), default=0,
               help="Fly so many points of Sun, slope and cover instead, a field each.")  # fmt: skip
 @click.option("--sensors", type=click.Choice((*SENSORS, "all")), default="all", show_default=True,

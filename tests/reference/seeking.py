@@ -73,8 +73,8 @@ def score(r, v, target, v_f, plans, samples, vehicle, end_tilt, ground, nodes, e
     out = []
     gravity = vehicle[0]
     weight = np.array([node["weight"] for node in nodes])
-    for total, *a_f in plans:
-        a_f = np.array(a_f)
+    for total, *asked in plans:
+        a_f = np.array(asked)
         taken = [np.inf]
         if np.hypot(a_f[0], a_f[1]) <= np.tan(end_tilt) * (a_f[2] + gravity) and total > 0.0:
             taken = divert.best(r, v, target, v_f, a_f, [total], samples[0], *vehicle)

@@ -106,6 +106,8 @@ class SeekingGuidance:
         details.
     plan
         What is flown, as it was made; None: the computer's time-to-go and end.
+    planner
+        What looks for plans.
     """
 
     def __init__(self, settings: InformationSeekingLaw, briefing: Briefing, lag: float) -> None:
@@ -125,7 +127,7 @@ class SeekingGuidance:
                 "Sun between 2 and 80 deg high",
             )  # fmt: skip
         looks = [_looks(briefing.software.tasking[eye.name]) for eye in eyes]
-        self._planner = SeekingPlanner(
+        self.planner = SeekingPlanner(
             eyes, looks, settings.candidates, settings.price, settings.end_tilt
         )
         rocks = ExpectedRocks.of(briefing.rocks.cover, settings.least_diameter)
@@ -199,11 +201,11 @@ class SeekingGuidance:
         here, lead = self._ahead(estimate), self._answering.lead
         cheapest, soonest = self._cheapest(here, end, self.limits)
         left = (self.arrival or time) - time - lead
-        problem = self._problem(here, end, site)
+        problem = self.problem(here, end, site)
         last = None if self.plan is None else replace(self.plan, time_to_go=left)
         expected = soonest if np.isfinite(soonest) else max(left, 1.0)
         most = self._most(estimate.mass, cheapest)
-        plan = None if problem is None else self._planner.best(problem, expected, most, last)
+        plan = None if problem is None else self.planner.best(problem, expected, most, last)
         if plan is None:
             self._fall_back(time, "no map" if problem is None else "no admissible path")
             return
@@ -244,7 +246,7 @@ class SeekingGuidance:
             self.arrival = time + soonest + self._answering.lead
             self.events.append((time, "seeking-over", {"time_to_go": soonest}))
 
-    def _problem(self, here: Estimate, end: PhaseEnd, site: Array) -> Problem | None:
+    def problem(self, here: Estimate, end: PhaseEnd, site: Array) -> Problem | None:
         """Return what a plan is to be made for; None without a map."""
         hazard_map = None if self.belief is None else self.belief()
         if hazard_map is None:

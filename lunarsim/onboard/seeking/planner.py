@@ -142,9 +142,9 @@ class SeekingPlanner:
             What is flown now: it stays unless another is better.
         """
         low, high = self._bounds(problem, expected)
-        wide = low + (high - low) * _spread(2 * self.candidates // 3)
-        plans = wide if last is None else np.vstack((_row(last), wide))
-        plans = self._turned(problem, plans, given=0 if last is None else 1)
+        plans = self.drawn(problem, expected, 2 * self.candidates // 3)
+        if last is not None:
+            plans = np.vstack((_row(last), plans))
         value, known, burnt = self._values(problem, plans, most)
         if not np.isfinite(value).any():
             most = float(np.min(burnt))
@@ -152,9 +152,8 @@ class SeekingPlanner:
         first = int(np.argmax(value))
         if not np.isfinite(value[first]):
             return None
-        about = plans[first] + self._turned(
-            problem, _CLOSE * (high - low) * (_spread(self.candidates // 3) - 0.5), given=0
-        )
+        near = _CLOSE * (high - low) * (_spread(self.candidates // 3) - 0.5)
+        about = plans[first] + _turned(problem, near)
         about[:, 0] = np.maximum(about[:, 0], 1.0)
         better, known_too, burnt_too = self._values(problem, about, most)
         plans = np.vstack((plans, about))
@@ -171,20 +170,20 @@ class SeekingPlanner:
         low[0] = max(low[0], 1.0)
         return low, np.maximum(high, low)
 
-    @staticmethod
-    def _turned(problem: Problem, plans: Array, given: int) -> Array:
-        """Return plans with accelerations in ENU; but for the first few they are along and across.
+    def drawn(self, problem: Problem, expected: float, count: int) -> Array:
+        """Return plans spread evenly over the family (count, 4): time and acceleration at the end.
 
-        Along is the way over ground from the lander to the end.
+        Parameters
+        ----------
+        problem
+            From where to where.
+        expected
+            Time-to-go about which they lie, s.
+        count
+            How many.
         """
-        way = problem.end.position[:2] - problem.estimate.position[:2]
-        size = float(np.hypot(*way))
-        along = way / size if size > 1.0 else np.array([1.0, 0.0])
-        out = plans.copy()
-        a, b = plans[given:, 1], plans[given:, 2]
-        out[given:, 1] = a * along[0] - b * along[1]
-        out[given:, 2] = a * along[1] + b * along[0]
-        return out
+        low, high = self._bounds(problem, expected)
+        return _turned(problem, low + (high - low) * _spread(count))
 
     def _values(self, problem: Problem, plans: Array, most: float) -> tuple[Array, Array, Array]:
         """Return worth, share known and propellant (kg) of plans (n,); -inf: not to be had."""
@@ -225,6 +224,21 @@ class SeekingPlanner:
                 ahead = [h for h in looks.at if h < passed] or [-np.inf]
                 row[: len(ahead)] = ahead
         return out
+
+
+def _turned(problem: Problem, plans: Array) -> Array:
+    """Return plans with accelerations in ENU that are given along the way there, and across it.
+
+    Along is the way over ground from the lander to the end.
+    """
+    way = problem.end.position[:2] - problem.estimate.position[:2]
+    size = float(np.hypot(*way))
+    along = way / size if size > 1.0 else np.array([1.0, 0.0])
+    out = plans.copy()
+    a, b = plans[:, 1], plans[:, 2]
+    out[:, 1] = a * along[0] - b * along[1]
+    out[:, 2] = a * along[1] + b * along[0]
+    return out
 
 
 def _figures_of(eye: Eye, looks: Looks) -> list[float]:
