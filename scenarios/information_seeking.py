@@ -22,6 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+from scipy.stats import binomtest, wilcoxon
 from seeking_flights import ALTITUDES, PATHS, SENSORS, Task, fly, sobol
 
 from lunarsim.campaign.pool import outcomes
@@ -125,8 +126,26 @@ def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
     lost = {p: sum(not row[p]["landed"] for row in rows) for p in PATHS}
     hazards = {p: _hazards(row[p] for row in rows) for p in PATHS}
     console.print(f"not landed: {lost}; hazards wholly called clear: {hazards}")
+    for other in ("nominal", "modified"):
+        console.print(_odds(rows, other))
     back = sum(row["seeking"]["fallbacks"] for row in rows)
     console.print(f"seeking without an admissible path at some time: {back} flights' events")
+
+
+def _odds(rows: list[dict[str, Flight]], other: str) -> str:
+    """Return in how many fields seeking knows more than another path, and how likely by chance."""
+    of = FIGURES["clear ground called clear"]
+    if "clear" not in rows[0]["seeking"]["levels"][LAST]:
+        of = FIGURES["recall at precision 0.99"]
+    more = np.array([of(row["seeking"]) - of(row[other]) for row in rows])
+    ahead, apart = int((more > 0.0).sum()), int((more != 0.0).sum())
+    if apart == 0:
+        return f"as much as {other} in all fields"
+    return (
+        f"more than {other} in {ahead} of {len(rows)} fields, median {np.median(more):+.3f} "
+        f"(sign test p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon's "
+        f"p = {wilcoxon(more).pvalue:.2g})"
+    )
 
 
 def _hazards(flights: Any) -> str:

@@ -20,7 +20,7 @@ def table(samples):
     return np.stack((left, left, left**2), axis=1)
 
 
-def an_eye(rng, *, stations=(), gimbal=180.0, half_field=30.0, highest=380.0):
+def an_eye(rng, *, stations=(), gimbal=180.0, half_field=30.0, highest=380.0, longest=330.0):
     side = 9
     return {
         "axes": (np.linspace(-1.0, 1.0, side), np.linspace(0.0, 1.0, side)),
@@ -29,7 +29,7 @@ def an_eye(rng, *, stations=(), gimbal=180.0, half_field=30.0, highest=380.0):
         "astray": rng.uniform(0.0, 4e-5, (side, side)),
         "told": np.sort(rng.uniform(0.0, 1.0, 17)),
         "sharpest": 20.0, "pixel": 1.0 / 400.0, "half_field_deg": half_field, "gimbal_deg": gimbal,
-        "longest": 330.0, "highest": highest, "lowest": 20.0,
+        "longest": longest, "highest": highest, "lowest": 20.0,
         "sun_azimuth": rng.uniform(0.0, 6.0), "stations": tuple(stations),
     }  # fmt: skip
 
@@ -62,6 +62,7 @@ def some_nodes(rng, count=7):
         for _ in range(count)
     ]  # fmt: skip
     out[3]["weight"] = 0.0
+    out[1] |= {"at": np.array([20.0, 30.0, 190.0]), "weight": 1.0, "known": 0.0, "needs": 0.0}
     return out
 
 
@@ -97,10 +98,14 @@ def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1), end_tilt=0.9, leas
 @pytest.mark.parametrize("seed", range(6))
 def test_what_paths_let_a_lander_know(seed):
     rng = np.random.default_rng(seed)
-    eyes = [an_eye(rng), an_eye(rng, stations=(350.0, 160.0, 60.0), half_field=12.0)]
-    eyes = {0: eyes, 1: eyes[:1], 2: eyes[1:], 3: [an_eye(rng, gimbal=70.0), eyes[1]]}.get(
-        seed, eyes
-    )
+    eyes = [an_eye(rng), an_eye(rng, stations=(350.0, 160.0, 40.0), half_field=12.0)]
+    eyes = {
+        1: eyes[:1],
+        2: eyes[1:],
+        3: [an_eye(rng, gimbal=70.0), eyes[1]],
+        4: [an_eye(rng, longest=120.0)],
+        5: [an_eye(rng, highest=150.0)],
+    }.get(seed, eyes)
     found, wanted = both(rng, eyes, some_plans(rng))
     assert np.isfinite(wanted[:, 1]).sum() > 5
     np.testing.assert_array_equal(np.isfinite(found), np.isfinite(wanted))
@@ -118,6 +123,28 @@ def test_what_leans_at_the_end_is_refused(end_tilt):
     loose, _ = both(np.random.default_rng(8), [an_eye(rng)], plans)
     np.testing.assert_array_equal(np.isfinite(found[:, 1]), np.isfinite(wanted[:, 1]))
     assert 0 < np.isfinite(found[:, 1]).sum() < np.isfinite(loose[:, 1]).sum()
+
+
+def test_what_leans_where_the_path_ends_is_refused_though_looks_count_down_to_there():
+    plans = some_plans(np.random.default_rng(9), 90)
+    found, wanted = both(np.random.default_rng(8), [an_eye(np.random.default_rng(1))], plans,
+                         end_tilt=0.2, least=0.0)  # fmt: skip
+    np.testing.assert_array_equal(np.isfinite(found), np.isfinite(wanted))
+    assert np.isfinite(found[:, 1]).any()
+
+
+def test_an_altitude_that_is_passed_on_the_way_up_is_past(monkeypatch):
+    monkeypatch.setitem(globals(), "R", np.array([-150.0, 20.0, 150.0]))
+    monkeypatch.setitem(globals(), "V", np.array([6.0, -1.0, 12.0]))
+    rng = np.random.default_rng(6)
+    rises = an_eye(rng, stations=(165.0, 80.0), half_field=40.0)
+    falls = dict(rises, stations=(80.0,))
+    plans = some_plans(rng, 150)
+    found, wanted = both(np.random.default_rng(2), [rises], plans)
+    only, _ = both(np.random.default_rng(2), [falls], plans)
+    assert np.isfinite(found[:, 1]).sum() > 3
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    np.testing.assert_array_equal(found, only)
 
 
 def test_nothing_to_look_at_is_nothing_known():
