@@ -39,6 +39,10 @@ _MOVED = 1.0  # of the end, m: a divert
 _LAST = 6.0
 # After a look the map is drawn anew within so long, s.
 _DRAWN = 1.0
+# Shares of the greatest lean that are tried in turn for the way down after the looks.
+_UPRIGHT = (0.6, 0.8, 1.0)
+# So many times the time of the cheapest one it takes there.
+_CALM = 1.4
 
 
 @dataclass(frozen=True)
@@ -173,11 +177,16 @@ class SeekingGuidance:
         return bool(self._lowest <= self.briefing.software.decisions.last_altitude)
 
     def _cheapest(
-        self, estimate: Estimate, end: PhaseEnd, limits: PathLimits
+        self, estimate: Estimate, end: PhaseEnd, limits: PathLimits, least: float = 0.0
     ) -> tuple[float, float]:
-        """Return propellant (kg) and time-to-go (s) of the cheapest path; inf and NaN: none."""
+        """Return propellant (kg) and time-to-go (s) of the cheapest path; inf and NaN: none.
+
+        It takes no less than `least`, s.
+        """
         one = replace(end, position=end.position[None, :])
-        cost = divert_cost(estimate, one, self.lander, self.gravity, limits=limits)
+        cost = divert_cost(
+            estimate, one, self.lander, self.gravity, limits=limits, least_times=np.array([least])
+        )
         return float(cost.propellant[0]), float(cost.time_to_go[0])
 
     def _site(self, end: PhaseEnd) -> Array:
@@ -236,15 +245,22 @@ class SeekingGuidance:
     def _go_down(self, estimate: Estimate, end: PhaseEnd, time: float) -> None:
         """Take the cheapest path that leans little where looks no longer count, if there is one.
 
-        Else the plan is flown out, which leans little from there on too.
+        The less the better: a lander that is to lean to the other side takes a second or two to
+        turn over. Where there is none the plan is flown out, which keeps the greatest lean too.
         """
-        upright = min(self.settings.end_tilt, self.limits.max_tilt)
-        limits = replace(self.limits, max_tilt=upright)
-        _, soonest = self._cheapest(self._ahead(estimate), end, limits)
-        if np.isfinite(soonest):
-            self.plan, self._over = None, True
-            self.arrival = time + soonest + self._answering.lead
-            self.events.append((time, "seeking-over", {"time_to_go": soonest}))
+        here = self._ahead(estimate)
+        for share in _UPRIGHT:
+            lean = share * min(self.settings.end_tilt, self.limits.max_tilt)
+            limits = replace(self.limits, max_tilt=lean)
+            _, soonest = self._cheapest(here, end, limits)
+            _, slower = self._cheapest(here, end, limits, _CALM * soonest)
+            soonest = slower if np.isfinite(slower) else soonest
+            if np.isfinite(soonest):
+                self.plan, self._over = None, True
+                self.arrival = time + soonest + self._answering.lead
+                told = {"time_to_go": soonest, "lean": lean}
+                self.events.append((time, "seeking-over", told))
+                return
 
     def problem(self, here: Estimate, end: PhaseEnd, site: Array) -> Problem | None:
         """Return what a plan is to be made for; None without a map."""
