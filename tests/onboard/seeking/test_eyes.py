@@ -67,6 +67,9 @@ def test_shadows_of_other_rocks_hide_ground_the_more_the_more_there_are(camera):
 def test_places_seen_at_a_grazing_angle_lie_astray(camera):
     steep, grazing = place_variance(np.radians([85.0, 25.0]))
     assert grazing > 15.0 * steep
+    # Straight down a direction errs alike on both axes; at 30 deg twice as far along the sight.
+    assert place_variance(np.pi / 2) == pytest.approx(1e-6)
+    assert place_variance(np.pi / 6) == pytest.approx(0.5 * (5e-6 + 0.75 * 0.007**2))
     np.testing.assert_allclose(camera.astray[:, -1], 0.5 * place_variance(np.pi / 2) / 0.25**2)
     assert np.isfinite(camera.astray).all()
 

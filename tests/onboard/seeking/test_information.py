@@ -82,6 +82,11 @@ def test_ground_that_the_mission_excludes_has_no_weight():
     nodes = nodes_of(drawn, 4, 0.2, np.array([10.0, -4.0, 7.0]))
     np.testing.assert_allclose(nodes[:, 3].reshape(4, 4)[:, 0], [0.0, 0.0, 0.5, 1.0])
     assert (nodes[:, 2] == 2.5).all()
+    # A map that is wider than high lies in the middle of its squares.
+    wide = HazardMap(Grid.centred(np.zeros(2), 8.0, 1.0, 4.0), np.zeros((4, 8), np.float32),
+                     np.zeros((4, 8), bool), eligible=np.ones((4, 8), bool))  # fmt: skip
+    weight = nodes_of(wide, 4, 0.2, np.zeros(3))[:, 3].reshape(4, 4)
+    np.testing.assert_allclose(weight[:, 1], [0.0, 1.0, 1.0, 0.0])
     # Squares that no whole number of cells makes up.
     uneven = nodes_of(drawn, 3, 0.2, np.array([10.0, -4.0, 7.0]))[:, 3].reshape(3, 3)
     np.testing.assert_allclose(uneven.mean(), eligible.mean())
