@@ -25,6 +25,7 @@ from bench_parts.interrupts import interrupts
 from bench_parts.navigation import navigation
 from bench_parts.optimal import optimal
 from bench_parts.quadtree import lidar_inertial, quadtree
+from bench_parts.seeking import seeking
 from bench_parts.sensing import lidar, render, terrain
 from bench_parts.shadows import shadows
 from bench_parts.shared_paths import paths
@@ -45,6 +46,7 @@ PARTS: dict[str, Callable[[], None]] = {
         navigation,
         guidance,
         optimal,
+        seeking,
         envs,
         campaign,
         interrupts,

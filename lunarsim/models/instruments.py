@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from lunarsim.models.inertial_unit import TriadErrors
@@ -22,15 +23,21 @@ class PointedInstrument:
 
 @dataclass(frozen=True)
 class CameraInstrument(PointedInstrument):
-    """A camera on a gimbal; pictures bring their geometry.
+    """A camera on a gimbal; pictures bring the whole of their geometry.
 
     Attributes
     ----------
     blur_sigma
         Point spread, 1 sigma, pixels.
+    pixel
+        Angle of a pixel in the middle, rad.
+    half_field
+        Tangent of half the narrower side of the field of view.
     """
 
     blur_sigma: float = 0.6
+    pixel: float = 1.0 / 554.3
+    half_field: float = 0.433
 
 
 @dataclass(frozen=True)
@@ -45,11 +52,23 @@ class LidarInstrument(PointedInstrument):
         Between the sensor and what the gimbal's encoders tell, an axis, rad.
     latency
         Between the flash and the time that it is given, s.
+    pixel
+        Angle of a pixel in the middle, rad.
+    half_field
+        Tangent of half the narrower side of the field of view.
+    max_range
+        Longest range that gives a return, m.
+    max_incidence
+        Greatest angle between ray and surface normal that gives one, rad.
     """
 
     range_bias: float = 0.0
     boresight: float = 0.0
     latency: float = 0.0
+    pixel: float = 0.1 / 128.0
+    half_field: float = 0.1
+    max_range: float = 2000.0
+    max_incidence: float = 0.5 * math.pi
 
 
 @dataclass(frozen=True)

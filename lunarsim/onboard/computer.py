@@ -24,12 +24,13 @@ from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.arrival import time_at_gate
 from lunarsim.onboard.guidance.climb import climb
-from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
+from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival, SeesByMap
 from lunarsim.onboard.guidance.divert import DivertCost
 from lunarsim.onboard.guidance.steady import SteadyPlace
 from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.building import built_mappers
+from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
@@ -87,7 +88,10 @@ class OnboardComputer:
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
-        self.guidance = software.guidance.build(briefing, lag)
+        with named_in("guidance"):
+            self.guidance = software.guidance.build(briefing, lag)
+        if isinstance(self.guidance, SeesByMap):
+            self.guidance.belief = self._belief
         self.vertical = descent_law(software.descent, briefing, lag)
         self.braking = software.braking
         self._brake: Any = None
@@ -156,6 +160,10 @@ class OnboardComputer:
     def mapper(self) -> HazardMapper | None:
         """The mapper whose map decides; None for a lander without one."""
         return self.mappers.get(self.decisions_map)
+
+    def _belief(self) -> HazardMap | None:
+        """Return the map that decides as it stands; None for a lander without one."""
+        return None if self.mapper is None else self.mapper.hazard_map()
 
     @property
     def diverts_barred(self) -> bool:

@@ -130,6 +130,7 @@ CONTRACTS: dict[str, Contract] = {
             ),
             "optimal": "lunarsim.onboard.guidance.optimal_law:OptimalLaw",
             "neural-optimal": "lunarsim.onboard.guidance.neural_law:NeuralOptimalLaw",
+            "information-seeking": "lunarsim.onboard.seeking.law:InformationSeekingLaw",
         },
         ("build", "cost"),
     ),

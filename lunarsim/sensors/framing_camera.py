@@ -94,5 +94,7 @@ class FramingCamera:
         return MeteringCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
-        """Return what the onboard computer may know of it; pictures bring their geometry."""
-        return CameraInstrument(self.gimbal_limit, self.blur_sigma)
+        """Return what the onboard computer may know of it; pictures bring the rest."""
+        camera = self.camera()
+        half = 0.5 * min(self.width / camera.fx, self.height / camera.fy)
+        return CameraInstrument(self.gimbal_limit, self.blur_sigma, 1.0 / camera.fx, half)

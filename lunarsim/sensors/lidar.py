@@ -118,9 +118,12 @@ class FlashLidar:
 
     def calibration(self) -> LidarInstrument:
         """Return what the onboard computer may know of it."""
+        spread = self.half_width if self.spacing == "tangent" else np.arctan(self.half_width)
         return LidarInstrument(
-            self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma
-        )
+            self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma,
+            2.0 * float(spread) / min(self.rows, self.cols), self.half_width, self.max_range,
+            self.max_incidence,
+        )  # fmt: skip
 
     def directions(self) -> Array:
         """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""

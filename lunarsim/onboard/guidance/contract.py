@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -95,3 +97,16 @@ class PlansArrival(Protocol):
 
     arrival: float | None
     events: list[tuple[float, str, dict[str, Any]]]
+
+
+@runtime_checkable
+class SeesByMap(Protocol):
+    """A law that plans by what is known of the ground.
+
+    Attributes
+    ----------
+    belief
+        Gives the map that decides as it stands, None for a lander without one: set by the computer.
+    """
+
+    belief: Callable[[], HazardMap | None] | None

@@ -37,8 +37,32 @@ class Situation:
     estimate: Estimate
 
 
+@dataclass(frozen=True)
+class Looks:
+    """Altitudes of the pads above the site at which a schedule measures.
+
+    Attributes
+    ----------
+    highest, lowest
+        Between which it measures over and over, m.
+    at
+        Of single measurements, m; empty: over and over.
+    """
+
+    highest: float = np.inf
+    lowest: float = 0.0
+    at: tuple[float, ...] = ()
+
+
 class TaskingPart(Protocol):
-    """What the registry knows of a schedule: a frozen dataclass of its settings."""
+    """What the registry knows of a schedule: a frozen dataclass of its settings.
+
+    Attributes
+    ----------
+    looks
+        May be left out: the altitudes at which it measures (`Looks`), for what plans by them; else
+        it is taken to measure all the way down.
+    """
 
     def build(self, sensor: str, briefing: Briefing) -> Tasking:
         """Return the schedule of one flight.

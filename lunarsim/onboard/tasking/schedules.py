@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import SensorTask
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.tasking.contract import Situation
+from lunarsim.onboard.tasking.contract import Looks, Situation
 from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
@@ -57,6 +57,11 @@ class AtAltitudes:
         if not self.altitudes:
             raise InputError("altitudes", (), "at least one altitude in metres")
 
+    @property
+    def looks(self) -> Looks:
+        """Where it measures."""
+        return Looks(at=self.altitudes)
+
     def build(self, sensor: str, briefing: Briefing) -> AltitudeSchedule:
         """Return the schedule of one flight."""
         limit = briefing.instruments[sensor].gimbal_limit
@@ -77,6 +82,11 @@ class Periodic:
 
     rate: float = quantity(10.0, "Hz", gt=0, help="measurements a second")
     first_altitude: float = quantity(400.0, "m", gt=0, help="of the first, above the site")
+
+    @property
+    def looks(self) -> Looks:
+        """Where it measures."""
+        return Looks(highest=self.first_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:
         """Return the schedule of one flight."""
@@ -106,6 +116,11 @@ class Sweep:
     rate: float = quantity(20.0, "Hz", gt=0, help="while it sweeps")
     dwell_rate: float = quantity(5.0, "Hz", gt=0, help="on the site")
     last_altitude: float = quantity(15.0, "m", ge=0, help="below it the sensor is turned away")
+
+    @property
+    def looks(self) -> Looks:
+        """Where it measures."""
+        return Looks(lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> SweepSchedule:
         """Return the schedule of one flight."""

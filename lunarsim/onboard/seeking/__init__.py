@@ -1,0 +1,1 @@
+"""Paths that are chosen for what they let the lander see."""

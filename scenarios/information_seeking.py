@@ -1,0 +1,222 @@
+"""Whether a path that is chosen for what it lets the lander see beats a recipe, and none at all.
+
+Direct, modified and information-seeking descents over the same fields of rocks, paired: what they
+know of the ground at 50 m, where they could still land, how they end and what they burn. First on
+the set-up of the shadow EKF paper with camera, LiDAR and both, then over Suns, slopes and covers
+by Sobol's sequence, one field each. Every flight is kept: an interrupt leaves a file that the next
+run goes on from.
+
+python scenarios/information_seeking.py --fields 20 --jobs 2 --json out/seeking.json
+python scenarios/information_seeking.py --sobol 60 --jobs 2 --json out/seeking_sobol.json
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from scipy.stats import binomtest, wilcoxon
+from seeking_flights import ALTITUDES, PATHS, SENSORS, Task, fly, sobol
+
+from lunarsim.campaign.pool import outcomes
+from lunarsim.evaluation.statistics import mean_interval
+from lunarsim.whole_files import write_text_whole
+
+LAST = f"{ALTITUDES[-1]:g}"
+Flight = dict[str, Any]
+
+# What a table tells of a flight.
+FIGURES: dict[str, Callable[[Flight], float]] = {
+    "clear ground called clear": lambda f: f["levels"][LAST].get("clear", np.nan),
+    "safe sites known": lambda f: _share(f, LAST, "known_m2"),
+    "and in reach": lambda f: _share(f, LAST, "known_in_reach_m2"),
+    "safe sites known at 100 m": lambda f: _share(f, "100", "known_m2"),
+    "recall at precision 0.99": lambda f: f["levels"][LAST].get("recall_at_099", np.nan),
+    "unsafe sites called safe": lambda f: (
+        f["levels"][LAST]["unsafe_called_safe"] / max(f["levels"][LAST]["unsafe"], 1)
+    ),
+    "safe landings": lambda f: float(f["safe"]),
+    "propellant, kg": lambda f: f["propellant"],
+    "duration, s": lambda f: f["duration"],
+}
+
+
+def _share(flight: Flight, level: str, name: str) -> float:
+    of = flight["levels"][level]
+    return float(of[name] / of["safe_m2"]) if of["safe_m2"] > 0.0 else float("nan")
+
+
+class Results:
+    """Flights that are done, in a file that is whole after each of them.
+
+    Parameters
+    ----------
+    path
+        Of the file; None: nothing is kept.
+    settings
+        Of the study; a file of another is refused.
+    """
+
+    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
+        self._path, self._settings = path, settings
+        self.flights: dict[str, Flight] = {}
+        if path is not None and path.exists():
+            data = json.loads(path.read_text(encoding="utf-8"))
+            if data.get("settings") != settings:
+                raise click.BadParameter(
+                    f"{path} holds flights of {data.get('settings')}, not of {settings}",
+                    param_hint="--json",
+                )
+            self.flights = data["flights"]
+
+    def keep(self, task: Task, result: Flight) -> None:
+        """Add a flight, and write the file anew."""
+        self.flights[task.key] = result
+        if self._path is not None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            data = {"settings": self._settings, "flights": self.flights}
+            write_text_whole(self._path, json.dumps(data, indent=1))
+
+
+def whole_fields(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[dict[str, Flight]]:
+    """Return the fields that all paths have flown to their last map: flights by path."""
+    rows: dict[int, dict[str, Flight]] = {}
+    for task in tasks:
+        done = flights.get(task.key)
+        if done is not None and LAST in done["levels"]:
+            rows.setdefault(task.field, {})[task.path] = done
+    return [row for row in rows.values() if len(row) == len(PATHS)]
+
+
+def compared(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
+    """Return each figure of the paths and of what seeking has more than the others, with 95 %."""
+    out: dict[str, dict[str, str]] = {}
+    for name, of in FIGURES.items():
+        values = {path: np.array([of(row[path]) for row in rows]) for path in PATHS}
+        if not np.isfinite(values["seeking"]).any():
+            continue
+        digits = 2 if "," in name else 3
+        line = {path: mean_interval(v).text(digits) for path, v in values.items()}
+        for other in ("nominal", "modified"):
+            line[f"seeking - {other}"] = mean_interval(values["seeking"] - values[other]).text(
+                digits
+            )
+        out[name] = line
+    return out
+
+
+def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
+    """Print the table of one set of sensors."""
+    if not rows:
+        return
+    table = Table(title=f"{title}: {len(rows)} fields, at 50 m (95 % intervals)")
+    headings = ("", *PATHS, "seeking - nominal", "seeking - modified")
+    for heading in headings:
+        table.add_column(heading, justify="left" if not heading else "right")
+    for name, line in compared(rows).items():
+        table.add_row(name, *line.values())
+    console.print(table)
+    lost = {p: sum(not row[p]["landed"] for row in rows) for p in PATHS}
+    hazards = {p: _hazards(row[p] for row in rows) for p in PATHS}
+    console.print(f"not landed: {lost}; hazards wholly called clear: {hazards}")
+    for other in ("nominal", "modified"):
+        console.print(_odds(rows, other))
+    back = sum(row["seeking"]["fallbacks"] for row in rows)
+    console.print(f"seeking without an admissible path at some time: {back} flights' events")
+
+
+def _odds(rows: list[dict[str, Flight]], other: str) -> str:
+    """Return in how many fields seeking knows more than another path, and how likely by chance."""
+    of = FIGURES["clear ground called clear"]
+    if "clear" not in rows[0]["seeking"]["levels"][LAST]:
+        of = FIGURES["recall at precision 0.99"]
+    more = np.array([of(row["seeking"]) - of(row[other]) for row in rows])
+    ahead, apart = int((more > 0.0).sum()), int((more != 0.0).sum())
+    if apart == 0:
+        return f"as much as {other} in all fields"
+    return (
+        f"more than {other} in {ahead} of {len(rows)} fields, median {np.median(more):+.3f} "
+        f"(sign test p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon's "
+        f"p = {wilcoxon(more).pvalue:.2g})"
+    )
+
+
+def _hazards(flights: Any) -> str:
+    counts = [(f["levels"][LAST].get("hazards_clear", 0), f["levels"][LAST].get("hazards", 0))
+              for f in flights]  # fmt: skip
+    return f"{sum(c for c, _ in counts)} of {sum(n for _, n in counts)}"
+
+
+def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
+    """Print where seeking knows less than another path."""
+    of = FIGURES["clear ground called clear"]
+    for other in ("nominal", "modified"):
+        worse = [row for row in rows if of(row["seeking"]) < of(row[other])]
+        console.print(f"less clear ground than {other} in {len(worse)} of {len(rows)} fields:")
+        for row in sorted(worse, key=lambda r: of(r["seeking"]) - of(r[other])):
+            g = row["seeking"]["ground"]
+            console.print(
+                f"  Sun {g['azimuth']:.0f} deg, {g['elevation']:.0f} deg high, slope"
+                f" {g['slope']:.1f} deg, cover {100 * g['cover']:.0f} %: {of(row['seeking']):.3f}"
+                f" against {of(row[other]):.3f}"
+            )
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=1), default=20, show_default=True,
+              help="Fields on the paper's set-up; each is flown on all paths.")  # fmt: skip
+@click.option("--sobol", "points", type=click.IntRange(min=0, max=4096), default=0,
+              help="Fly so many points of Sun, slope and cover instead, a field each.")  # fmt: skip
+@click.option("--sensors", type=click.Choice((*SENSORS, "all")), default="all", show_default=True,
+              help="What sees; by Sobol points the camera.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="File that keeps all flights, and that a later run goes on from.")  # fmt: skip
+@click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Draw safe ground known and in reach against altitude.")  # fmt: skip
+def main(
+    fields: int, points: int, sensors: str, seed: int, jobs: int, json_file: Path | None,
+    figure: Path | None,
+) -> None:  # fmt: skip
+    """Fly the three paths over the same fields and compare what they see."""
+    console = Console(width=150)
+    results = Results(json_file, {"seed": seed, "sobol": points > 0})
+    if points:
+        everything = [
+            Task(p, k, seed, "camera", g) for k, g in enumerate(sobol(points, seed)) for p in PATHS
+        ]
+    else:
+        wanted = SENSORS if sensors == "all" else (sensors,)
+        everything = [Task(p, k, seed, s) for k in range(fields) for s in wanted for p in PATHS]
+    tasks = [t for t in everything if t.key not in results.flights]
+    with Progress(console=console) as progress:
+        bar = progress.add_task("flights", total=len(tasks))
+        try:
+            for index, result in outcomes(fly, tasks, jobs):
+                results.keep(tasks[index], result)
+                progress.advance(bar)
+        except KeyboardInterrupt:
+            console.print("interrupted; what is done is kept")
+    for name in SENSORS:
+        mine = [t for t in everything if t.sensors == name]
+        rows = whole_fields(mine, results.flights)
+        show(name, rows, console)
+        if points and rows:
+            show_losses(rows, console)
+        if figure is not None and rows:
+            from seeking_figure import draw
+
+            draw(rows, figure.with_stem(f"{figure.stem}_{name}"))
+
+
+if __name__ == "__main__":
+    main()

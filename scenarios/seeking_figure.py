@@ -1,0 +1,62 @@
+"""Safe ground known and in reach on the way down, for each path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from seeking_flights import ALTITUDES, PATHS
+
+LABELS = {"nominal": "direct", "modified": "modified by hand", "seeking": "information-seeking"}
+COLOURS = {"nominal": "tab:gray", "modified": "tab:orange", "seeking": "tab:blue"}
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw the share of the safe ground that is known, and known and in reach, by altitude.
+
+    Parameters
+    ----------
+    rows
+        Flights of fields, by path.
+    path
+        Of the picture.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
+    for name in PATHS:
+        flights = [row[name] for row in rows]
+        colour, label = COLOURS[name], LABELS[name]
+        known = _mean(flights, "known_m2")
+        left.plot(known, ALTITUDES, "--", color=colour, lw=1.2)
+        left.plot(_mean(flights, "known_in_reach_m2"), ALTITUDES, "o-", color=colour, label=label)
+        away = [
+            np.mean([np.hypot(*f["levels"][f"{h:g}"]["place"][:2]) for f in flights])
+            for h in ALTITUDES
+        ]
+        right.plot(away, ALTITUDES, "o-", color=colour, label=label)
+    left.set_xlabel("share of the safe sites known to be safe\n(dashed: in reach or not)")
+    left.set_xlim(-0.02, 1.0)
+    right.set_xlabel("distance over ground to the first site, m")
+    for axes in (left, right):
+        axes.set_ylabel("altitude of the pads, m")
+        axes.grid(alpha=0.3)
+    left.legend(loc="upper right", frameon=False)
+    left.set_title(f"safe ground known and in reach, {len(rows)} fields", fontsize=10)
+    right.set_title("the paths", fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def _mean(flights: list[dict[str, Any]], name: str) -> list[float]:
+    """Return the mean share of the safe ground at each altitude."""
+    return [
+        float(np.mean([f["levels"][f"{h:g}"][name] / max(f["levels"][f"{h:g}"]["safe_m2"], 1.0)
+                       for f in flights]))
+        for h in ALTITUDES
+    ]  # fmt: skip

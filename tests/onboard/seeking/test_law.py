@@ -1,0 +1,174 @@
+"""The law that looks where it lands: what it asks of a lander, and what it does in flight."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.onboard.guidance.contract import PlansArrival, SeesByMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.seeking.law import InformationSeekingLaw
+from lunarsim.onboard.tasking.contract import Looks
+from lunarsim.onboard.tasking.schedules import AtAltitudes, Periodic, Sweep
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import SCENARIOS, SMALL_FLIGHT
+
+QUICK = {"kind": "information-seeking", "candidates": 600, "squares": 4}
+
+
+def seeing(**tables) -> Scenario:
+    small = Scenario.from_dict(SMALL_FLIGHT)
+    return small.changed(guidance=QUICK, **tables)
+
+
+@pytest.fixture(scope="module")
+def paper():
+    """The computer of the shadow paper's direct descent, under this law, and its estimate."""
+    scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
+        guidance=QUICK, mappers={"rocks": {"size_m": 60.0}},
+        terrain={"size_m": 80.0}, rocks={"min_diameter_m": 0.6},
+    )  # fmt: skip
+    return Simulation(scenario, 3).computer
+
+
+def at_start(computer, **settings):
+    """Return a law of its own as the flight begins, and what it is asked with."""
+    law = computer.briefing.software.guidance
+    guidance = replace(law, **settings).build(computer.briefing, 0.3)
+    guidance.belief = computer.guidance.belief
+    return guidance, (computer.estimate, computer.approach.end(computer.site, computer.lander))
+
+
+def test_it_plans_over_the_site_and_pays_for_it(paper):
+    free, asked = at_start(paper)
+    cheap, _ = at_start(paper, allowance=0.0)
+    for law in (free, cheap):
+        assert isinstance(law, PlansArrival)
+        assert isinstance(law, SeesByMap)
+        assert np.isfinite(law.command(*asked, 0.0, 47.0)).all()
+    assert free.plan.known > cheap.plan.known + 0.03
+    assert cheap.plan.propellant < free.plan.propellant < cheap.plan.propellant + 1.5
+    assert free.arrival == pytest.approx(free.plan.time_to_go + 0.3)
+    assert free.events[-1][1] == "guidance-planned"
+
+
+def test_knowledge_that_costs_too_much_is_not_bought(paper):
+    dear, asked = at_start(paper, price=0.5)
+    free, _ = at_start(paper, price=0.0)
+    for law in (dear, free):
+        law.command(*asked, 0.0, 47.0)
+    assert dear.plan.propellant < free.plan.propellant - 0.2
+    assert dear.plan.known < free.plan.known
+
+
+def test_ground_that_is_known_is_not_looked_at_again(paper):
+    law, asked = at_start(paper)
+    unknown, _ = at_start(paper)
+    grid = Grid.centred(np.zeros(2), 60.0, 1.0)
+    sure = np.full(grid.shape, 1.0 - 1e-9, np.float32)
+    law.belief = lambda: HazardMap(grid, sure, np.ones(grid.shape, bool))
+    for one in (law, unknown):
+        one.command(*asked, 0.0, 47.0)
+    assert law.plan.known > 0.99
+    # There is nothing left to see: the cheapest path is taken.
+    assert law.plan.propellant < unknown.plan.propellant
+
+
+def test_without_a_map_or_a_path_it_flies_as_the_computer_wants(paper):
+    for change, why in (({"belief": lambda: None}, "no map"), ({}, "no admissible path")):
+        law, asked = at_start(paper)
+        for name, value in change.items():
+            setattr(law, name, value)
+        here, end = asked
+        if not change:
+            here = replace(here, mass=paper.lander.dry_mass + 15.5)
+        for k in range(30):
+            law.command(here, end, 0.1 * k, 47.0 - 0.1 * k)
+        fallen = [e for e in law.events if e[1] == "guidance-fallback"]
+        assert [e[2]["reason"] for e in fallen] == [why]
+        assert law.plan is None
+        assert law.arrival == pytest.approx(47.0)
+
+
+def test_a_divert_is_planned_at_once(paper):
+    law, (here, end) = at_start(paper)
+    law.command(here, end, 0.0, 47.0)
+    plans = len(law.events)
+    law.command(here, end, 0.1, 47.0)
+    assert len(law.events) == plans
+    law.command(here, replace(end, position=end.position + [15.0, 5.0, 0.0]), 0.2, 46.0)
+    assert len(law.events) == plans + 1
+
+
+def test_below_the_last_decision_it_goes_down_upright(paper):
+    law, (here, end) = at_start(paper)
+    low = replace(
+        here, position=end.position + [6.0, 3.0, 36.0], velocity=np.array([-1.0, 0.5, -7.0]),
+        mass=195.0,
+    )  # fmt: skip
+    law.command(low, end, 0.0, 9.0)
+    assert law.plan is None
+    assert [e[1] for e in law.events] == ["seeking-over"]
+    wanted = law.command(low, end, 0.1, 9.0)
+    assert np.hypot(*wanted[:2]) < np.tan(np.radians(26.0)) * wanted[2]
+
+
+@pytest.mark.parametrize("which", ["position", "velocity", "mass", "end", "time"])
+def test_what_is_not_finite_is_refused(paper, which):
+    law, (here, end) = at_start(paper)
+    left = 47.0
+    if which == "time":
+        left = np.nan
+    elif which == "end":
+        end = replace(end, position=np.array([np.nan, 0.0, 0.0]))
+    else:
+        here = replace(here, **{which: np.nan if which == "mass" else np.full(3, np.inf)})
+    with pytest.raises(InputError):
+        law.command(here, end, 0.0, left)
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [("interval_s", 0.0), ("candidates", 3), ("squares", 1), ("allowance_kg", -1.0),
+     ("price", -0.1), ("least_diameter_m", 0.0), ("end_tilt_deg", 90.0), ("interval_s", np.nan)],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused(key, value):
+    with pytest.raises(InputError, match=f"guidance.{key}"):
+        seeing().changed(guidance={key: value})
+
+
+def test_a_lander_that_sees_nothing_is_refused():
+    blind = Scenario.from_dict({
+        "name": "blind", "guidance": {"kind": "information-seeking"}, "sensors": {
+            "imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},
+        "mappers": {}, "tasking": {},
+    })  # fmt: skip
+    with pytest.raises(InputError, match=r"guidance\.kind.*camera or LiDAR"):
+        Simulation(blind, 1)
+
+
+def test_schedules_tell_where_they_measure():
+    assert Periodic(first_altitude=250.0).looks == Looks(highest=250.0)
+    assert AtAltitudes((300.0, 90.0)).looks == Looks(at=(300.0, 90.0))
+    assert Sweep(last_altitude=20.0).looks == Looks(lowest=20.0)
+
+
+def test_a_flight_lands_and_repeats_bit_for_bit():
+    ends = []
+    for _ in range(2):
+        simulation = Simulation(seeing(), 5, policy="safest")
+        while not simulation.done:
+            simulation.step()
+        assert simulation.verdict.touchdown is not None
+        assert simulation.verdict.safe
+        planned = [e for e in simulation.computer.telemetry if e[1] == "guidance-planned"]
+        assert len(planned) > 5
+        ends.append(simulation.state.position)
+    np.testing.assert_array_equal(*ends)
+
+
+def test_it_is_chosen_by_one_line_and_builds_from_its_name():
+    assert isinstance(seeing().guidance.make(), InformationSeekingLaw)
