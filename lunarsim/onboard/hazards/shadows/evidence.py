@@ -10,6 +10,8 @@ Rocks that are not tracked are then a Poisson field: as many a square metre as t
 expects, times the rate at which they are missed where their shadow would fall on lit ground, and
 crowded together where it would fall on dark ground, since there they must all be. The
 probability that none reaches into a disc follows from the field's integral over the disc.
+
+What is seen is noted for places of the ground, which slide through the local frame as rocks do.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
+from lunarsim.onboard.hazards.shadows.sliding import Slide
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -54,7 +57,7 @@ class ClearEvidence:
     Parameters
     ----------
     grid
-        The places.
+        The places, as they are noted.
     model
         What rocks look like: how many pixels their shadows have.
     diameters
@@ -71,6 +74,8 @@ class ClearEvidence:
         rock would fall on lit ground, and on dark (sizes, rows, cols); 0: none.
     explained
         Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
+    slide
+        Where the places lie in the local frame by now.
     """
 
     def __init__(
@@ -82,6 +87,7 @@ class ClearEvidence:
         rates: DetectionRates,
     ) -> None:
         self.grid = grid
+        self.slide = Slide(np.array(grid.centre))
         self.model = model
         # The shadow of a low rock lies within that of any higher one.
         self._low = ShadowModel(model.elevation, LOW)
@@ -101,6 +107,7 @@ class ClearEvidence:
         """Take back all that was seen."""
         self.lit[:] = 0.0
         self.dark[:] = 0.0
+        self.slide.forget()
 
     def recentre(self, off: Array) -> Array:
         """Lay the places about a point that is off (2,), m, to whole places; what was seen stays.
@@ -159,7 +166,7 @@ class ClearEvidence:
         every = max(1, round(_COARSE / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
-        xy = np.stack(np.meshgrid(x, y), -1)
+        xy = self.slide.now(np.stack(np.meshgrid(x, y), -1))
         height = heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])
         away = view.position - np.dstack((xy, height))
         level = np.hypot(away[..., 0], away[..., 1])
@@ -173,11 +180,10 @@ class ClearEvidence:
             shown &= sigma <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
-        coarse = np.dstack((sharpness, height, *self._core(azimuth, depression, sun)))
+        coarse = np.dstack((sharpness, xy, height, *self._core(azimuth, depression, sun)))
         kernels.look(
-            self.lit, self.dark, self.explained, g.x0, g.y0, g.posting, self._tested, coarse, every,
-            view.position, view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels,
-            largest, _DARK, _SHARPER,
+            self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
+            view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels, largest, _DARK, _SHARPER,
         )  # fmt: skip
 
     def _core(self, azimuth: Array, depression: Array, sun: Array) -> list[Array]:
@@ -260,6 +266,10 @@ class ClearEvidence:
                 self._density(s), reach / self.grid.posting, float(self._number[mine].sum())
             )
         return total
+
+    def unseen(self, footprint: float = 0.0) -> float:
+        """Return what `expected` is of places of which nothing was noted."""
+        return float(np.pi * self._number @ (footprint + self._radius) ** 2)
 
     def expected_found(self) -> float:
         """Return how many rocks should have been found where there was a look."""

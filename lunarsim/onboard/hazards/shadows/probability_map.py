@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
@@ -158,19 +159,46 @@ class ProbabilityMap:
         they are missed, which is 1 below the resolution. For a footprint of a given radius (m)
         those count whose outline reaches into it.
         """
-        expected = self._fine(self.evidence.expected(footprint)).astype(np.float64)
+        unseen = self.evidence.unseen(footprint)
+        expected = self._fine(self.evidence.expected(footprint), unseen).astype(np.float64)
         # Rocks do not lie one on the other, but several may reach into a footprint.
         return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
-    def _fine(self, blocks: NDArray[Any]) -> NDArray[Any]:
-        """Return the map's cells (rows, cols) from blocks of them."""
-        fine = np.repeat(np.repeat(blocks, self._every, 0), self._every, 1)
-        return fine[: self.grid.rows, : self.grid.cols]
+    def follow(self, xy: Array, by: Array) -> None:
+        """Let what was seen slide with the rocks, see `Slide.follow`.
+
+        Parameters
+        ----------
+        xy, by
+            Where tracked rocks stand now and by how far they were moved (n, 2), m.
+        """
+        self.evidence.slide.follow(xy, by)
+
+    def _fine(self, blocks: NDArray[Any], outside: float) -> NDArray[Any]:
+        """Return the map's cells (rows, cols) from blocks of noted places.
+
+        `outside` is what cells are that lie on none.
+        """
+        if self.evidence.slide.still:
+            fine = np.repeat(np.repeat(blocks, self._every, 0), self._every, 1)
+            return fine[: self.grid.rows, : self.grid.cols]
+        # Column and row of a block from those of a cell, both along (1, 0), (0, 1) and at the start.
+        own, cell = self.evidence.grid, self.grid.posting
+        start = np.array([self.grid.x0, self.grid.y0])
+        at = self.evidence.slide.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
+        zero, right, up = (at - [own.x0, own.y0]) / own.posting
+        layer = blocks.astype(np.uint8) if blocks.dtype == np.bool_ else blocks
+        fine = cv2.warpAffine(
+            layer, np.column_stack((right - zero, up - zero, zero)), (self.grid.cols, self.grid.rows),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=outside,
+        )  # fmt: skip
+        return np.asarray(fine).astype(blocks.dtype)
 
     @property
     def observed(self) -> NDArray[np.bool_]:
         """Whether a rock of the least hazardous size would have shown (rows, cols)."""
-        return self._fine(self.evidence.seen())
+        return self._fine(self.evidence.seen(), 0.0)
 
     # --- the map --------------------------------------------------------------------------
 
@@ -236,7 +264,7 @@ class ProbabilityMap:
 
     def ratios(self) -> NDArray[np.float32]:
         """Return `ClearEvidence.ratios` on the map's cells (sizes, rows, cols)."""
-        return np.stack([self._fine(of_size) for of_size in self.evidence.ratios()])
+        return np.stack([self._fine(of_size, 1.0) for of_size in self.evidence.ratios()])
 
     def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
         """Return the map for a lander whose footprint has the given radius (m)."""

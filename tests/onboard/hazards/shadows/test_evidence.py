@@ -35,9 +35,13 @@ def seen_from(terrain, place):
 
 def test_look_does_as_a_plain_loop():
     rng = np.random.default_rng(5)
-    coarse = rng.normal(0.0, 1.5, (5, 7, 2 + 2 * 3))
+    coarse = rng.normal(0.0, 1.5, (5, 7, 4 + 2 * 3))
     coarse[..., 0] = rng.uniform(-0.3, 2.0, coarse.shape[:2])
-    coarse[..., 1] *= 0.3
+    # Places that were moved and turned since they were noted.
+    col, row = np.meshgrid(2.8 * np.arange(7), 2.8 * np.arange(5))
+    coarse[..., 1] = -6.0 + col - 0.1 * row
+    coarse[..., 2] = -7.0 + row + 0.1 * col
+    coarse[..., 3] *= 0.3
     radii = np.array([0.3, 0.8])
     lit, dark = (rng.uniform(0.0, 1.2, (2, 15, 22)).astype(np.float32) for _ in range(2))
     known = np.zeros(lit.shape, np.bool_)
@@ -50,20 +54,20 @@ def test_look_does_as_a_plain_loop():
     labels = rng.integers(0, 4, (30, 40)).astype(np.int32)
     largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
     kernels.look(
-        lit, dark, known, -6.0, -7.0, 0.7, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0,
-        labels, largest, 2, 1.1,
+        lit, dark, known, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0, labels, largest,
+        2, 1.1,
     )  # fmt: skip
     changed = named = 0
     for s, i, j in product(range(2), range(15), range(22)):
         node = [
-            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(8))
+            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(10))
         ]
-        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 8))[:, k]) for k in range(8)]
+        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 10))[:, k]) for k in range(10)]
         want = [before[0][s, i, j], before[1][s, i, j]]
         if at[0] > 0.0 and at[0] > 1.1 * max(want):
             count = tracked = 0
-            for k in (2, 4, 6):
-                place = np.array([-6.0 + 0.7 * j, -7.0 + 0.7 * i, at[1]])
+            for k in (4, 6, 8):
+                place = np.array([-6.0 + 0.7 * j - 0.07 * i, -7.0 + 0.7 * i + 0.07 * j, at[3]])
                 place[:2] += radii[s] * np.array(at[k : k + 2])
                 x, y, z = axes.T @ (place - position)
                 u, v = 70.0 * x / z + 19.0, 60.0 * y / z + 15.0
