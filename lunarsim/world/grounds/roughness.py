@@ -22,9 +22,10 @@ from lunarsim.world.terrain import (
 _RELIEF_SEED = 20260101
 # Hurst exponent, slope at 1 m (rad) and crater density. Median Hurst exponents of maria and
 # highlands, and their slopes carried to 1 m by them, from Rosenburg et al. (2011), J. Geophys. Res.
-# 116, E02001. Those of the polar preset are of the ridge beside Shackleton crater at the south pole,
-# which is steeper than most highland: median slope of LOLA elevations 40 m apart, 12.4 deg, carried
-# to 1 m by the Hurst exponent of medians over 40 to 160 m (tests/world/grounds/test_fractal.py).
+# 116, E02001. Those of the polar preset are of the ridge beside Shackleton crater at the south
+# pole, which is steeper than most highland: median slope of LOLA elevations 40 m apart, 12.4 deg,
+# carried to 1 m by the Hurst exponent of medians over 40 to 160 m
+# (tests/world/grounds/test_fractal.py).
 _PRESETS: dict[str, tuple[float, float, float]] = {
     "none": (0.85, np.deg2rad(2.5), 0.0),
     "mare": (0.76, np.deg2rad(3.9), 0.079),

@@ -47,6 +47,8 @@ _SHARPER, _SURER = 1.03, 1.15
 _CROWD = 2.0
 # A place is seen if the least rock there would be missed no more often than this.
 _MISSED = 0.25
+# Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
+_BARE = 0.02
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -187,12 +189,19 @@ class ClearEvidence:
         )  # fmt: skip
 
     def _core(self, azimuth: Array, depression: Array, sun: Array) -> list[Array]:
-        """Return east and north of five points of the shadow's core, in radii, one after other."""
+        """Return east and north of five points of the shadow's core, in radii, one after other.
+
+        Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
+        ground as steep as slopes are here, which is dark on any that is less so.
+        """
         unit = self._low.patch(azimuth, depression)
         s = sun[:2] / np.hypot(sun[0], sun[1])
+        height = np.tan(self.model.elevation)
+        length = unit.length * height / (height + self.model.slope)
+        middle = unit.along + 0.5 * (unit.length - length)
         points = []
         for a, b in ((0, 0), (_ALONG, 0), (-_ALONG, 0), (0, _ACROSS), (0, -_ACROSS)):
-            along, side = unit.along + a * unit.length, unit.side + b * unit.width
+            along, side = middle + a * length, unit.side + b * unit.width
             points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
         return points
 
@@ -207,7 +216,7 @@ class ClearEvidence:
         radius, number = self._radius[mine], self._number[mine]
         lit, possible = self.lit[test], self._possible(test)
         table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
-        missed = self.rates.false_clear(radius[:, None] * table)
+        missed = np.maximum(self.rates.false_clear(radius[:, None] * table), self.model.bare)
         density: NDArray[np.float32] = np.interp(lit, table, number @ missed).astype(np.float32)
         # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
         # that is tracked may hide another, no more probably than any ground.
@@ -271,12 +280,16 @@ class ClearEvidence:
         """Return what `expected` is of places of which nothing was noted."""
         return float(np.pi * self._number @ (footprint + self._radius) ** 2)
 
-    def expected_found(self) -> float:
-        """Return how many rocks should have been found where there was a look."""
+    def expected_found(self, beyond: int = 0) -> float:
+        """Return how many rocks should have been found where there was a look.
+
+        Without so many places along each edge.
+        """
         total = 0.0
+        inner = slice(beyond, -beyond or None)
         for s in range(len(self._tested)):
             mine = self._class == s
-            sharpest = np.maximum(self.lit[s], self.dark[s])
+            sharpest = np.maximum(self.lit[s], self.dark[s])[inner, inner]
             levels, counts = np.unique(np.round(sharpest[sharpest > 0.0], 1), return_counts=True)
             found = 1.0 - self.rates.false_negative(self._radius[mine][:, None] * levels)
             total += float(self._number[mine] @ found @ counts)
@@ -284,6 +297,8 @@ class ClearEvidence:
 
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
+        if self.model.bare > _BARE:
+            return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < _MISSED) & ~self._possible(0))
 

@@ -14,6 +14,8 @@ from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
 from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain import Terrain
 from tests.shadow_scene import MODEL, SUN, picture, rocks_on_a_plane
@@ -155,7 +157,7 @@ def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
     view, seen = seen_from(terrain, (0.0, 0.0, 35.0))
     mapping.evidence.see(view, SUN, seen, level())
-    row, col = GRID.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
+    row, col = mapping.evidence.grid.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
     expected = mapping.evidence.expected()
     assert expected[row[0], col[0]] < 0.0025
     assert expected[row[1], col[1]] > 0.0025
@@ -217,3 +219,45 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     # What a tracked rock's shadow hides is as it was, as is what nobody looked at.
     assert (ratio[:, 65, 65] == 1.0).all()
     assert (ratio[:, 5, 5] == 1.0).all()
+
+
+def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
+    mixture = ShapeMixture(np.radians(60.0))
+    evidence = ClearEvidence(GRID, mixture, DIAMETERS, NUMBER, DetectionRates())
+    evidence.lit[:] = 1e3
+    assert not evidence.seen().any()
+    # Those that show nothing are missed by the sharpest look.
+    whole = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
+    assert evidence.expected()[60, 60] == pytest.approx(mixture.bare * whole, rel=1e-3)
+    low = ClearEvidence(GRID, ShapeMixture(np.radians(20.0)), DIAMETERS, NUMBER, DetectionRates())
+    low.lit[:] = 1e3
+    assert low.seen().all()
+
+
+class Uneven(ShadowModel):
+    """Half spheres on ground that slopes."""
+
+    slope = 0.364
+
+
+def test_a_shadow_that_rising_ground_cuts_short_is_still_looked_for():
+    """On slopes as steep as the Sun is high more than half of a shadow may be lit."""
+    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
+    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    view, seen = seen_from(terrain, (0.0, 0.0, 40.0))
+    # But for the nearest part the shadow is lit.
+    v, u = np.indices(seen.labels.shape)
+    ray = np.stack(((u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones(u.shape)), -1)
+    ray = ray @ view.axes.T
+    ground = view.position[:2] - ray[..., :2] * (view.position[2] / ray[..., 2])[..., None]
+    along = ground @ SUN[:2]
+    dark = seen.labels > 0
+    far = np.where(along > np.quantile(along[dark], 0.8), seen.labels, 0).astype(np.int32)
+    cut = replace(seen, labels=far, largest=np.where(seen.largest > 0, np.inf, 0.0))
+    found = {}
+    for model in (MODEL, Uneven(np.radians(20.0))):
+        size = np.array([1.2])
+        evidence = ClearEvidence(GRID, model, size, np.array([0.01]), DetectionRates())
+        evidence.see(view, SUN, cut, level())
+        found[model.slope] = bool((evidence.dark > 0.0).any())
+    assert found == {0.0: False, 0.364: True}

@@ -63,7 +63,8 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
     assert not mapping.observed.any()
     rng = np.random.default_rng(6)
-    lit = rng.random(mapping.evidence.grid.shape) < 0.5
+    lit = GRID.contains(mapping.evidence.grid.centres())
+    lit &= rng.random(lit.shape) < 0.5
     mapping.evidence.lit[:, lit] = 1e3
     before, seen = mapping.probability(tracker_at((0.0, 0.0, 50.0))), mapping.observed
     assert seen.mean() == pytest.approx(0.5, abs=0.05)
@@ -71,7 +72,7 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     mapping.follow(rocks, np.full((50, 2), [1.0, -0.5]))
     shifted = mapping.observed
     assert (shifted[:-2, 4:] == seen[2:, :-4]).all()
-    # What slides in from beyond the map was seen by none.
+    # Of what slides in from beyond the map nothing was noted.
     assert not shifted[-2:].any()
     assert not shifted[:, :4].any()
     after = mapping.probability(tracker_at((0.0, 0.0, 50.0)))
