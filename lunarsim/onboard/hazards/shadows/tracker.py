@@ -236,6 +236,8 @@ class RockTracker:
         at = np.flatnonzero(view)
         large = self.filter.count > s.large
         self.filter.rest(~view & large)
+        # Rocks that rest stay behind until they are seen again.
+        self._stood[~view & large] = np.nan
         covariance = self.filter.innovation_covariance(sight)[at]
         d, j, sure, close = associate(
             seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,

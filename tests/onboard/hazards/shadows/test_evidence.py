@@ -15,8 +15,7 @@ from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
-from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.rocks.field import RockField
+from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Terrain
 from tests.shadow_scene import MODEL, SUN, picture, rocks_on_a_plane
 from tests.worlds import flat_terrain
@@ -222,14 +221,14 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
 
 
 def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
-    mixture = ShapeMixture(np.radians(60.0))
-    evidence = ClearEvidence(GRID, mixture, DIAMETERS, NUMBER, DetectionRates())
+    faceted = ShadowModel(np.radians(60.0), RockModel("irregular"))
+    evidence = ClearEvidence(GRID, faceted, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = 1e3
     assert not evidence.seen().any()
     # Those that show nothing are missed by the sharpest look.
     whole = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
-    assert evidence.expected()[60, 60] == pytest.approx(mixture.bare * whole, rel=1e-3)
-    low = ClearEvidence(GRID, ShapeMixture(np.radians(20.0)), DIAMETERS, NUMBER, DetectionRates())
+    assert evidence.expected()[60, 60] == pytest.approx(faceted.bare * whole, rel=1e-3)
+    low = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     low.lit[:] = 1e3
     assert low.seen().all()
 

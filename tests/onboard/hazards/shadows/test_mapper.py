@@ -223,3 +223,14 @@ def test_what_was_seen_moves_with_what_a_picture_tells_of_the_lander(scene, monk
     # Cells are half a metre wide: four columns east, two rows south.
     off = np.mean(after[:-2, 4:] != before[2:, :-4])
     assert off < 0.5 * np.mean(after != before)
+
+
+def test_rocks_begun_anew_do_not_tell_of_any_motion(scene, monkeypatch):
+    """They stand elsewhere since another picture tells where, not since the ground moved."""
+    mapper, told = look(scene, [0.0]), []
+    moved = mapper.tracker.moved
+    monkeypatch.setattr(mapper.tracker, "moved", lambda: told.append(moved()) or told[-1])
+    see(mapper, scene[0], scene[1][1], 0.1)
+    twice = mapper.tracker.hits == 2
+    assert np.count_nonzero(twice) > 10
+    assert np.isnan(told[0][1][twice]).mean() > 0.8

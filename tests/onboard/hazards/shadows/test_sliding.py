@@ -22,7 +22,7 @@ def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
     places = rocks_over(15.0, 50, rng)
     slide = Slide(np.array(GRID.centre))
     true = places
-    for turn, stretch, shift in ((0.02, 1.01, (0.4, -0.3)), (-0.005, 0.98, (-0.1, 0.9))):
+    for turn, stretch, shift in ((0.2, 1.01, (0.4, -0.3)), (-0.15, 0.98, (-0.1, 0.9))):
         matrix = stretch * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         rocks = rocks_over(40.0, 600, rng)
         moved = rocks @ matrix.T + shift
@@ -30,7 +30,7 @@ def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
         slide.follow(moved + noise, moved + noise - rocks)
         true = true @ matrix.T + shift
     assert np.abs(true - places).max() > 0.5
-    assert slide.now(places) == pytest.approx(true, abs=0.03)
+    assert slide.now(places) == pytest.approx(true, abs=0.15)
     assert slide.noted(slide.now(places)) == pytest.approx(places, abs=1e-9)
     slide.forget()
     assert slide.still
@@ -78,6 +78,9 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     after = mapping.probability(tracker_at((0.0, 0.0, 50.0)))
     assert after[:-2, 4:] == pytest.approx(before[2:, :-4])
     assert after[-1, 0] == pytest.approx(mapping.evidence.unseen(), rel=1e-4)
+    mapping.follow(rocks, np.full((50, 2), [4.0, 0.0]))
+    off_the_blocks = mapping.probability(tracker_at((0.0, 0.0, 50.0)))[0, 0]
+    assert off_the_blocks == pytest.approx(mapping.evidence.unseen(), rel=1e-4)
     mapping.evidence.forget()
     assert mapping.evidence.slide.still
 
