@@ -58,7 +58,7 @@ _HALF: dict[str, Any] = {
 }
 _HIRISE = _HALF | {
     "terrain": {
-        "kind": "dtm", "posting_m": 0.5, "relief_scale": 0.2,
+        "kind": "dtm", "posting_m": 0.5, "relief_scale": 0.2, "detail": False,
         "path": str(HERE / "data" / "hirise_dteec_010228_1490_crop.tif"),
     }
 }  # fmt: skip

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
@@ -25,6 +28,11 @@ class RockPopulation(RockModel):
         Sourcebook 1991, ch. 7), which craters reach from about 25 m on. Metre-sized blocks outlast
         such craters (median 40 to 80 Myr: Basilevsky et al. 2013), so all ages have them.
 
+    cube_area
+        Area by which a cube of side D counts in the law's cover: its own, D^2, as Golombek counts
+        the ground that rocks cover; or that of the disc of its side, so that cubes cover 4 / pi of
+        what the law says, as the shadow EKF paper's experiment is flown here.
+
     The rest as in `RockModel`.
     """
 
@@ -33,6 +41,9 @@ class RockPopulation(RockModel):
     max_diameter: float = quantity(3.0, "m", gt=0, help="of the rocks drawn")
     clustered: float = quantity(0.0, ge=0, le=1, help="share of them that lies about craters")
     block_crater: float = quantity(25.0, "m", gt=0, help="least diameter of craters with blocks")
+    cube_area: Literal["square", "disc"] = quantity(
+        "square", help="area by which cubes count: their own, or that of the disc of their side"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -40,6 +51,12 @@ class RockPopulation(RockModel):
             raise InputError(
                 "min_diameter", self.min_diameter, f"less than max_diameter_m, {self.max_diameter}"
             )
+
+    @property
+    def share(self) -> float:
+        """Rocks over discs of their diameters that cover as much."""
+        squares = self.shape == "cube" and self.cube_area == "square"
+        return 0.25 * np.pi if squares else 1.0
 
     def model(self) -> RockModel:
         """Return how the rocks are shaped and how deep they sit."""

@@ -78,7 +78,7 @@ class Cell:
         terrain: dict[str, Any] = {"posting_m": 1.0, "rms_slope_deg": self.relief}
         if self.relief == HIRISE:
             terrain = {
-                "kind": "dtm", "posting_m": 0.5, "relief_scale": 0.2,
+                "kind": "dtm", "posting_m": 0.5, "relief_scale": 0.2, "detail": False,
                 "path": str(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"),
             }  # fmt: skip
         level = {"burial": [0.0, 0.0]}

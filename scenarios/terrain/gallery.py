@@ -67,6 +67,7 @@ SCENES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
                 "kind": "dtm",
                 "path": str(DATA / "hirise_dteec_010228_1490_crop.tif"),
                 "relief_scale": 0.35,
+                "detail": False,
             },
             "rocks": _ROCKS | {"cover": 0.05},
         },

@@ -59,7 +59,7 @@ def test_the_default_study_has_nothing_odd():
         ({"rocks": {"cover": 0.0, "shape": "cube"}}, "rocks.shape = 'cube'", "cover = 0"),
         ({"rocks": {"block_crater_m": 30.0}}, "rocks.block_crater_m = 30", "clustered = 0"),
         (
-            {"terrain": {"kind": "dtm", "path": "x.tif", "preset": "mare"}},
+            {"terrain": {"kind": "dtm", "path": "x.tif", "preset": "mare", "detail": False}},
             "terrain.preset = 'mare'", "detail = false",
         ),
         ({"terrain": {"crater_saturation_m": 9.0}}, "terrain.crater_saturation_m", "no craters"),

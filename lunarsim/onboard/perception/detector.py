@@ -138,8 +138,8 @@ class Detections:
     over_ground
         Brightness over that of the lit ground nearby, slopes as they are (height, width).
     largest
-        Radius of the largest rock that each label may be the shadow of (labels + 1,), m: 0 for
-        none, infinite where the patch does not tell.
+        Longest half axis of the largest rock that each label may be the shadow of (labels + 1,), m:
+        0 for none, infinite where the patch does not tell.
     shapes
         Weights of the hypotheses under which each rock was read (n, hypotheses), see
         `ShapeMixture`.

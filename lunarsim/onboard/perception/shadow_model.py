@@ -36,6 +36,8 @@ _DETAIL = 12
 # `scenarios/shadows/looks.py` finds 0.09 and 0.32 for cubes, 0.14 to 0.15 and 0.14 to 0.18 for
 # irregular, mixed rocks and ellipsoids, 0.06 and 0.13 for half spheres.
 _UNKNOWN = (0.12, 0.28)
+# A rock of radius 1 with less that is dark shows nothing; so many are drawn to find how many do.
+_BARE_AREA, _BARE_DRAWN = 0.15, 64
 LEAST_ELEVATION = np.deg2rad(2.0)
 MOST_ELEVATION = np.deg2rad(80.0)
 
@@ -89,6 +91,12 @@ class ShadowModel:
     ----------
     height
         Mean height above the ground, in radii.
+    elongation
+        Longest half axis that a rock may have, in radii: a cube's is half its side.
+    slope
+        Spread of the ground's slope, tangent: rocks stand on level ground.
+    bare
+        Share of the rocks that show nothing dark, see `bare_share`.
     outline
         Mean and standard deviation of the distance from a rock's centre to its outline, over all
         directions and shapes, in radii.
@@ -101,6 +109,8 @@ class ShadowModel:
     InputError
         For another Sun elevation.
     """
+
+    slope = 0.0
 
     def __init__(self, elevation: float, shapes: RockModel | None = None) -> None:
         if not LEAST_ELEVATION <= elevation <= MOST_ELEVATION:
@@ -115,6 +125,10 @@ class ShadowModel:
 
         drawn = self.shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
         self.height = float(np.mean(drawn.base + drawn.height))
+        round_or_square = self.shapes.shape in {"hemisphere", "cube"}
+        faceted = {"irregular": 1.0, "mixed": 0.5}.get(self.shapes.shape, 0.0)
+        self.bare = faceted * bare_share(round(elevation, 3)) if faceted else 0.0
+        self.elongation = 1.0 if round_or_square else float(self.shapes.axis_ratio[0] ** -0.5)
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
@@ -154,6 +168,31 @@ class ShadowModel:
 
 
 @lru_cache(maxsize=8)
+def bare_share(elevation: float) -> float:
+    """Return the share of faceted rocks that show nothing dark under a Sun so high (rad).
+
+    The higher the Sun, the more of them have all their faces lit, and no shadow beyond their
+    outline: one in sixty at 45 deg, one in five at 60. Rounded rocks and cubes have a dark side
+    under any Sun.
+    """
+    field = RockModel("irregular", burial=(0.0, 0.0)).draw(
+        np.full(_BARE_DRAWN, 2.0), np.random.default_rng(1969)
+    )
+    sun = direction_from_angles(0.0, elevation)
+    above = np.array([0.0, 0.0, 1.0])
+    reach = _reach(elevation)
+    dark = [
+        _dark_patch(RockOnLevelGround(field, k), sun, above, reach)[-1] for k in range(len(field))
+    ]
+    return float(np.mean(np.array(dark) < _BARE_AREA))
+
+
+def _reach(elevation: float) -> float:
+    """Return how far away from the Sun the patch of a rock of radius 1 may reach."""
+    return 1.6 * (1.0 + 1.0 / float(np.tan(elevation))) + 0.5
+
+
+@lru_cache(maxsize=8)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
     """Return the table (azimuths, depressions, 10) of `ShadowPatch`'s attributes in their order."""
     rng = np.random.default_rng(1953)
@@ -162,7 +201,7 @@ def _tabulate(elevation: float, shapes: RockModel) -> Array:
     table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
-    reach = 1.6 * (1.0 + 1.0 / np.tan(elevation)) + 0.5
+    reach = _reach(elevation)
     for i, azimuth in enumerate(_AZIMUTHS):
         for j, depression in enumerate(_DEPRESSIONS):
             camera = direction_from_angles(azimuth, depression)

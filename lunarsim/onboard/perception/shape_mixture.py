@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
+from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch, bare_share
 from lunarsim.rocks.field import RockModel
 
 Array = NDArray[np.float64]
@@ -60,8 +60,8 @@ class Reading:
     radius, sigma
         Of the rocks (n,), m.
     largest
-        Radius of the largest rocks that they may be the shadows of, under any hypothesis that is
-        not improbable (n,), m.
+        Longest half axis of the largest rocks that they may be the shadows of, under any hypothesis
+        that is not improbable (n,), m.
     unit
         Patch of a rock of radius 1, mean over the hypotheses of each patch (n,).
     weight
@@ -98,6 +98,7 @@ class ShapeMixture:
         self.models = tuple(ShadowModel(elevation, shape) for shape in SHAPES)
         self.slopes = SLOPES
         cubes = np.array([shape.shape == "cube" for shape in SHAPES])
+        self._bare = np.where(cubes, 0.0, bare_share(round(elevation, 3)))
         share = np.ones(len(SHAPES))
         if told is not None:
             share[cubes == (told == "cube")] = 2.0
@@ -111,6 +112,7 @@ class ShapeMixture:
         one = cls.__new__(cls)
         one.elevation, one.models = model.elevation, (model,)
         one.slopes, one._start, one._count = np.zeros(1), np.ones(1), np.zeros(1)
+        one._bare = np.array([model.bare])
         return one
 
     @property
@@ -129,6 +131,14 @@ class ShapeMixture:
     def slope(self) -> float:
         """Spread of the ground's slope as the shadows tell it, tangent."""
         return float(np.sqrt(self.shares.reshape(len(self.models), -1).sum(0) @ self.slopes**2))
+
+    @property
+    def bare(self) -> float:
+        """Share of the rocks that show nothing dark under this Sun.
+
+        They do not tell of themselves, so all but cubes are taken to be faceted.
+        """
+        return float(self.shape_shares @ self._bare)
 
     def _mean(self, name: str) -> float:
         return float(self.shape_shares @ np.array([getattr(m, name) for m in self.models]))
@@ -213,7 +223,9 @@ class ShapeMixture:
         r, v = np.stack(radii, -1), np.stack(variances, -1)
         radius = (weight * r).sum(-1)
         variance = (weight * (v + (r - radius[:, None]) ** 2)).sum(-1)
-        largest = np.where(weight > _IMPROBABLE, r + _LARGEST * np.sqrt(v), 0.0).max(-1)
+        longest = np.repeat([m.elongation for m in self.models], len(self.slopes))
+        likely = np.where(weight > _IMPROBABLE, r + _LARGEST * np.sqrt(v), 0.0)
+        largest = (longest * likely).max(-1)
         of_shape = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
         return Reading(radius, np.sqrt(variance), largest, _mixed(units, of_shape), weight)
 

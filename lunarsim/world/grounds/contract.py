@@ -54,7 +54,7 @@ def strewn(
     field = RockField.empty()
     if rocks.cover > 0.0:
         rng = streams.get("rocks")
-        area = (east - west) * (north - south)
+        area = rocks.share * (east - west) * (north - south)
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
         clusters = NOWHERE
         if rocks.clustered > 0.0:

@@ -17,7 +17,7 @@ from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
 @dataclass(frozen=True)
 class MeasuredGround(Roughness):
-    """A digital terrain model, with roughness between its posts if asked for; rocks are drawn.
+    """A digital terrain model, with roughness between its posts; rocks are drawn.
 
     Attributes
     ----------
@@ -31,7 +31,8 @@ class MeasuredGround(Roughness):
     posting
         Of the refined relief, m.
     detail
-        Whether roughness and craters are added between the posts.
+        Whether roughness and craters are added between the posts: a spline through them alone is
+        smoother than any ground.
     """
 
     path: Path | None = quantity(None, help="raster, relative to the scenario file")
@@ -44,7 +45,7 @@ class MeasuredGround(Roughness):
     )
     relief_scale: float = quantity(1.0, ge=0, help="c of Eq. 20 of the Gaussian DEM paper")
     posting: float = quantity(0.25, "m", gt=0, help="of the refined relief")
-    detail: bool = quantity(False, help="add roughness and craters between the posts")
+    detail: bool = quantity(True, help="add roughness and craters between the posts")
 
     def __post_init__(self) -> None:
         if self.path is None:

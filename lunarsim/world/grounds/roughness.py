@@ -22,12 +22,15 @@ from lunarsim.world.terrain import (
 _RELIEF_SEED = 20260101
 # Hurst exponent, slope at 1 m (rad) and crater density. Median Hurst exponents of maria and
 # highlands, and their slopes carried to 1 m by them, from Rosenburg et al. (2011), J. Geophys. Res.
-# 116, E02001. The south pole is highland.
+# 116, E02001. Those of the polar preset are of the ridge beside Shackleton crater at the south
+# pole, which is steeper than most highland: median slope of LOLA elevations 40 m apart, 12.4 deg,
+# carried to 1 m by the Hurst exponent of medians over 40 to 160 m
+# (tests/world/grounds/test_fractal.py).
 _PRESETS: dict[str, tuple[float, float, float]] = {
     "none": (0.85, np.deg2rad(2.5), 0.0),
     "mare": (0.76, np.deg2rad(3.9), 0.079),
     "highland": (0.95, np.deg2rad(8.6), 0.079),
-    "polar": (0.95, np.deg2rad(8.6), 0.079),
+    "polar": (0.983, np.deg2rad(13.2), 0.079),
 }
 
 

@@ -7,9 +7,11 @@ import pytest
 
 from lunarsim.scenario import Scenario
 from lunarsim.world.grounds.fractal import FractalGround
+from lunarsim.world.terrain.dtm import load_dtm
+from tests.conftest import ROOT
 
-# Rosenburg et al. (2011): Hurst exponents, and slopes (deg) carried to 1 m.
-PRESETS = {"mare": (0.76, 3.9), "highland": (0.95, 8.6), "polar": (0.95, 8.6)}
+# Rosenburg et al. (2011): Hurst exponents, and slopes (deg) carried to 1 m; measured: polar.
+PRESETS = {"mare": (0.76, 3.9), "highland": (0.95, 8.6), "polar": (0.983, 13.2)}
 
 
 def slope_at_a_metre(relief):
@@ -31,6 +33,22 @@ def test_presets_fill_what_is_left_out(preset):
     left_out = replace(ground, hurst=None)
     assert np.array_equal(filled.relief().z, left_out.relief().z)
     assert not np.array_equal(cratered.z, left_out.relief().z)
+
+
+def test_polar_ground_is_as_rough_as_the_ridge_beside_shackleton():
+    """Median slopes of posts 40 to 160 m apart, and what they come to at 1 m."""
+    file = ROOT / "scenarios" / "data" / "moon_shackleton_ridge_lola_40m.tif"
+    z = load_dtm(file, posting=40.0).z.astype(float)
+    steps = np.array([1, 2, 3, 4])
+    slopes = [
+        np.median(np.hypot(z[:-k, k:] - z[:-k, :-k], z[k:, :-k] - z[:-k, :-k])) / (40.0 * k)
+        for k in steps
+    ]
+    assert np.degrees(np.arctan(slopes[0])) == pytest.approx(12.4, abs=0.1)
+    fall, at_a_metre = np.polyfit(np.log(40.0 * steps), np.log(slopes), 1)
+    hurst, slope = PRESETS["polar"]
+    assert 1.0 + fall == pytest.approx(hurst, abs=0.001)
+    assert np.degrees(np.arctan(np.exp(at_a_metre))) == pytest.approx(slope, abs=0.1)
 
 
 def test_ground_without_a_preset_has_no_craters():

@@ -6,7 +6,7 @@ from lunarsim._jit import kernel, prange
 from lunarsim.models._pinhole_kernels import to_pixel
 
 # Columns of a node of the coarse grid before those of the core's points.
-SHARPNESS, HEIGHT, POINTS = 0, 1, 2
+SHARPNESS, EAST, NORTH, HEIGHT, POINTS = 0, 1, 2, 3, 4
 
 
 @kernel(inline=True)
@@ -48,8 +48,8 @@ def _dark_points(
 
 @kernel(parallel=True)
 def look(
-    lit, dark, explained, x0, y0, posting, radii, coarse, every, position, axes, fx, fy, cx, cy,
-    labels, largest, least, gain,
+    lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
+    least, gain,
 ):  # fmt: skip
     """Note for every place and size of rock whether its shadow would fall on lit ground.
 
@@ -60,13 +60,12 @@ def look(
         (sizes, rows, cols); raised.
     explained
         Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
-    x0, y0, posting
-        Of the places, m.
     radii
         Of the rocks (sizes,), m.
     coarse
-        At every `every`-th place, in between it is linear: sharpness of this look, elevation of
-        the ground, and east and north of the points of the core for a rock of radius 1.
+        At every `every`-th place, in between it is linear: sharpness of this look, east and north
+        of the place, elevation of the ground, and east and north of the points of the core for a
+        rock of radius 1.
     position, axes, fx, fy, cx, cy
         Of the camera, as `View` has them.
     labels
@@ -83,14 +82,14 @@ def look(
     for i in prange(rows):
         vi = min(i // every, coarse.shape[0] - 2)
         v = i / every - vi
-        north = y0 + i * posting - position[1]
         for j in range(cols):
             uj = min(j // every, coarse.shape[1] - 2)
             u = j / every - uj
             sharpness = _between(coarse, vi, uj, u, v, SHARPNESS)
             if not sharpness > 0.0:
                 continue
-            east = x0 + j * posting - position[0]
+            east = _between(coarse, vi, uj, u, v, EAST) - position[0]
+            north = _between(coarse, vi, uj, u, v, NORTH) - position[1]
             up = _between(coarse, vi, uj, u, v, HEIGHT) - position[2]
             for s in range(sizes):
                 if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):

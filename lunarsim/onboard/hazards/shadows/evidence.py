@@ -10,6 +10,8 @@ Rocks that are not tracked are then a Poisson field: as many a square metre as t
 expects, times the rate at which they are missed where their shadow would fall on lit ground, and
 crowded together where it would fall on dark ground, since there they must all be. The
 probability that none reaches into a disc follows from the field's integral over the disc.
+
+What is seen is noted for places of the ground, which slide through the local frame as rocks do.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
+from lunarsim.onboard.hazards.shadows.sliding import Slide
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -44,6 +47,8 @@ _SHARPER, _SURER = 1.03, 1.15
 _CROWD = 2.0
 # A place is seen if the least rock there would be missed no more often than this.
 _MISSED = 0.25
+# Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
+_BARE = 0.02
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -54,7 +59,7 @@ class ClearEvidence:
     Parameters
     ----------
     grid
-        The places.
+        The places, as they are noted.
     model
         What rocks look like: how many pixels their shadows have.
     diameters
@@ -71,6 +76,8 @@ class ClearEvidence:
         rock would fall on lit ground, and on dark (sizes, rows, cols); 0: none.
     explained
         Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
+    slide
+        Where the places lie in the local frame by now.
     """
 
     def __init__(
@@ -82,6 +89,7 @@ class ClearEvidence:
         rates: DetectionRates,
     ) -> None:
         self.grid = grid
+        self.slide = Slide(np.array(grid.centre))
         self.model = model
         # The shadow of a low rock lies within that of any higher one.
         self._low = ShadowModel(model.elevation, LOW)
@@ -101,6 +109,7 @@ class ClearEvidence:
         """Take back all that was seen."""
         self.lit[:] = 0.0
         self.dark[:] = 0.0
+        self.slide.forget()
 
     def recentre(self, off: Array) -> Array:
         """Lay the places about a point that is off (2,), m, to whole places; what was seen stays.
@@ -159,7 +168,7 @@ class ClearEvidence:
         every = max(1, round(_COARSE / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
-        xy = np.stack(np.meshgrid(x, y), -1)
+        xy = self.slide.now(np.stack(np.meshgrid(x, y), -1))
         height = heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])
         away = view.position - np.dstack((xy, height))
         level = np.hypot(away[..., 0], away[..., 1])
@@ -173,20 +182,26 @@ class ClearEvidence:
             shown &= sigma <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
-        coarse = np.dstack((sharpness, height, *self._core(azimuth, depression, sun)))
+        coarse = np.dstack((sharpness, xy, height, *self._core(azimuth, depression, sun)))
         kernels.look(
-            self.lit, self.dark, self.explained, g.x0, g.y0, g.posting, self._tested, coarse, every,
-            view.position, view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels,
-            largest, _DARK, _SHARPER,
+            self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
+            view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels, largest, _DARK, _SHARPER,
         )  # fmt: skip
 
     def _core(self, azimuth: Array, depression: Array, sun: Array) -> list[Array]:
-        """Return east and north of five points of the shadow's core, in radii, one after other."""
+        """Return east and north of five points of the shadow's core, in radii, one after other.
+
+        Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
+        ground as steep as slopes are here, which is dark on any that is less so.
+        """
         unit = self._low.patch(azimuth, depression)
         s = sun[:2] / np.hypot(sun[0], sun[1])
+        height = np.tan(self.model.elevation)
+        length = unit.length * height / (height + self.model.slope)
+        middle = unit.along + 0.5 * (unit.length - length)
         points = []
         for a, b in ((0, 0), (_ALONG, 0), (-_ALONG, 0), (0, _ACROSS), (0, -_ACROSS)):
-            along, side = unit.along + a * unit.length, unit.side + b * unit.width
+            along, side = middle + a * length, unit.side + b * unit.width
             points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
         return points
 
@@ -201,7 +216,7 @@ class ClearEvidence:
         radius, number = self._radius[mine], self._number[mine]
         lit, possible = self.lit[test], self._possible(test)
         table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
-        missed = self.rates.false_clear(radius[:, None] * table)
+        missed = np.maximum(self.rates.false_clear(radius[:, None] * table), self.model.bare)
         density: NDArray[np.float32] = np.interp(lit, table, number @ missed).astype(np.float32)
         # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
         # that is tracked may hide another, no more probably than any ground.
@@ -261,12 +276,20 @@ class ClearEvidence:
             )
         return total
 
-    def expected_found(self) -> float:
-        """Return how many rocks should have been found where there was a look."""
+    def unseen(self, footprint: float = 0.0) -> float:
+        """Return what `expected` is of places of which nothing was noted."""
+        return float(np.pi * self._number @ (footprint + self._radius) ** 2)
+
+    def expected_found(self, beyond: int = 0) -> float:
+        """Return how many rocks should have been found where there was a look.
+
+        Without so many places along each edge.
+        """
         total = 0.0
+        inner = slice(beyond, -beyond or None)
         for s in range(len(self._tested)):
             mine = self._class == s
-            sharpest = np.maximum(self.lit[s], self.dark[s])
+            sharpest = np.maximum(self.lit[s], self.dark[s])[inner, inner]
             levels, counts = np.unique(np.round(sharpest[sharpest > 0.0], 1), return_counts=True)
             found = 1.0 - self.rates.false_negative(self._radius[mine][:, None] * levels)
             total += float(self._number[mine] @ found @ counts)
@@ -274,6 +297,8 @@ class ClearEvidence:
 
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
+        if self.model.bare > _BARE:
+            return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < _MISSED) & ~self._possible(0))
 

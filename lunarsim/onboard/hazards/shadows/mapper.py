@@ -226,18 +226,21 @@ class ShadowMapper(HazardMapper):
             health = self._by_shadows(seen, picture, estimate, sun, health)
         self._report(picture.time, health)
         if health.good:
-            self._take(seen, picture, estimate, sun)
+            self._take(seen, picture, sun)
 
-    def _take(self, seen: Detections, picture: Picture, pose: Pose, sun: Array) -> None:
+    def _take(self, seen: Detections, picture: Picture, sun: Array) -> None:
         """Take in what a picture that counts shows."""
         self.seen = seen
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
         self.tracker.update(seen, picture.camera, sun, picture.time)
         self._forget_lost_rocks()
+        self.probability.follow(*self.tracker.moved())
         self.probability.ground = self._plane(picture.camera)
+        # From where the lander stands by what the rocks told: they moved with it.
+        rocks = self.tracker.filter
         self.probability.see(
-            picture.camera.view(pose), sun, seen, self.tracker.filter.ground_at,
+            picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
             self.tracker.explained, self.tracker.place_sigma,
         )  # fmt: skip
 
@@ -296,6 +299,7 @@ class ShadowMapper(HazardMapper):
             return self._level(HazardMap.unobserved(self.grid))
         self._forget_lost_rocks()
         if not self.blank and self._time >= self._mapped + self.interval - 1e-9:
+            self.probability.follow(*self.tracker.moved())
             self._map = self._plausible(self.probability.hazard_map(self.tracker, self.footprint))
             self._mapped = self._time
         return self._level(self._map)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
@@ -27,8 +28,9 @@ from lunarsim.rocks.laws import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]
 
-# What has been seen is remembered for squares of this side, m.
-_BLOCK = 0.25
+# What has been seen is remembered for squares of this side, and so far beyond the map, m, since it
+# slides with the rocks.
+_BLOCK, _MARGIN = 0.25, 2.0
 _SIZES = 24
 _DISTANCES = 65
 # A rock's reach ends where its probability is below this.
@@ -100,11 +102,13 @@ class ProbabilityMap:
         self.ground = float(ground)
         self.form: Form = checked_form(form)
         every = max(1, round(_BLOCK / grid.posting))
+        beyond = round(_MARGIN / (every * grid.posting))
+        first = (0.5 * (every - 1) - beyond * every) * grid.posting
         blocks = Grid(
-            grid.x0 + 0.5 * (every - 1) * grid.posting, grid.y0 + 0.5 * (every - 1) * grid.posting,
-            every * grid.posting, -(-grid.rows // every), -(-grid.cols // every),
+            grid.x0 + first, grid.y0 + first, every * grid.posting,
+            -(-grid.rows // every) + 2 * beyond, -(-grid.cols // every) + 2 * beyond,
         )  # fmt: skip
-        self._every = every
+        self._every, self._beyond = every, beyond
         edges = np.geomspace(self.prior.least_diameter, self.prior.largest_diameter, _SIZES + 1)
         sizes = np.sqrt(edges[1:] * edges[:-1])
         cover = golombek_cover(edges, self.prior.cover)
@@ -158,19 +162,48 @@ class ProbabilityMap:
         they are missed, which is 1 below the resolution. For a footprint of a given radius (m)
         those count whose outline reaches into it.
         """
-        expected = self._fine(self.evidence.expected(footprint)).astype(np.float64)
+        unseen = self.evidence.unseen(footprint)
+        expected = self._fine(self.evidence.expected(footprint), unseen).astype(np.float64)
         # Rocks do not lie one on the other, but several may reach into a footprint.
         return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
-    def _fine(self, blocks: NDArray[Any]) -> NDArray[Any]:
-        """Return the map's cells (rows, cols) from blocks of them."""
-        fine = np.repeat(np.repeat(blocks, self._every, 0), self._every, 1)
-        return fine[: self.grid.rows, : self.grid.cols]
+    def follow(self, xy: Array, by: Array) -> None:
+        """Let what was seen slide with the rocks, see `Slide.follow`.
+
+        Parameters
+        ----------
+        xy, by
+            Where tracked rocks stand now and by how far they were moved (n, 2), m.
+        """
+        self.evidence.slide.follow(xy, by)
+
+    def _fine(self, blocks: NDArray[Any], outside: float) -> NDArray[Any]:
+        """Return the map's cells (rows, cols) from blocks of noted places.
+
+        `outside` is what cells are that lie on none.
+        """
+        if self.evidence.slide.still:
+            inner = slice(self._beyond, -self._beyond or None)
+            fine = np.repeat(np.repeat(blocks[inner, inner], self._every, 0), self._every, 1)
+            return fine[: self.grid.rows, : self.grid.cols]
+        # Column and row of the block under the first cell, the next one and the one above.
+        own, cell = self.evidence.grid, self.grid.posting
+        start = np.array([self.grid.x0, self.grid.y0])
+        at = self.evidence.slide.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
+        zero, right, up = (at - [own.x0, own.y0]) / own.posting
+        matrix = np.column_stack((right - zero, up - zero, zero))
+        layer = blocks.astype(np.uint8) if blocks.dtype == np.bool_ else blocks
+        fine = cv2.warpAffine(
+            layer, matrix, (self.grid.cols, self.grid.rows),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=outside,
+        )  # fmt: skip
+        return np.asarray(fine).astype(blocks.dtype)
 
     @property
     def observed(self) -> NDArray[np.bool_]:
         """Whether a rock of the least hazardous size would have shown (rows, cols)."""
-        return self._fine(self.evidence.seen())
+        return self._fine(self.evidence.seen(), 0.0)
 
     # --- the map --------------------------------------------------------------------------
 
@@ -236,7 +269,7 @@ class ProbabilityMap:
 
     def ratios(self) -> NDArray[np.float32]:
         """Return `ClearEvidence.ratios` on the map's cells (sizes, rows, cols)."""
-        return np.stack([self._fine(of_size) for of_size in self.evidence.ratios()])
+        return np.stack([self._fine(of_size, 1.0) for of_size in self.evidence.ratios()])
 
     def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
         """Return the map for a lander whose footprint has the given radius (m)."""
@@ -251,7 +284,7 @@ class ProbabilityMap:
 
     def expected_rocks(self) -> float:
         """Return how many rocks that are hazards should have been found on the map."""
-        return self.evidence.expected_found()
+        return self.evidence.expected_found(self._beyond)
 
 
 def rocks_of(tracker: RockTracker) -> RockTracks:

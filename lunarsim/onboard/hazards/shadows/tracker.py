@@ -204,6 +204,8 @@ class RockTracker:
         self._established = np.empty(0, bool)
         # Rocks that were seen once: by the look for which they were chosen.
         self._young = np.empty(0, bool)
+        # Where rocks stood when their motion was last asked for; NaN for those begun since.
+        self._stood = np.empty((0, 2))
         self._time: float | None = None
 
     def add_known(
@@ -229,6 +231,7 @@ class RockTracker:
         self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
         self._established = np.concatenate((self._established, np.zeros(n, bool)))
         self._young = np.concatenate((self._young, np.zeros(n, bool)))
+        self._stood = np.concatenate((self._stood, np.full((n, 2), np.nan)))
 
     def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> Outcome:
         """Take in the detections of one image; return what came of the rocks' places.
@@ -248,6 +251,8 @@ class RockTracker:
         at = np.flatnonzero(view)
         large = self.filter.count > s.large
         self.filter.rest(~view & large)
+        # Rocks that rest stay behind until they are seen again.
+        self._stood[~view & large] = np.nan
         covariance = self.filter.innovation_covariance(sight)[at]
         d, j, sure, close = associate(
             seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
@@ -313,6 +318,15 @@ class RockTracker:
         f = self.filter
         there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
         return int(np.count_nonzero(there & grid.contains(f.xy)))
+
+    def moved(self) -> tuple[Array, Array]:
+        """Return where rocks stand (n, 2) and how far they were moved since last asked (n, 2), m.
+
+        NaN for rocks begun since.
+        """
+        stand = self.filter.xy.copy()
+        by, self._stood = stand - self._stood, stand
+        return stand, by
 
     def place_sigma(self, xy: Array) -> Array:
         """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m.
@@ -466,6 +480,7 @@ class RockTracker:
         self._updated = np.concatenate((self._updated, np.full(new.size, now)))
         self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
         self._young = np.concatenate((self._young, np.ones(new.size, bool)))
+        self._stood = np.concatenate((self._stood, np.full((new.size, 2), np.nan)))
         return born
 
     def _begin_anew(
@@ -489,6 +504,7 @@ class RockTracker:
             rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
         )
         self._young[rock] = False
+        self._stood[rock] = np.nan
         self._updated[rock] = -np.inf if self._time is None else self._time
 
     def _merge(self) -> None:
@@ -544,6 +560,7 @@ class RockTracker:
             self._updated = self._updated[keep]
             self._established = self._established[keep]
             self._young = self._young[keep]
+            self._stood = self._stood[keep]
 
 
 def _ground_covariance(

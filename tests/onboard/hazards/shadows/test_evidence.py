@@ -14,7 +14,8 @@ from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
 from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.rocks.field import RockField
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Terrain
 from tests.shadow_scene import MODEL, SUN, picture, rocks_on_a_plane
 from tests.worlds import flat_terrain
@@ -35,9 +36,13 @@ def seen_from(terrain, place):
 
 def test_look_does_as_a_plain_loop():
     rng = np.random.default_rng(5)
-    coarse = rng.normal(0.0, 1.5, (5, 7, 2 + 2 * 3))
+    coarse = rng.normal(0.0, 1.5, (5, 7, 4 + 2 * 3))
     coarse[..., 0] = rng.uniform(-0.3, 2.0, coarse.shape[:2])
-    coarse[..., 1] *= 0.3
+    # Places that were moved and turned since they were noted.
+    col, row = np.meshgrid(2.8 * np.arange(7), 2.8 * np.arange(5))
+    coarse[..., 1] = -6.0 + col - 0.1 * row
+    coarse[..., 2] = -7.0 + row + 0.1 * col
+    coarse[..., 3] *= 0.3
     radii = np.array([0.3, 0.8])
     lit, dark = (rng.uniform(0.0, 1.2, (2, 15, 22)).astype(np.float32) for _ in range(2))
     known = np.zeros(lit.shape, np.bool_)
@@ -50,20 +55,20 @@ def test_look_does_as_a_plain_loop():
     labels = rng.integers(0, 4, (30, 40)).astype(np.int32)
     largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
     kernels.look(
-        lit, dark, known, -6.0, -7.0, 0.7, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0,
-        labels, largest, 2, 1.1,
+        lit, dark, known, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0, labels, largest,
+        2, 1.1,
     )  # fmt: skip
     changed = named = 0
     for s, i, j in product(range(2), range(15), range(22)):
         node = [
-            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(8))
+            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(10))
         ]
-        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 8))[:, k]) for k in range(8)]
+        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 10))[:, k]) for k in range(10)]
         want = [before[0][s, i, j], before[1][s, i, j]]
         if at[0] > 0.0 and at[0] > 1.1 * max(want):
             count = tracked = 0
-            for k in (2, 4, 6):
-                place = np.array([-6.0 + 0.7 * j, -7.0 + 0.7 * i, at[1]])
+            for k in (4, 6, 8):
+                place = np.array([-6.0 + 0.7 * j - 0.07 * i, -7.0 + 0.7 * i + 0.07 * j, at[3]])
                 place[:2] += radii[s] * np.array(at[k : k + 2])
                 x, y, z = axes.T @ (place - position)
                 u, v = 70.0 * x / z + 19.0, 60.0 * y / z + 15.0
@@ -151,7 +156,7 @@ def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
     view, seen = seen_from(terrain, (0.0, 0.0, 35.0))
     mapping.evidence.see(view, SUN, seen, level())
-    row, col = GRID.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
+    row, col = mapping.evidence.grid.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
     expected = mapping.evidence.expected()
     assert expected[row[0], col[0]] < 0.0025
     assert expected[row[1], col[1]] > 0.0025
@@ -213,3 +218,45 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     # What a tracked rock's shadow hides is as it was, as is what nobody looked at.
     assert (ratio[:, 65, 65] == 1.0).all()
     assert (ratio[:, 5, 5] == 1.0).all()
+
+
+def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
+    faceted = ShadowModel(np.radians(60.0), RockModel("irregular"))
+    evidence = ClearEvidence(GRID, faceted, DIAMETERS, NUMBER, DetectionRates())
+    evidence.lit[:] = 1e3
+    assert not evidence.seen().any()
+    # Those that show nothing are missed by the sharpest look.
+    whole = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
+    assert evidence.expected()[60, 60] == pytest.approx(faceted.bare * whole, rel=1e-3)
+    low = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    low.lit[:] = 1e3
+    assert low.seen().all()
+
+
+class Uneven(ShadowModel):
+    """Half spheres on ground that slopes."""
+
+    slope = 0.364
+
+
+def test_a_shadow_that_rising_ground_cuts_short_is_still_looked_for():
+    """On slopes as steep as the Sun is high more than half of a shadow may be lit."""
+    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
+    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    view, seen = seen_from(terrain, (0.0, 0.0, 40.0))
+    # But for the nearest part the shadow is lit.
+    v, u = np.indices(seen.labels.shape)
+    ray = np.stack(((u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones(u.shape)), -1)
+    ray = ray @ view.axes.T
+    ground = view.position[:2] - ray[..., :2] * (view.position[2] / ray[..., 2])[..., None]
+    along = ground @ SUN[:2]
+    dark = seen.labels > 0
+    far = np.where(along > np.quantile(along[dark], 0.8), seen.labels, 0).astype(np.int32)
+    cut = replace(seen, labels=far, largest=np.where(seen.largest > 0, np.inf, 0.0))
+    found = {}
+    for model in (MODEL, Uneven(np.radians(20.0))):
+        size = np.array([1.2])
+        evidence = ClearEvidence(GRID, model, size, np.array([0.01]), DetectionRates())
+        evidence.see(view, SUN, cut, level())
+        found[model.slope] = bool((evidence.dark > 0.0).any())
+    assert found == {0.0: False, 0.364: True}

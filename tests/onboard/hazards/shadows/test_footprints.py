@@ -50,7 +50,7 @@ PERFECT = DetectionRates(missed=LINE, cleared=LINE)
 def half_seen(prior=None):
     """A map whose eastern half was seen from near by, and the other never looked at."""
     mapping = ProbabilityMap(GRID, MODEL, prior or HazardPrior(0.05, 0.5), PERFECT)
-    mapping.evidence.lit[:, :, GRID.cols // 2 :] = 1e3
+    mapping.evidence.lit[:, :, mapping.evidence.grid.cols // 2 :] = 1e3
     return mapping
 
 
@@ -81,7 +81,7 @@ def test_of_a_disc_of_which_half_was_never_seen_half_the_rocks_are_unseen():
 def test_nothing_off_the_map_was_seen():
     small = Grid.centred((0.0, 0.0), 20.0, 0.25)
     mapping = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), PERFECT)
-    mapping.evidence.lit[:] = 1e3
+    mapping.evidence.lit[:, small.contains(mapping.evidence.grid.centres())] = 1e3
     p = mapping.probability(tracker_at((0.0, 0.0, 40.0)), 2.0)
     fresh = ProbabilityMap(small, MODEL, HazardPrior(0.05, 0.5), PERFECT)
     never = float(fresh.probability(tracker_at((0.0, 0.0, 40.0)), 2.0)[40, 40])

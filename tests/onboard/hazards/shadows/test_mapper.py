@@ -196,3 +196,41 @@ def test_a_map_on_which_no_rock_is_found_says_so(scene):
     told = mapper.tracker.filter.events[-1]
     assert told.name == "few-rocks"
     assert told.details["rocks"] == 0 and told.details["expected"] > 10.0
+
+
+@pytest.mark.parametrize("forgotten", [False, True])
+def test_what_was_seen_moves_with_what_a_picture_tells_of_the_lander(scene, monkeypatch, forgotten):
+    """What corrects the lander moves the rocks; what was seen, and is seen now, goes with them."""
+    mapper = look(scene, 0.1 * np.arange(4))
+    before = mapper.probability.observed
+    assert 0.1 < before.mean() < 0.99
+    rocks, update = mapper.tracker.filter, mapper.tracker.update
+
+    def corrected(*args):
+        found = update(*args)
+        error = np.zeros(15)
+        error[:2] = [2.0, -1.0]
+        rocks.inertial.correct(error)
+        rocks.xyz[:, :2] += error[:2]
+        return found
+
+    monkeypatch.setattr(mapper.tracker, "update", corrected)
+    if forgotten:
+        # Of what was seen only this picture is left.
+        mapper.probability.forget()
+    see(mapper, scene[0], scene[1][4], 0.4)
+    after = mapper.probability.observed
+    # Cells are half a metre wide: four columns east, two rows south.
+    off = np.mean(after[:-2, 4:] != before[2:, :-4])
+    assert off < 0.5 * np.mean(after != before)
+
+
+def test_rocks_begun_anew_do_not_tell_of_any_motion(scene, monkeypatch):
+    """They stand elsewhere since another picture tells where, not since the ground moved."""
+    mapper, told = look(scene, [0.0]), []
+    moved = mapper.tracker.moved
+    monkeypatch.setattr(mapper.tracker, "moved", lambda: told.append(moved()) or told[-1])
+    see(mapper, scene[0], scene[1][1], 0.1)
+    twice = mapper.tracker.hits == 2
+    assert np.count_nonzero(twice) > 10
+    assert np.isnan(told[0][1][twice]).mean() > 0.8
