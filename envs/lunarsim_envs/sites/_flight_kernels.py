@@ -292,7 +292,7 @@ def due(i, y, time, course, law):
 
 
 @kernel(shared=True)
-def begin(share, mask, keys, begun, y, loop, target, drift, control, heading, course, law):
+def begin(share, mask, keys, begun, y, target, drift, control, heading, course, law):
     """Set courses of the flights of `mask` (n,), which `descent._kernels.begin` has begun.
 
     `drift` (2,) is the standard deviation of the drift's velocity, m/s; `control` as
@@ -325,7 +325,6 @@ def begin(share, mask, keys, begun, y, loop, target, drift, control, heading, co
         y[i, 14] = steer(wanted, y[i, 13], control[0], control[1], heading, control[2], attitude)
         for k in range(4):
             y[i, 6 + k] = attitude[k]
-            loop[i, k] = attitude[k]
         for k in range(7):
             course.answer[i, k] = 0.0
         course.answer[i, 6] = np.nan
@@ -361,7 +360,7 @@ def decide(share, mask, time, y, sites, course, law, refused):
 
 
 @kernel(shared=True)
-def fly(share, y, loop, width, dt, limit, vehicle, grounds, flights, course, law):
+def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law):
     """Fly every lane in flight that nothing stops to its next event, or to its end."""
     wanted = np.zeros((width, 3))
     n = len(y)
@@ -390,7 +389,7 @@ def fly(share, y, loop, width, dt, limit, vehicle, grounds, flights, course, law
                 guide(i, y[i], flights.time[i], course, law, wanted[i - low])
             if flying > 0:
                 _advance(
-                    (0, 1), y[low:high], loop[low:high], wanted, True, law.cycle, dt, limit, width,
+                    (0, 1), y[low:high], rate[low:high], wanted, True, law.cycle, dt, limit, width,
                     own, grounds, here,
                 )  # fmt: skip
             for i in range(low, high):
