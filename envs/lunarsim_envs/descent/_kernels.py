@@ -219,7 +219,7 @@ def _end(i, y, vehicle, grounds, flights):
     return 0
 
 
-@kernel()
+@kernel(exact=True)
 def _loaded(first, beyond, ended, y, lanes, block):
     """Take the lanes that are in flight into a block (15, width), and return how many there are.
 
@@ -237,7 +237,7 @@ def _loaded(first, beyond, ended, y, lanes, block):
     return count
 
 
-@kernel()
+@kernel(exact=True)
 def _asked(block, own, n, action, guided, control, heading, load, attitude):
     """Take what an action asks of lane n: thrust, and the attitude or torques.
 
@@ -255,7 +255,7 @@ def _asked(block, own, n, action, guided, control, heading, load, attitude):
         own[loop.TORQUE + k, n] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
 
 
-@kernel()
+@kernel(exact=True)
 def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
     """Take lane i into place n of a block: its figures, draws, and what the loop knows of it."""
     for k in range(5):
@@ -274,7 +274,7 @@ def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
     own[loop.FLOOR, n] = levels[flights.world[i], 1] + reach
 
 
-@kernel()
+@kernel(exact=True)
 def _stored(block, own, n, i, y, rate, flights):
     for s in range(15):
         y[i, s] = block[s, n]

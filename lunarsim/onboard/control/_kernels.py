@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import along_thrust, rotation_between, turned
+from lunarsim._frame_kernels import rotation_between, turn_along, turned
 from lunarsim._jit import kernel
 
 
@@ -67,6 +67,6 @@ def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitud
     if size > limit:
         east *= limit / size
         north *= limit / size
-    attitude[:] = along_thrust(np.array([east, north, up]), heading)
+    turn_along(east, north, up, heading, attitude)
     thrust = np.sqrt(east * east + north * north + up * up) * mass
     return min(max(thrust, thrust_min), thrust_max)
