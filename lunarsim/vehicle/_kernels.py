@@ -34,15 +34,9 @@ def rates(
     wz = y[at + 12 * width + n]
     thrust = y[at + 14 * width + n]
     mass = y[at + 13 * width + n]
-    ex = thrust * rig[4]
-    ey = thrust * rig[5]
-    ez = thrust * rig[6]
-    fx = ex + rig[0]
-    fy = ey + rig[1]
-    fz = ez + rig[2]
-    ax = fx / mass
-    ay = fy / mass
-    az = fz / mass
+    ex, ey, ez = thrust * rig[4], thrust * rig[5], thrust * rig[6]
+    fx, fy, fz = ex + rig[0], ey + rig[1], ez + rig[2]
+    ax, ay, az = fx / mass, fy / mass, fz / mass
     out[into + n] = y[at + 3 * width + n]
     out[into + width + n] = y[at + 4 * width + n]
     out[into + 2 * width + n] = y[at + 5 * width + n]
@@ -82,7 +76,7 @@ def rates(
 
 @kernel(exact=True)
 def curve(y, at, out, into, n, width, gravity, rig):
-    """Add to dy/dt of body n of `width`, see `rates`, what a round, turning Moon changes; see `Dynamics`.
+    """Add to dy/dt of body n what a round, turning Moon changes; see `rates` and `Dynamics`.
 
     Gravity grows and turns with the place, and the frame's turning adds Coriolis and centrifugal
     accelerations. `rig[17]` is the radius, m, and `rig[18:21]` the spin, ENU, rad/s.
