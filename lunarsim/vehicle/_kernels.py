@@ -16,7 +16,8 @@ WIDE = 32
 
 @kernel(exact=True)
 def rates(
-    y, at, out, into, n, width, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig
+    y, at, out, into, n, width, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet,
+    rig,
 ):  # fmt: skip
     """Write dy/dt of body n of `width`; see `Dynamics` for the equations and `rig_of`.
 

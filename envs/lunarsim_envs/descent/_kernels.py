@@ -57,7 +57,8 @@ def begin(
     mask, keys, begun
         Lanes to begin (n,), their keys (n,) and how many flights each has begun (n,).
     y, rate, target, world, time, ended
-        State (n, 15), body rate as the gyroscopes tell it (n, 3), rad/s, target (n, 3), index of the world, s, how it stands.
+        State (n, 15), body rate as the gyroscopes tell it (n, 3), rad/s, target (n, 3), index of
+        the world, s, how it stands.
     starts
         Planned position over the target and velocity, and their standard deviations (n, 8).
     aim
