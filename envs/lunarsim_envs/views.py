@@ -141,7 +141,8 @@ class Views:
         low, high = foot + _UNDER * size, foot + _TOP * size
 
         def world(points: Any) -> Array:
-            return s.state.position + np.array([quat_rotate(s.state.attitude, p) for p in points])
+            turned = [quat_rotate(s.state.attitude, p) for p in points]
+            return np.asarray(s.state.position + np.array(turned))
 
         if s.verdict is None:
             length = 2.2 * size * float(s.state.thrust) / s.lander.thrust_max
