@@ -201,7 +201,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.action_space = spaces.Discrete(SITES + 1)
         self.observation_space = self.shown.space
         self.frames: Frames | None = None
-        self._views: Views | None = None
+        self.views: Views | None = None
         self._picture: Picture | None = None
         if render_mode is not None and isinstance(self.flight, KernelFlight):
             self._picture = Picture(self.flight.lanes)
@@ -230,7 +230,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         elif self.render_mode is not None and self.simulation is not None:
             # Axes take longer than a frame may: they are made with the flight.
             self.frames = Frames(self.simulation, self.flight.seen)
-            self._views = Views(self.simulation) if self._with_views else None
+            self.views = Views(self.simulation) if self._with_views else None
         self._take_frame()
         return self._encode(), self._info()
 
@@ -319,11 +319,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             return self._picture.draw()
         assert self.frames is not None
         drawn = self.frames.draw(self.flight.seen, *self._last)
-        return drawn if self._views is None else np.vstack((self._views.draw(), drawn))
+        return drawn if self.views is None else np.vstack((self.views.draw(), drawn))
 
     def close(self) -> None:
         """Let go of the flight, its pictures, and what they hold on the graphics device."""
-        self.frames, self._views, self._film = None, None, []
+        self.frames, self.views, self._film = None, None, []
         self._begun = False
         self.flight.close()
 

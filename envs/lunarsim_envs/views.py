@@ -65,7 +65,7 @@ class Views:
         # One exposure for the whole flight: what is bright stays so.
         self._bright = self._exposure()
 
-    def _chase(self) -> View:
+    def chase(self) -> View:
         """Return the eye behind the lander, looking past it at the site as far as it may."""
         s = self.simulation
         at = s.state.position
@@ -84,7 +84,7 @@ class Views:
     def _exposure(self) -> float:
         """Return the radiance that is shown white: what is lit well from here, and a half more."""
         light = self.simulation.world.light
-        views = (self._chase(), self._onboard())
+        views = (self.chase(), self._onboard())
         seen = np.concatenate([self._renderer.render(v, light).radiance.ravel() for v in views])
         lit = seen[seen > 0.0]
         return _HEADROOM * float(np.percentile(lit, 90.0)) if lit.size else 1.0
@@ -98,7 +98,7 @@ class Views:
             share * (whole.cx + 0.5) - 0.5, share * (whole.cy + 0.5) - 0.5, width, height,
         )  # fmt: skip
 
-    def _seen(self, view: View) -> Image:
+    def seen_by(self, view: View) -> Image:
         """Return the ground as it is seen, (height, width, 3)."""
         radiance = self._renderer.render(view, self.simulation.world.light).radiance
         tone = 235.0 * np.clip(radiance / self._bright, 0.0, 1.0) ** (1.0 / 2.2)
@@ -107,21 +107,21 @@ class Views:
 
     def draw(self) -> Image:
         """Return the flight as it stands (360, 800, 3)."""
-        view = self._chase()
-        chase = self._seen(view)
+        view = self.chase()
+        chase = self.seen_by(view)
         self._mark(chase, view)
         self._lander(chase, view)
         _say(chase, "chase view", (8, 18))
         below = self._onboard()
         eye = np.full((ASIDE, ASIDE, 3), _SKY, np.uint8)
         try:
-            seen = self._seen(below)
+            seen = self.seen_by(below)
             self._mark(seen, below)
             eye[: seen.shape[0], : seen.shape[1]] = seen
         except InputError:  # the camera has come to lie under the ground
             _say(eye, "under the ground", (8, 40))
         _say(eye, "onboard camera", (8, ASIDE - 10))
-        aside = np.vstack((eye, self._gauges()))
+        aside = np.vstack((eye, self.gauges()))
         return np.hstack((chase, aside))
 
     def _mark(self, image: Image, view: View) -> None:
@@ -130,7 +130,7 @@ class Views:
         site = s.true_to_local.to_site(s.site)
         turn = np.linspace(0.0, 2.0 * np.pi, 37)
         ring = np.column_stack((np.cos(turn), np.sin(turn), np.zeros(37))) * s.lander.leg_radius
-        points = _project(view, site + ring)
+        points = project(view, site + ring)
         if points is not None:
             cv2.polylines(image, [points], True, _AIM, 1, cv2.LINE_AA)
 
@@ -152,7 +152,7 @@ class Views:
                 _fill(image, view, world(one), _FLAME)
         for pad in s.lander.pads:
             knee = (0.5 * pad[0], 0.5 * pad[1], 0.5 * (low + high))
-            ends = _project(view, world([knee, pad]))
+            ends = project(view, world([knee, pad]))
             if ends is not None:
                 cv2.line(image, tuple(ends[0]), tuple(ends[1]), _LEG, 2, cv2.LINE_AA)
         turn = 2.0 * np.pi * (np.arange(_SIDES) + 0.5) / _SIDES
@@ -169,7 +169,7 @@ class Views:
             light = 0.25 + 0.75 * max(float(normal @ sun), 0.0)
             _fill(image, view, face, tuple(round(light * c) for c in _BODY))
 
-    def _gauges(self) -> Image:
+    def gauges(self) -> Image:
         """Return what instruments would show (120, 240, 3), of the true state."""
         s = self.simulation
         y, vehicle = s.state, s.lander
@@ -201,7 +201,7 @@ def _say(image: Image, words: str, at: tuple[int, int]) -> None:
         cv2.putText(image, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, wide, cv2.LINE_AA)
 
 
-def _project(view: View, points: Array) -> NDArray[np.int32] | None:
+def project(view: View, points: Array) -> NDArray[np.int32] | None:
     """Return points as pixels (n, 2), or None where one is not before the eye."""
     seen = (np.asarray(points) - view.position) @ view.axes
     if (seen[:, 2] < 0.1).any():
@@ -211,6 +211,6 @@ def _project(view: View, points: Array) -> NDArray[np.int32] | None:
 
 
 def _fill(image: Image, view: View, points: Array, colour: tuple[int, ...]) -> None:
-    flat = _project(view, points)
+    flat = project(view, points)
     if flat is not None:
         cv2.fillPoly(image, [flat], colour, cv2.LINE_AA)
