@@ -74,32 +74,35 @@ def points_along(position, rotation, direction, reach):
 @kernel()
 def along_thrust(direction, heading):
     """Return the quaternion whose body z is along `direction` and body x near `heading`."""
-    z = direction / np.sqrt(np.sum(direction * direction))
+    q = np.empty(4)
+    turn_along(direction[0], direction[1], direction[2], heading, q)
+    return q
+
+
+@kernel(allocates=False)
+def turn_along(east, north, up, heading, q):
+    """Write the quaternion (4,) whose body z is along a direction and body x near `heading`."""
+    size = np.sqrt(east * east + north * north + up * up)
+    zx, zy, zz = east / size, north / size, up / size
     fx, fy = np.sin(heading), np.cos(heading)
     # z x forward; thrust along the heading: any roll will do.
-    y = np.array([-z[2] * fy, z[2] * fx, z[0] * fy - z[1] * fx])
-    size = np.sqrt(np.sum(y * y))
+    yx, yy, yz = -zz * fy, zz * fx, zx * fy - zy * fx
+    size = np.sqrt(yx * yx + yy * yy + yz * yz)
     if size < 1e-9:
-        y = np.array([z[1], -z[0], 0.0])
-        size = np.sqrt(np.sum(y * y))
-    y /= size
-    x = np.array([y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]])
-    m = np.stack((x, y, z), axis=1)
+        yx, yy, yz = zy, -zx, 0.0
+        size = np.sqrt(yx * yx + yy * yy)
+    yx, yy, yz = yx / size, yy / size, yz / size
+    xx, xy, xz = yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx
     # Shepperd's method: divide by the largest component.
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    k = 3
-    best = trace
-    for i in range(3):
-        if m[i, i] > best:
-            best, k = m[i, i], i
-    q = np.empty(4)
-    if k == 3:
-        q[0], q[1], q[2] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-        q[3] = 1.0 + trace
+    trace = xx + yy + zz
+    if trace >= max(xx, yy, zz):
+        q[0], q[1], q[2], q[3] = yz - zy, zx - xz, xy - yx, 1.0 + trace
+    elif xx >= max(yy, zz):
+        q[0], q[1], q[2], q[3] = 1.0 - trace + 2.0 * xx, xy + yx, zx + xz, yz - zy
+    elif yy >= zz:
+        q[1], q[2], q[0], q[3] = 1.0 - trace + 2.0 * yy, yz + zy, xy + yx, zx - xz
     else:
-        i, j, n = k, (k + 1) % 3, (k + 2) % 3
-        q[i] = 1.0 - trace + 2.0 * m[i, i]
-        q[j] = m[j, i] + m[i, j]
-        q[n] = m[n, i] + m[i, n]
-        q[3] = m[n, j] - m[j, n]
-    return q / np.sqrt(np.sum(q * q))
+        q[2], q[0], q[1], q[3] = 1.0 - trace + 2.0 * zz, zx + xz, yz + zy, xy - yx
+    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for k in range(4):
+        q[k] /= norm

@@ -44,6 +44,7 @@ def kernel(
     inline: bool = False,
     exact: bool = False,
     inner: bool | None = None,
+    allocates: bool = True,
 ) -> Callable[[F], F]: ...
 
 

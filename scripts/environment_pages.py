@@ -25,6 +25,11 @@ observation, info = env.reset(seed=1)
 observation, reward, terminated, truncated, info = env.step(0)
 ```
 
+![A flight of Retarget-v0: chase view, camera, gauges, path, hazard map](images/retarget.gif)
+
+`views=True` draws such frames (`python scripts/environment_film.py docs/images/retarget.gif` makes
+this film); the ground ends where the world that was drawn does.
+
 Thousands of descents fly in one kernel:
 
 ```python
@@ -48,7 +53,14 @@ Rocket-Landing-v4 1,010:
 | `Control-v0`, one | 14,400, 14.2 of Rocket-Landing | 290 |
 | `Control-v0`, 4096 lanes | 2,710,000, 81 of LunarLander | 54,000 |
 
-A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it.
+A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it. These figures
+are from before the kernel took lanes eight at a time.
+
+## Recordings
+
+`python scenarios/learning/record_episodes.py Guidance-v0 --agent apollo --out build/apollo` records
+episodes in [Minari](https://minari.farama.org)'s format (`pip install "lunarsim[data]"`), which
+`minari.MinariDataset("build/apollo")` reads.
 
 ## Agents
 

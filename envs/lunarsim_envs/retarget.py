@@ -25,6 +25,7 @@ from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
 from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
+from lunarsim_envs.views import Views
 
 FloatArray = NDArray[np.float32]
 
@@ -144,6 +145,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
       every half second of the flight since the last call, down to the ground (not of flights by
       kernels); or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
+    - ``views``: whether frames show a chase view of the lander over the rendered ground, what its
+      camera sees, and gauges as well (needs OpenGL; not of flights by kernels).
 
     - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: so many flights in kernels, with perception
@@ -172,6 +175,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         worlds: int = 16,
         world_seed: int = 0,
         surrogate: Any = None,
+        views: bool = False,
     ) -> None:
         if perception not in PERCEPTIONS:
             raise InputError("perception", perception, suggestion(str(perception), PERCEPTIONS))
@@ -181,6 +185,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode = {render_mode!r}: must be {named} or None")
+        if views and (render_mode is None or perception not in WHOLE):
+            named = ", ".join(map(repr, WHOLE))
+            raise InputError("views", views, f"False without a render_mode or a perception {named}")
         self.scenario = retarget_scenario(scenario, changes)
         if perception in WHOLE:
             self.scenario = perceiving(self.scenario, perception)
@@ -194,9 +201,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.action_space = spaces.Discrete(SITES + 1)
         self.observation_space = self.shown.space
         self.frames: Frames | None = None
+        self.views: Views | None = None
         self._picture: Picture | None = None
         if render_mode is not None and isinstance(self.flight, KernelFlight):
             self._picture = Picture(self.flight.lanes)
+        self._with_views = views
         self._begun = False
         self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
@@ -221,6 +230,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         elif self.render_mode is not None and self.simulation is not None:
             # Axes take longer than a frame may: they are made with the flight.
             self.frames = Frames(self.simulation, self.flight.seen)
+            self.views = Views(self.simulation) if self._with_views else None
         self._take_frame()
         return self._encode(), self._info()
 
@@ -271,6 +281,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """Return the descent, its last 60 m and the map as an image (360, 800, 3).
 
+        With `views` a chase view, the onboard camera and gauges stand above it (720, 800, 3).
         Axes stay as the first frame of a flight has them. In the mode of lists it returns the
         images since the last call.
         """
@@ -307,7 +318,14 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if self._picture is not None:
             return self._picture.draw()
         assert self.frames is not None
-        return self.frames.draw(self.flight.seen, *self._last)
+        drawn = self.frames.draw(self.flight.seen, *self._last)
+        return drawn if self.views is None else np.vstack((self.views.draw(), drawn))
+
+    def close(self) -> None:
+        """Let go of the flight, its pictures, and what they hold on the graphics device."""
+        self.frames, self.views, self._film = None, None, []
+        self._begun = False
+        self.flight.close()
 
     def _take_frame(self) -> None:
         """Keep an image for the mode of lists."""

@@ -10,51 +10,53 @@ import numpy as np
 from lunarsim._frame_kernels import rotation_between
 from lunarsim._jit import kernel
 
+# Bodies that are best advanced side by side.
+WIDE = 32
+
 
 @kernel(exact=True)
-def rates(y, out, n, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
-    """Write dy/dt of body n, of states (15, N); see `Dynamics` for the equations and `rig_of`.
+def rates(
+    y, at, out, into, n, width, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet,
+    rig,
+):  # fmt: skip
+    """Write dy/dt of body n of `width`; see `Dynamics` for the equations and `rig_of`.
 
-    Torques are about the origin of the body axes. Bodies lie side by side, so that the compiler
-    takes some of them at a time.
+    States lie flat in y from `at` on, row by row and bodies side by side, and so does what is
+    written into `out` from `into` on: where `width` is a constant the compiler sees that no row
+    runs into another, and takes some bodies at a time. Torques are about the origin of the body
+    axes.
     """
-    qx = y[6, n]
-    qy = y[7, n]
-    qz = y[8, n]
-    qw = y[9, n]
-    wx = y[10, n]
-    wy = y[11, n]
-    wz = y[12, n]
-    thrust = y[14, n]
-    mass = y[13, n]
-    ex = thrust * rig[4]
-    ey = thrust * rig[5]
-    ez = thrust * rig[6]
-    fx = ex + rig[0]
-    fy = ey + rig[1]
-    fz = ez + rig[2]
-    ax = fx / mass
-    ay = fy / mass
-    az = fz / mass
-    out[0, n] = y[3, n]
-    out[1, n] = y[4, n]
-    out[2, n] = y[5, n]
+    qx = y[at + 6 * width + n]
+    qy = y[at + 7 * width + n]
+    qz = y[at + 8 * width + n]
+    qw = y[at + 9 * width + n]
+    wx = y[at + 10 * width + n]
+    wy = y[at + 11 * width + n]
+    wz = y[at + 12 * width + n]
+    thrust = y[at + 14 * width + n]
+    mass = y[at + 13 * width + n]
+    ex, ey, ez = thrust * rig[4], thrust * rig[5], thrust * rig[6]
+    fx, fy, fz = ex + rig[0], ey + rig[1], ez + rig[2]
+    ax, ay, az = fx / mass, fy / mass, fz / mass
+    out[into + n] = y[at + 3 * width + n]
+    out[into + width + n] = y[at + 4 * width + n]
+    out[into + 2 * width + n] = y[at + 5 * width + n]
     # The engine alone pushes along body z, the third column of the direction cosine matrix.
-    out[3, n] = az * 2.0 * (qx * qz + qw * qy) + (
+    out[into + 3 * width + n] = az * 2.0 * (qx * qz + qw * qy) + (
         ax * (1.0 - 2.0 * (qy * qy + qz * qz)) + ay * 2.0 * (qx * qy - qw * qz)
     )
-    out[4, n] = az * 2.0 * (qy * qz - qw * qx) + (
+    out[into + 4 * width + n] = az * 2.0 * (qy * qz - qw * qx) + (
         ax * 2.0 * (qx * qy + qw * qz) + ay * (1.0 - 2.0 * (qx * qx + qz * qz))
     )
-    out[5, n] = (
+    out[into + 5 * width + n] = (
         az * (1.0 - 2.0 * (qx * qx + qy * qy))
         - gravity
         + (ax * 2.0 * (qx * qz - qw * qy) + ay * 2.0 * (qy * qz + qw * qx))
     )
-    out[6, n] = 0.5 * (qw * wx + qy * wz - qz * wy)
-    out[7, n] = 0.5 * (qw * wy + qz * wx - qx * wz)
-    out[8, n] = 0.5 * (qw * wz + qx * wy - qy * wx)
-    out[9, n] = -0.5 * (qx * wx + qy * wy + qz * wz)
+    out[into + 6 * width + n] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    out[into + 7 * width + n] = 0.5 * (qw * wy + qz * wx - qx * wz)
+    out[into + 8 * width + n] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    out[into + 9 * width + n] = -0.5 * (qx * wx + qy * wy + qz * wz)
     full = (mass - dry) / (wet - dry)
     ix = i_dry[0] + full * (i_wet[0] - i_dry[0])
     iy = i_dry[1] + full * (i_wet[1] - i_dry[1])
@@ -66,16 +68,16 @@ def rates(y, out, n, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, 
     mx = rig[8] * ez - rig[9] * ey - (cy * fz - cz * fy)
     my = rig[9] * ex - rig[7] * ez - (cz * fx - cx * fz)
     mz = rig[7] * ey - rig[8] * ex - (cx * fy - cy * fx)
-    out[10, n] = (tx + mx - (iz - iy) * wy * wz) / ix
-    out[11, n] = (ty + my - (ix - iz) * wz * wx) / iy
-    out[12, n] = (tz + mz - (iy - ix) * wx * wy) / iz
-    out[13, n] = -thrust / exhaust - rig[3]
-    out[14, n] = (asked - thrust) / lag if lag > 0.0 else 0.0
+    out[into + 10 * width + n] = (tx + mx - (iz - iy) * wy * wz) / ix
+    out[into + 11 * width + n] = (ty + my - (ix - iz) * wz * wx) / iy
+    out[into + 12 * width + n] = (tz + mz - (iy - ix) * wx * wy) / iz
+    out[into + 13 * width + n] = -thrust / exhaust - rig[3]
+    out[into + 14 * width + n] = (asked - thrust) / lag if lag > 0.0 else 0.0
 
 
 @kernel(exact=True)
-def curve(y, out, n, gravity, rig):
-    """Add to dy/dt of body n what a round, turning Moon changes; see `Dynamics`.
+def curve(y, at, out, into, n, width, gravity, rig):
+    """Add to dy/dt of body n what a round, turning Moon changes; see `rates` and `Dynamics`.
 
     Gravity grows and turns with the place, and the frame's turning adds Coriolis and centrifugal
     accelerations. `rig[17]` is the radius, m, and `rig[18:21]` the spin, ENU, rad/s.
@@ -84,34 +86,81 @@ def curve(y, out, n, gravity, rig):
     wx = rig[18]
     wy = rig[19]
     wz = rig[20]
-    x = y[0, n]
-    z = y[2, n] + radius
-    vx = y[3, n]
-    vy = y[4, n]
-    vz = y[5, n]
-    square = x * x + y[1, n] * y[1, n] + z * z
+    x = y[at + n]
+    z = y[at + 2 * width + n] + radius
+    vx = y[at + 3 * width + n]
+    vy = y[at + 4 * width + n]
+    vz = y[at + 5 * width + n]
+    square = x * x + y[at + width + n] * y[at + width + n] + z * z
     pull = gravity * radius * radius / (square * np.sqrt(square))
     # Of the frame at this place: spin x r.
-    fx = wy * z - wz * y[1, n]
+    fx = wy * z - wz * y[at + width + n]
     fy = wz * x - wx * z
-    fz = wx * y[1, n] - wy * x
+    fz = wx * y[at + width + n] - wy * x
     ux = 2.0 * vx + fx
     uy = 2.0 * vy + fy
     uz = 2.0 * vz + fz
-    out[3, n] -= pull * x + (wy * uz - wz * uy)
-    out[4, n] -= pull * y[1, n] + (wz * ux - wx * uz)
-    out[5, n] += gravity - pull * z - (wx * uy - wy * ux)
+    out[into + 3 * width + n] -= pull * x + (wy * uz - wz * uy)
+    out[into + 4 * width + n] -= pull * y[at + width + n] + (wz * ux - wx * uz)
+    out[into + 5 * width + n] += gravity - pull * z - (wx * uy - wy * ux)
 
 
 @kernel()
 def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
     """Write dy/dt (15,) of one body; see `rates`."""
     rates(
-        y.reshape(15, 1), out.reshape(15, 1), 0, thrust_command, torque[0], torque[1], torque[2],
-        gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig,
+        y, 0, out, 0, 0, 1, thrust_command, torque[0], torque[1], torque[2], gravity, exhaust, lag,
+        dry, wet, i_dry, i_wet, rig,
     )  # fmt: skip
     if rig[17] > 0.0:
-        curve(y.reshape(15, 1), out.reshape(15, 1), 0, gravity, rig)
+        curve(y, 0, out, 0, 0, 1, gravity, rig)
+
+
+@kernel(exact=True)
+def _flat_step(y, dt, asked, torque, figures, inertia, rig, work, width):
+    """Advance bodies by one step in place; all but `inertia` (2, 3) and `rig` lies flat."""
+    size = 15 * width
+    i_dry = (inertia[0, 0], inertia[0, 1], inertia[0, 2])
+    i_wet = (inertia[1, 0], inertia[1, 1], inertia[1, 2])
+    own = (
+        rig[0], rig[1], rig[2], rig[3], rig[4], rig[5], rig[6], rig[7], rig[8], rig[9], rig[10],
+        rig[11], rig[12], rig[13], rig[14], rig[15], rig[16], rig[17], rig[18], rig[19], rig[20],
+    )  # fmt: skip
+    for n in range(width):
+        if figures[2 * width + n] == 0.0:
+            y[14 * width + n] = asked[n]
+    # Where the derivatives are taken, behind the four of them.
+    at = 4 * size
+    for j in range(size):
+        work[at + j] = y[j]
+    for stage in range(4):
+        into = stage * size
+        for n in range(width):
+            rates(
+                work, at, work, into, n, width, asked[n], torque[n], torque[width + n],
+                torque[2 * width + n], figures[n], figures[width + n], figures[2 * width + n],
+                figures[3 * width + n], figures[4 * width + n], i_dry, i_wet, own,
+            )  # fmt: skip
+        if own[17] > 0.0:
+            for n in range(width):
+                curve(work, at, work, into, n, width, figures[n], own)
+        if stage < 3:
+            part = dt if stage == 2 else 0.5 * dt
+            for j in range(size):
+                work[at + j] = y[j] + part * work[into + j]
+    for j in range(size):
+        y[j] += (
+            dt / 6.0 * (work[j] + 2.0 * (work[size + j] + work[2 * size + j]) + work[3 * size + j])
+        )
+    for n in range(width):
+        norm = np.sqrt(
+            y[6 * width + n] * y[6 * width + n]
+            + y[7 * width + n] * y[7 * width + n]
+            + y[8 * width + n] * y[8 * width + n]
+            + y[9 * width + n] * y[9 * width + n]
+        )
+        for s in range(6, 10):
+            y[s * width + n] /= norm
 
 
 @kernel(inner=True)
@@ -119,40 +168,16 @@ def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
     """Advance bodies (15, N) by one classical Runge-Kutta step in place.
 
     `asked` (N,) and `torque` (3, N) are what each is commanded, `figures` (5, N) its own; `work` is
-    scratch (5, 15, N); for the others see `advance_body`.
+    scratch (5, 15, N); for the others see `advance_body`. Of `WIDE` bodies some are taken at a
+    time.
     """
-    i_dry, i_wet = inertia[0], inertia[1]
-    bodies = y.shape[1]
-    for n in range(bodies):
-        if figures[2, n] == 0.0:
-            y[14, n] = asked[n]
-    for stage in range(4):
-        at = y if stage == 0 else work[4]
-        for n in range(bodies):
-            rates(
-                at, work[stage], n, asked[n], torque[0, n], torque[1, n], torque[2, n],
-                figures[0, n], figures[1, n], figures[2, n], figures[3, n], figures[4, n], i_dry,
-                i_wet, rig,
-            )  # fmt: skip
-        if rig[17] > 0.0:
-            for n in range(bodies):
-                curve(at, work[stage], n, figures[0, n], rig)
-        if stage < 3:
-            part = dt if stage == 2 else 0.5 * dt
-            for s in range(15):
-                for n in range(bodies):
-                    work[4, s, n] = y[s, n] + part * work[stage, s, n]
-    for s in range(15):
-        for n in range(bodies):
-            y[s, n] += (
-                dt / 6.0 * (work[0, s, n] + 2.0 * (work[1, s, n] + work[2, s, n]) + work[3, s, n])
-            )
-    for n in range(bodies):
-        norm = np.sqrt(
-            y[6, n] * y[6, n] + y[7, n] * y[7, n] + y[8, n] * y[8, n] + y[9, n] * y[9, n]
-        )
-        for s in range(6, 10):
-            y[s, n] /= norm
+    n = y.shape[1]
+    flat, turn = y.reshape(15 * n), torque.reshape(3 * n)
+    own, spare = figures.reshape(5 * n), work.reshape(75 * n)
+    if n == WIDE:
+        _flat_step(flat, dt, asked, turn, own, inertia, rig, spare, WIDE)
+    else:
+        _flat_step(flat, dt, asked, turn, own, inertia, rig, spare, n)
 
 
 @kernel()

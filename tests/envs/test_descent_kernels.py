@@ -15,6 +15,7 @@ from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import judge_touchdown, pad_contacts
 from lunarsim.vehicle.variation import DRAWN
 from lunarsim_envs.descent import _kernels as k
+from lunarsim_envs.descent._loop_kernels import arc
 from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, Craft, Lanes
 from lunarsim_envs.descent.worlds import Worlds
 from tests.reference import descent as plain
@@ -181,6 +182,23 @@ def test_landers_are_those_drawn_plainly(worlds):
     spread = drawn[:, :6] / most
     assert (np.abs(spread) <= 1.0).all() and np.abs(spread.mean(axis=0)).max() < 0.2
     assert spread.std(axis=0) == pytest.approx(np.full(6, 3.0**-0.5), abs=0.1)
+
+
+@numba.njit
+def _angles(s, w, out):
+    for n in range(len(s)):
+        out[n] = arc(s[n], w[n])
+
+
+def test_angles_are_those_of_the_library():
+    rng = np.random.default_rng(8)
+    angle = np.concatenate((rng.uniform(0.0, 0.5 * np.pi, 4000), 10.0 ** rng.uniform(-14, 0, 4000)))
+    size = 10.0 ** rng.uniform(-8, 3, len(angle))
+    s = np.concatenate((size * np.sin(angle), [0.0, 1.0, 0.0, 1.0, 0.66]))
+    w = np.concatenate((size * np.cos(angle), [1.0, 0.0, 0.0, 1.0, 1.0]))
+    out = np.empty(len(s))
+    _angles(s, w, out)
+    assert out == pytest.approx(np.arctan2(s, w), rel=4e-16, abs=0.0)
 
 
 def test_draws_are_even_and_normal():

@@ -113,7 +113,7 @@ def test_drift_is_drawn_by_the_key(flown):
 def test_any_company_and_threads_give_the_same_bits():
     threads = numba.get_num_threads()
     found = []
-    for count, own in ((1, 1), (4, 1), (7, threads)):
+    for count, own in ((1, 1), (4, 1), (33, threads)):
         numba.set_num_threads(own)
         some = lanes(count)
         for _ in range(3):

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsim._frame_kernels import rotation_between
 from lunarsim._jit import kernel
-from lunarsim.onboard.control._kernels import demand, follow, steer
+from lunarsim.onboard.control._kernels import steer
 from lunarsim.vehicle._kernels import advance_bodies
 from lunarsim.vehicle._touchdown_kernels import OFF_MAP, height_at, judge, touches
+from lunarsim_envs.descent import _loop_kernels as loop
 
 # How a flight stands.
 FLYING, LANDED, LOST, LATE = 0, 1, 2, 3
@@ -47,7 +47,7 @@ def normal(key, count):
 
 @kernel(shared=True)
 def begin(
-    share, mask, keys, begun, y, loop, target, world, time, ended, starts, aim, upright, weight,
+    share, mask, keys, begun, y, rate, target, world, time, ended, starts, aim, upright, weight,
     reliefs, frame,
 ):  # fmt: skip
     """Draw and set a new flight in every lane of `mask`.
@@ -56,8 +56,9 @@ def begin(
     ----------
     mask, keys, begun
         Lanes to begin (n,), their keys (n,) and how many flights each has begun (n,).
-    y, loop, target, world, time, ended
-        State (n, 15), attitude loop (n, 10), target (n, 3), index of the world, s, how it stands.
+    y, rate, target, world, time, ended
+        State (n, 15), body rate as the gyroscopes tell it (n, 3), rad/s, target (n, 3), index of
+        the world, s, how it stands.
     starts
         Planned position over the target and velocity, and their standard deviations (n, 8).
     aim
@@ -84,13 +85,11 @@ def begin(
             y[i, 3 + k] = starts[i, 3 + k] + starts[i, 7] * off
         for k in range(4):
             y[i, 6 + k] = upright[k]
-            loop[i, k] = upright[k]
         for k in range(3):
             y[i, 10 + k] = 0.0
+            rate[i, k] = 0.0
         y[i, 13] = weight[0]
         y[i, 14] = weight[1]
-        for k in range(4, 10):
-            loop[i, k] = 0.0
         time[i] = 0.0
         ended[i] = FLYING
 
@@ -201,24 +200,6 @@ class Flights(NamedTuple):
 
 
 @kernel()
-def _ask(y, loop, action, guided, vehicle, load, attitude):
-    """Return the thrust that an action asks for, N; the attitude, or torques, go where they act.
-
-    A load that was drawn is not known: the thrust is that for the mass without it.
-    """
-    control = vehicle.control
-    if guided:
-        for k in range(4):
-            loop[k] = y[6 + k]
-        return steer(
-            action, y[13] - load, control[0], control[1], vehicle.heading, control[2], attitude
-        )
-    for k in range(3):
-        loop[7 + k] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
-    return min(max(action[0], control[0]), control[1])
-
-
-@kernel()
 def _end(i, y, vehicle, grounds, flights):
     """Return 1 if a flight has ended, on the ground or under the map, and note how; else 0."""
     w = flights.world[i]
@@ -239,7 +220,7 @@ def _end(i, y, vehicle, grounds, flights):
     return 0
 
 
-@kernel()
+@kernel(exact=True)
 def _loaded(first, beyond, ended, y, lanes, block):
     """Take the lanes that are in flight into a block (15, width), and return how many there are.
 
@@ -257,67 +238,72 @@ def _loaded(first, beyond, ended, y, lanes, block):
     return count
 
 
-@kernel()
-def _figured(lanes, count, own, block):
-    """Take the figures (n, 5) of the lanes of a block into it (5, width), as `_loaded` does."""
-    for n in range(block.shape[1] if count > 0 else 0):
-        i = lanes[n] if n < count else lanes[0]
-        for k in range(5):
-            block[k, n] = own[i, k]
+@kernel(exact=True)
+def _asked(block, own, n, action, guided, control, heading, load, attitude):
+    """Take what an action asks of lane n: thrust, and the attitude or torques.
 
-
-@kernel()
-def _moments(mass, figures, inertia, out):
-    """Write the principal moments at a mass (3,), as the attitude loop knows them."""
-    dry, wet = figures[3], figures[4]
-    full = (mass - dry) / (wet - dry)
-    for k in range(3):
-        out[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
-
-
-@kernel()
-def _quaternion(block, n, out):
-    for k in range(4):
-        out[k] = block[6 + k, n]
-
-
-@kernel()
-def _followed(block, n, before, loop, dt, after, turn):
-    """Let a lane's attitude loop follow what its gyroscopes have seen over a step."""
-    _quaternion(block, n, after)
-    rotation_between(before, after, turn)
-    follow(loop, turn, dt)
-
-
-@kernel()
-def _stored(block, n, y):
-    for s in range(15):
-        y[s] = block[s, n]
-
-
-@kernel()
-def _given(loop, drawn, time, asked, thrust, torque, n):
-    """Return the thrust that comes of what is asked, N; write the torques (3, n), N m.
-
-    The engine's line off the centre of mass turns the lander by its thrust at the step's start.
+    A load that was drawn is not known: the thrust is that for the mass without it.
     """
-    failed = time >= drawn[FAILS]
+    if guided:
+        own[loop.THRUST, n] = steer(
+            action, block[13, n] - load, control[0], control[1], heading, control[2], attitude
+        )
+        for k in range(4):
+            own[loop.AIM + k, n] = attitude[k]
+        return
+    own[loop.THRUST, n] = min(max(action[0], control[0]), control[1])
     for k in range(3):
-        torque[k, n] = loop[7 + k] * drawn[TORQUE + k] if failed else loop[7 + k]
-    torque[0, n] += drawn[OFFSET + 1] * thrust
-    torque[1, n] -= drawn[OFFSET] * thrust
-    asked *= 1.0 + drawn[THRUST]
-    return asked * drawn[ENGINE] if failed else asked
+        own[loop.TORQUE + k, n] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
+
+
+@kernel(exact=True)
+def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
+    """Take lane i into place n of a block: its figures, draws, and what the loop knows of it."""
+    for k in range(5):
+        figures[k, n] = vehicle.figures[i, k]
+    drawn, inertia = vehicle.drawn[i], vehicle.inertia
+    # The moments at its mass, as the attitude loop knows them.
+    full = (block[13, n] - figures[3, n]) / (figures[4, n] - figures[3, n])
+    for k in range(3):
+        own[loop.MOMENT + k, n] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
+        own[loop.RATE + k, n] = rate[i, k]
+        own[loop.WEAK + k, n] = drawn[TORQUE + k]
+    own[loop.TIME, n] = flights.time[i]
+    own[loop.FAILS, n], own[loop.ENGINE, n] = drawn[FAILS], drawn[ENGINE]
+    own[loop.SHARE, n] = drawn[THRUST]
+    own[loop.OFFSET, n], own[loop.OFFSET + 1, n] = drawn[OFFSET], drawn[OFFSET + 1]
+    own[loop.FLOOR, n] = levels[flights.world[i], 1] + reach
+
+
+@kernel(exact=True)
+def _stored(block, own, n, i, y, rate, flights):
+    for s in range(15):
+        y[i, s] = block[s, n]
+    for k in range(3):
+        rate[i, k] = own[loop.RATE + k, n]
+    flights.time[i] = own[loop.TIME, n]
+
+
+@kernel()
+def _ended(block, own, count, lanes, y, rate, vehicle, grounds, flights):
+    """Return how many lanes of a block have ended, on the ground or under the map."""
+    over = 0
+    for n in range(count):
+        i = lanes[n]
+        if flights.ended[i] == FLYING and block[2, n] <= own[loop.FLOOR, n]:
+            _stored(block, own, n, i, y, rate, flights)
+            over += _end(i, y[i], vehicle, grounds, flights)
+    return over
 
 
 @kernel(shared=True)
-def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, grounds, flights):
+def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, grounds, flights):
     """Fly every lane that is in flight for `steps` steps under its action, or to its end.
 
     Parameters
     ----------
-    y, loop
-        State (n, 15) and attitude loop (n, 10).
+    y, rate
+        State (n, 15), and the body rate as gyroscopes tell it (n, 3), rad/s.
     actions, guided
         Thrust accelerations (n, 3), m/s^2, for the attitude loop; or thrust and torques (n, 4), N.
     steps, dt, limit, width
@@ -326,47 +312,40 @@ def advance(share, y, loop, actions, guided, steps, dt, limit, width, vehicle, g
     vehicle, grounds, flights
         See there.
     """
-    v = vehicle
-    inertia, rig, gains, most = v.inertia, v.rig, v.control[3:6], v.control[6:]
-    time, ended = flights.time, flights.ended
+    v, ended = vehicle, flights.ended
+    gains, most = v.control[3:6], v.control[6:]
     reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1
-    lanes = np.empty(width, np.int64)
+    lanes, attitude = np.empty(width, np.int64), np.empty(4)
     block, work = np.empty((15, width)), np.empty((5, 15, width))
-    asked, torque = np.zeros(width), np.zeros((3, width))
-    gives, figures = np.zeros(width), np.ones((5, width))
-    attitude, before, known = np.empty((width, 4)), np.empty((width, 4)), np.empty((width, 3))
-    after, turn = np.empty(4), np.empty(3)
+    own, spare = np.empty((loop.ROWS, width)), np.empty((3, width))
+    gives, torque, figures = np.zeros(width), np.zeros((3, width)), np.ones((5, width))
     for b in range(share[0], (len(y) + width - 1) // width, share[1]):
         count = _loaded(b * width, min((b + 1) * width, len(y)), ended, y, lanes, block)
-        _figured(lanes, count, v.figures, figures)
-        for n in range(count):
-            i = lanes[n]
-            asked[n] = _ask(y[i], loop[i], actions[i], guided, v, v.drawn[i, LOAD], attitude[n])
-            _moments(y[i, 13], v.figures[i], inertia, known[n])
+        if count == 0:
+            continue
+        for n in range(width):
+            i = lanes[n] if n < count else lanes[0]
+            _takes(i, block, own, n, figures, rate, v, grounds.levels, reach, flights)
+            _asked(
+                block, own, n, actions[i], guided, v.control, v.heading, v.drawn[i, LOAD], attitude
+            )
         left = count
         for _ in range(steps):
-            if left == 0:
-                break
-            for n in range(count):
-                i = lanes[n]
-                if guided:
-                    demand(loop[i], attitude[n], gains, known[n], most)
-                    _quaternion(block, n, before[n])
-                gives[n] = _given(loop[i], v.drawn[i], time[i], asked[n], block[14, n], torque, n)
-            advance_bodies(block, dt, gives, torque, figures, inertia, rig, work)
-            for n in range(count):
-                i = lanes[n]
-                if ended[i] != FLYING:
-                    continue
-                time[i] += dt
-                if guided:
-                    _followed(block, n, before[n], loop[i], dt, after, turn)
-                if block[2, n] - reach <= grounds.levels[flights.world[i], 1]:
-                    _stored(block, n, y[i])
-                    left -= _end(i, y[i], v, grounds, flights)
+            if guided:
+                loop.ask(block, own, width, gains, most, spare)
+            loop.give(block, own, width, gives, torque)
+            advance_bodies(block, dt, gives, torque, figures, v.inertia, v.rig, work)
+            for n in range(width):
+                own[loop.TIME, n] += dt
+            if guided:
+                loop.sense(block, own, width, dt, spare)
+            if loop.low(block, own, width) > 0:
+                left -= _ended(block, own, count, lanes, y, rate, v, grounds, flights)
+                if left == 0:
+                    break
         for n in range(count):
             i = lanes[n]
             if ended[i] == FLYING:
-                _stored(block, n, y[i])
-                if time[i] >= limit - 0.5 * dt:
+                _stored(block, own, n, i, y, rate, flights)
+                if flights.time[i] >= limit - 0.5 * dt:
                     ended[i] = LATE

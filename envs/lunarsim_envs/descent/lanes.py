@@ -14,6 +14,7 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.scenario import Scenario
+from lunarsim.vehicle._kernels import WIDE
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.touchdown import GROUND_SPACING, pad_disc
 from lunarsim.vehicle.variation import DRAWN, Variation
@@ -23,8 +24,8 @@ from lunarsim_envs.descent.worlds import Worlds
 Array = NDArray[np.float64]
 
 FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
-# What a lane and step take, microseconds; lanes that are integrated side by side.
-_STEP, _WIDTH = 0.2, 32
+# What a lane and step take, microseconds.
+_STEP = 0.1
 # What is drawn where all flights are alike.
 _ALIKE = np.zeros(len(DRAWN))
 _ALIKE[k.FAILS] = np.inf
@@ -187,7 +188,7 @@ class Lanes:
         self.starts = np.tile(craft.start, (count, 1))
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
-        self._loop, self.world = np.zeros((count, 10)), np.zeros(count, np.int64)
+        self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
         self.figures = np.tile(d.figures, (count, 1))
         self.drawn = np.tile(_ALIKE, (count, 1))
         self._counts = np.zeros(count, np.int64)
@@ -231,7 +232,7 @@ class Lanes:
         w = self.worlds
         with threads_for(_STEP * self.count):
             k.begin(
-                mask, self._keys, self._begun, self.y, self._loop, self.target, self.world,
+                mask, self._keys, self._begun, self.y, self._rate, self.target, self.world,
                 self.time, self.ended, self.starts, self.craft.aim, self._upright, self._weight,
                 w.reliefs, w.relief_frame,
             )  # fmt: skip
@@ -261,8 +262,8 @@ class Lanes:
         step = self.craft.dynamics.step
         with threads_for(_STEP * self.count * self.steps):
             k.advance(
-                self.y, self._loop, actions, self.guided, self.steps, step, self.craft.limit,
-                min(_WIDTH, self.count), self._vehicle, self._grounds, self._flights,
+                self.y, self._rate, actions, self.guided, self.steps, step, self.craft.limit,
+                min(WIDE, self.count), self._vehicle, self._grounds, self._flights,
             )  # fmt: skip
 
     @property

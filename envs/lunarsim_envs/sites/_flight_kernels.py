@@ -86,7 +86,7 @@ class Course(NamedTuple):
     slip: np.ndarray
 
 
-@kernel()
+@kernel(exact=True)
 def believed(y, slip, time, out):
     """Write position and velocity as the lander takes them to be (2, 3)."""
     for k in range(3):
@@ -173,9 +173,13 @@ def time_to(y, slip, time, site, law):
     return out[0, 1]
 
 
-@kernel()
-def _approach(i, state, time, course, law, wanted):
-    """Write the thrust acceleration of the approach (3,); see `PathGuidance.command`."""
+@kernel(exact=True)
+def _approach(i, time, course, law, wanted, spare):
+    """Write the thrust acceleration of the approach (3,); see `PathGuidance.command`.
+
+    `spare` (7, 3): state as it is believed to be, and room.
+    """
+    state, ahead, x, target = spare[:2], spare[2:4], spare[4:6], spare[6]
     answer, path = course.answer[i], course.path[i]
     if law.lag > 0.0 and not np.isnan(answer[6]):
         keep = np.exp(-(time - answer[6]) / law.lag)
@@ -184,7 +188,6 @@ def _approach(i, state, time, course, law, wanted):
     answer[6] = time
     left = course.arrival[i] - time - law.lag
     if left >= law.least or np.isnan(path[0]):
-        ahead, target, x = np.empty((2, 3)), np.empty(3), np.empty((2, 3))
         for k in range(3):
             a = answer[k]
             ahead[0, k] = state[0, k] + law.lag * (state[1, k] + 0.5 * law.lag * a)
@@ -204,14 +207,14 @@ def _approach(i, state, time, course, law, wanted):
     wanted[2] += law.figures[0]
 
 
-@kernel()
+@kernel(exact=True)
 def leaning(height, full, descent):
     """Return the tangent of the greatest lean at a height; see `VerticalDescent._leaning`."""
     share = min(max(height / full, 0.0), 1.0)
     return np.tan(descent[4] + share * (descent[3] - descent[4]))
 
 
-@kernel()
+@kernel(exact=True)
 def vertical(state, end, descent, gravity, wanted):
     """Write the thrust acceleration of the last metres (3,); see `VerticalDescent.command`."""
     frequency, damping, planned = descent[0], descent[1], descent[9]
@@ -234,7 +237,7 @@ def vertical(state, end, descent, gravity, wanted):
     wanted[2] = up
 
 
-@kernel()
+@kernel(exact=True)
 def _strains(i, wanted, mass, time, course, law):
     """Tell whether commands have been beyond the limits for too long; see `Strain.lasts`."""
     side = np.hypot(wanted[0], wanted[1])
@@ -251,10 +254,13 @@ def _strains(i, wanted, mass, time, course, law):
     return True
 
 
-@kernel()
-def guide(i, y, time, course, law, wanted):
-    """Write what guidance asks a lane's vehicle for (3,), m/s^2; see `OnboardComputer.command`."""
-    state = np.empty((2, 3))
+@kernel(exact=True)
+def guide(i, y, time, course, law, wanted, spare):
+    """Write what guidance asks a lane's vehicle for (3,), m/s^2; see `OnboardComputer.command`.
+
+    Tells whether another time-to-go is to be looked for: see `_longer`. `spare` (7, 3) is scratch.
+    """
+    state = spare[:2]
     slip, site = course.slip[i], course.site[i]
     believed(y, slip, time, state)
     altitude = state[0, 2] - site[2] - law.stand
@@ -262,20 +268,25 @@ def guide(i, y, time, course, law, wanted):
     if course.phase[i] == APPROACH and (altitude <= law.ends[0] or left <= law.ends[1]):
         course.phase[i] = VERTICAL
     if course.phase[i] == APPROACH:
-        _approach(i, state, time, course, law, wanted)
-        if _strains(i, wanted, y[13], time, course, law):
-            longer = time_to(y, slip, time, site, law)
-            if longer > left:
-                course.arrival[i] = time + longer
-    else:
-        end = np.empty(3)
-        for k in range(3):
-            end[k] = site[k]
-        end[2] += law.stand
-        vertical(state, end, law.descent, law.figures[0], wanted)
+        _approach(i, time, course, law, wanted, spare)
+        return _strains(i, wanted, y[13], time, course, law)
+    end = spare[6]
+    for k in range(3):
+        end[k] = site[k]
+    end[2] += law.stand
+    vertical(state, end, law.descent, law.figures[0], wanted)
+    return False
 
 
 @kernel()
+def _longer(i, y, time, course, law):
+    """Take more time for a path that has been beyond the limits for too long, if it helps."""
+    longer = time_to(y, course.slip[i], time, course.site[i], law)
+    if longer > course.arrival[i] - time:
+        course.arrival[i] = time + longer
+
+
+@kernel(exact=True)
 def due(i, y, time, course, law):
     """Return what stops a lane now: a scan, a decision or nothing."""
     altitude = y[2] - course.site[i, 2] - law.stand
@@ -292,13 +303,13 @@ def due(i, y, time, course, law):
 
 
 @kernel(shared=True)
-def begin(share, mask, keys, begun, y, loop, target, drift, control, heading, course, law):
+def begin(share, mask, keys, begun, y, target, drift, control, heading, course, law):
     """Set courses of the flights of `mask` (n,), which `descent._kernels.begin` has begun.
 
     `drift` (2,) is the standard deviation of the drift's velocity, m/s; `control` as
     `descent._kernels.Vehicle` has it.
     """
-    wanted, attitude = np.empty(3), np.empty(4)
+    wanted, attitude, spare = np.empty(3), np.empty(4), np.empty((7, 3))
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -321,11 +332,11 @@ def begin(share, mask, keys, begun, y, loop, target, drift, control, heading, co
         speed = np.sqrt(np.sum(y[i, 3:6] ** 2))
         course.arrival[i] = time if np.isfinite(time) else max(2.0 * way / max(speed, 1.0), 5.0)
         # The start has the attitude and the thrust that guidance asks for there.
-        guide(i, y[i], 0.0, course, law, wanted)
+        if guide(i, y[i], 0.0, course, law, wanted, spare):
+            _longer(i, y[i], 0.0, course, law)
         y[i, 14] = steer(wanted, y[i, 13], control[0], control[1], heading, control[2], attitude)
         for k in range(4):
             y[i, 6 + k] = attitude[k]
-            loop[i, k] = attitude[k]
         for k in range(7):
             course.answer[i, k] = 0.0
         course.answer[i, 6] = np.nan
@@ -361,9 +372,9 @@ def decide(share, mask, time, y, sites, course, law, refused):
 
 
 @kernel(shared=True)
-def fly(share, y, loop, width, dt, limit, vehicle, grounds, flights, course, law):
+def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law):
     """Fly every lane in flight that nothing stops to its next event, or to its end."""
-    wanted = np.zeros((width, 3))
+    wanted, spare = np.zeros((width, 3)), np.empty((7, 3))
     n = len(y)
     for b in range(share[0], (n + width - 1) // width, share[1]):
         low, high = b * width, min((b + 1) * width, n)
@@ -387,10 +398,12 @@ def fly(share, y, loop, width, dt, limit, vehicle, grounds, flights, course, law
                     flights.ended[i] = _WAITING
                     continue
                 flying += 1
-                guide(i, y[i], flights.time[i], course, law, wanted[i - low])
+                time = flights.time[i]
+                if guide(i, y[i], time, course, law, wanted[i - low], spare):
+                    _longer(i, y[i], time, course, law)
             if flying > 0:
                 _advance(
-                    (0, 1), y[low:high], loop[low:high], wanted, True, law.cycle, dt, limit, width,
+                    (0, 1), y[low:high], rate[low:high], wanted, True, law.cycle, dt, limit, width,
                     own, grounds, here,
                 )  # fmt: skip
             for i in range(low, high):

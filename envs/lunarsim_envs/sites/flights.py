@@ -71,6 +71,10 @@ class SiteFlight(Protocol):
         """How near its touchdown is to the limits (1, 3), see `touch_shares`; NaN without one."""
         ...
 
+    def close(self) -> None:
+        """Let go of the flight and of what it holds."""
+        ...
+
 
 class OnboardFlight:
     """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
@@ -151,6 +155,10 @@ class OnboardFlight:
         told = t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness
         return touch_shares(self._flown.lander, [told])
 
+    def close(self) -> None:
+        """Let go of the flight: its terrain's buffers on the graphics device go with it."""
+        self.simulation, self._seen, self._small = None, None, None
+
 
 class KernelFlight:
     """Flown by kernels over a pool of worlds, a lane of its own."""
@@ -212,6 +220,9 @@ class KernelFlight:
     def touch(self) -> Array:
         """How near its touchdown is to the limits (1, 3)."""
         return touch_shares(self.lanes.craft.dynamics.lander, self.lanes.told)
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:

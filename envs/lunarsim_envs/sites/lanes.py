@@ -14,6 +14,7 @@ from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import _LEVELS
 from lunarsim.scenario import Scenario
+from lunarsim.vehicle._kernels import WIDE
 from lunarsim_envs.descent.lanes import FLYING, Craft, Lanes
 from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
@@ -26,7 +27,6 @@ Mask = NDArray[np.bool_]
 
 # What a lane and cycle take, microseconds; what a map of a lane does.
 _CYCLE, _MAP = 6.0, 2000.0
-_WIDTH = 16
 
 
 def law_of(scenario: Scenario, craft: Craft) -> f.Law:
@@ -151,7 +151,7 @@ class SiteLanes(Lanes):
         """Draw a new flight in every lane of `mask` (n,), and fly it to its first decision."""
         super().begin(mask)
         self._run(
-            f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y, self._loop,
+            f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y,
             self.target, self.drift, self._control, self.craft.heading, self.course, self.law,
         )  # fmt: skip
         maps = self.maps
@@ -184,7 +184,7 @@ class SiteLanes(Lanes):
         """Fly on, with scans on the way, and look at what there is to choose."""
         while True:
             self._run(
-                f.fly, 10.0 * _CYCLE * self.count, self.y, self._loop, min(_WIDTH, self.count),
+                f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(WIDE, self.count),
                 self.craft.dynamics.step, self.craft.limit, self._vehicle, self._grounds,
                 self._flights, self.course, self.law,
             )  # fmt: skip

@@ -7,8 +7,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import along_thrust, rotation_between, turned
+from lunarsim._frame_kernels import rotation_between, turn_along, turned
 from lunarsim._jit import kernel
+
+
+@kernel(exact=True)
+def limited_torque(error, rate, inertia, frequency, damping, slew, most):
+    """Return the torque of the proportional-derivative law about an axis, N m."""
+    # Large errors saturate the rate asked for, not only the torque.
+    wanted = min(max(frequency / (2.0 * damping) * error, -slew), slew)
+    torque = inertia * 2.0 * damping * frequency * (wanted - rate)
+    return min(max(torque, -most), most)
 
 
 @kernel()
@@ -19,12 +28,10 @@ def demand(state, target, gains, inertia, torque_max):
     """
     error = np.empty(3)
     rotation_between(state[:4], target, error)
-    frequency, damping, slew = gains[0], gains[1], gains[2]
     for k in range(3):
-        # Large errors saturate the rate asked for, not only the torque.
-        wanted = min(max(frequency / (2.0 * damping) * error[k], -slew), slew)
-        torque = inertia[k] * 2.0 * damping * frequency * (wanted - state[4 + k])
-        state[7 + k] = min(max(torque, -torque_max[k]), torque_max[k])
+        state[7 + k] = limited_torque(
+            error[k], state[4 + k], inertia[k], gains[0], gains[1], gains[2], torque_max[k]
+        )
 
 
 @kernel()
@@ -60,6 +67,6 @@ def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitud
     if size > limit:
         east *= limit / size
         north *= limit / size
-    attitude[:] = along_thrust(np.array([east, north, up]), heading)
+    turn_along(east, north, up, heading, attitude)
     thrust = np.sqrt(east * east + north * north + up * up) * mass
     return min(max(thrust, thrust_min), thrust_max)

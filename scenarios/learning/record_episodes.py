@@ -1,0 +1,138 @@
+r"""Record episodes of an environment, flown by an agent, as a data set in Minari's format.
+
+    python scenarios/learning/record_episodes.py Guidance-v0 --agent apollo --out build/apollo
+    python scenarios/learning/record_episodes.py Retarget-v0 --perception surrogate \
+        --agent nearest-safe --episodes 1000 --out build/nearest-safe
+
+Episode i flies what ``lunarsim evaluate`` flies with the same seed. Infos hold the cost and the
+terms of the reward, 0 at the reset; the metadata of an episode its seed, steps, return, and whether
+it landed safe. Read it with ``minari.MinariDataset(FOLDER)``; the extra `data` installs Minari.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import click
+import gymnasium
+import numpy as np
+
+import lunarsim_envs
+from lunarsim import __version__
+from lunarsim.errors import InputError
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.shipped import found
+from lunarsim.whole_files import filled_whole
+from lunarsim_envs.agents.contract import Agent
+from lunarsim_envs.agents.registry import agent_of, check
+from lunarsim_envs.evaluation.episodes import Study
+
+ENVS = ("Guidance-v0", "Control-v0", "Retarget-v0")
+
+
+def stacked(shown: list[Any]) -> Any:
+    """Return what was shown or done, one after another, as arrays with the time first."""
+    if isinstance(shown[0], dict):
+        return {name: stacked([one[name] for one in shown]) for name in shown[0]}
+    return np.stack([np.asarray(one) for one in shown])
+
+
+def episode(env: gymnasium.Env[Any, Any], flies: Agent, streams: Streams) -> dict[str, Any]:
+    """Fly an episode; return what a Minari buffer takes, and ``told``, its metadata."""
+    flies.begin(streams.get("agent"))
+    seed = int(streams.get("environment").integers(2**62))
+    observation, info = env.reset(seed=seed)
+    shown, done, rewards, costs, terms = [observation], [], [], [0.0], []
+    over, late = False, False
+    while not (over or late):
+        action = flies.act(observation, info)
+        observation, reward, over, late, info = env.step(action)
+        shown.append(observation)
+        done.append(action)
+        rewards.append(float(reward))
+        costs.append(info["cost"])
+        terms.append(info["reward_terms"])
+    ends = np.arange(len(done)) == len(done) - 1
+    told = {"seed": seed, "steps": len(done), "return": sum(rewards)}
+    told |= {"safe": bool(over and terms[-1]["touchdown"] > 0.0)}
+    return {
+        "observations": stacked(shown), "actions": stacked(done), "rewards": np.array(rewards),
+        "terminations": ends & over, "truncations": ends & late,
+        "infos": {
+            "cost": np.array(costs),
+            "reward_terms": {
+                name: np.array([0.0, *(one[name] for one in terms)]) for name in terms[0]
+            },
+        },
+        "told": told,
+    }  # fmt: skip
+
+
+def record(study: Study, agent: str, episodes: int, folder: Path) -> int:
+    """Fly episodes and write them; return how many landed safe."""
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    env = study.make()
+    try:
+        flies, safe = agent_of(agent, env), 0
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        storage = MinariStorage.new(
+            folder, env.observation_space, env.action_space, data_format="hdf5"
+        )
+        for number in range(episodes):
+            flown = episode(env, flies, Streams(flight_seed(study.seed, number)))
+            told = flown.pop("told")
+            storage.update_episodes([EpisodeBuffer(id=number, **flown)])
+            storage.update_episode_metadata([told], [number])
+            safe += told["safe"]
+        storage.update_metadata(
+            {
+                "dataset_id": f"lunarsim/{folder.name}-v0", "algorithm_name": agent,
+                "description": f"Episodes of {study.env}", "author": {"lunarsim"},
+                "lunarsim_version": __version__, "root_seed": study.seed,
+                "minari_version": importlib.metadata.version("minari"),
+            }
+        )  # fmt: skip
+    finally:
+        env.close()
+    return safe
+
+
+@click.command()
+@click.argument("env", type=click.Choice(ENVS))
+@click.option("--agent", default="random", show_default=True, help="Name, file or module:Name.")
+@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option("--scenario", help="File or name; left out: as the environment has it.")
+@click.option("--perception", help="Of Retarget-v0.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
+def main(
+    env: str, agent: str, episodes: int, seed: int, scenario: str | None, perception: str | None,
+    out: Path,
+) -> None:  # fmt: skip
+    """Record EPISODES of ENV, flown by AGENT."""
+    if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
+        raise click.UsageError("minari or h5py is missing: the extra `data` installs them")
+    assert lunarsim_envs.__name__
+    try:
+        if out.exists():
+            raise InputError("--out", str(out), "a folder that is not there yet")
+        if perception is not None and env != "Retarget-v0":
+            raise InputError("--perception", perception, "left out: only Retarget-v0 has one")
+        check(agent)
+        given = None if scenario is None else Scenario.load(found(Path(scenario)))
+        arguments = {} if perception is None else {"perception": perception}
+        with filled_whole(out):
+            safe = record(Study(f"lunarsim/{env}", given, arguments, seed), agent, episodes, out)
+    except InputError as error:
+        raise click.UsageError(str(error)) from error
+    click.echo(f"{episodes} episodes, {safe} landed safe: {out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""Makes the film of `Retarget-v0`: `scripts/environment_film.py docs/images/retarget.gif`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import gymnasium
+import numpy as np
+
+import lunarsim_envs
+from lunarsim_envs.agents.registry import agent_of
+from lunarsim_envs.video import save_video
+
+# Pixels of a frame, seed of the flight; frames that show how it ended.
+_SIZE, _SEED, _HOLD = (400, 360), 3, 5
+
+
+def main() -> None:
+    """Fly, and write a frame for every other second of the flight."""
+    assert lunarsim_envs.__name__
+    env = gymnasium.make(
+        "lunarsim/Retarget-v0", scenario="golombek", render_mode="rgb_array_list", views=True
+    )
+    flies = agent_of("fuel-aware", env)
+    flies.begin(np.random.default_rng(_SEED))
+    observation, info = env.reset(seed=_SEED)
+    frames, ended = list(env.render()), False  # type: ignore[call-overload]
+    while not ended:
+        observation, _, ended, _, info = env.step(flies.act(observation, info))
+        frames += env.render()  # type: ignore[arg-type]
+    env.close()
+    chosen = [*frames[:-1:4], *frames[-1:] * _HOLD]
+    small = [cv2.resize(frame, _SIZE, interpolation=cv2.INTER_AREA) for frame in chosen]
+    save_video(small, Path(sys.argv[1]), 3.0)
+
+
+if __name__ == "__main__":
+    main()

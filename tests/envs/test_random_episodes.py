@@ -1,0 +1,54 @@
+"""A thousand episodes under random actions: nothing is raised, not a number or out of its space."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+
+import lunarsim_envs
+
+assert lunarsim_envs.__name__
+
+EPISODES = 1000
+
+
+def parts(shown):
+    return shown if isinstance(shown, dict) else {"": shown}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "lanes", "settings"),
+    [
+        ("Guidance-v0", 500, {"changes": {"rocks.cover": 0.05}, "worlds": 4}),
+        ("Guidance-v0", 500, {"changes": {"variation.engine_failure": 0.5}}),
+        ("Control-v0", 500, {}),
+        ("Retarget-v0", 50, {"perception": "truth", "worlds": 8}),
+        ("Retarget-v0", 50, {"perception": "surrogate", "worlds": 8, "scenario": "few_sites"}),
+    ],
+)
+def test_a_thousand_random_episodes(name, lanes, settings):
+    vector = gymnasium.make_vec(
+        f"lunarsim/{name}", num_envs=lanes, vectorization_mode="vector_entry_point", **settings
+    )
+    spaces = parts(
+        vector.observation_space.spaces
+        if isinstance(vector.observation_space, gymnasium.spaces.Dict)
+        else vector.observation_space
+    )
+    shown, _ = vector.reset(seed=5)
+    vector.action_space.seed(5)
+    done, returns = 0, np.zeros(lanes)
+    while done < EPISODES:
+        shown, reward, terminated, truncated, _ = vector.step(vector.action_space.sample())
+        for part, value in parts(shown).items():
+            assert value.dtype == np.float32
+            assert (value >= spaces[part].low).all() and (value <= spaces[part].high).all(), part
+        assert np.isfinite(reward).all()
+        returns += reward
+        over = terminated | truncated
+        assert (np.abs(returns[over]) < 100.0).all()
+        returns[over] = 0.0
+        done += int(over.sum())
+    vector.close()

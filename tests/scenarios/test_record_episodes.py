@@ -1,0 +1,83 @@
+"""Recorded episodes: read as others would, and flown again by what was recorded."""
+
+from __future__ import annotations
+
+import gymnasium
+import minari
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lunarsim_envs
+
+assert lunarsim_envs.__name__
+
+
+def recorded(script, *given):
+    return CliRunner().invoke(script("learning", "record_episodes").main, list(map(str, given)))
+
+
+def same(first, second):
+    if isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for name in first:
+            same(first[name], second[name])
+    else:
+        assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("env", "agent", "more", "settings"),
+    [
+        ("Guidance-v0", "apollo", (), {}),
+        ("Retarget-v0", "random", ("--perception", "truth"), {"perception": "truth"}),
+    ],
+)
+def test_what_was_recorded_is_flown_again(script, tmp_path, env, agent, more, settings):
+    out = tmp_path / "new" / "some"
+    done = recorded(script, env, "--agent", agent, "--episodes", 2, "--out", out, *more)
+    assert done.exit_code == 0, done.output
+    data = minari.MinariDataset(out)
+    assert data.total_episodes == 2
+    again = gymnasium.make(f"lunarsim/{env}", **settings)
+    for one, told in zip(data, data.storage.get_episode_metadata([0, 1]), strict=True):
+        shown, _ = again.reset(seed=int(told["seed"]))
+        steps = [shown]
+        for k, action in enumerate(one.actions):
+            shown, reward, over, late, info = again.step(action)
+            steps.append(shown)
+            assert reward == one.rewards[k]
+            assert (over, late) == (one.terminations[k], one.truncations[k])
+            assert info["cost"] == one.infos["cost"][k + 1]
+            terms = one.infos["reward_terms"]
+            assert info["reward_terms"] == {name: terms[name][k + 1] for name in terms}
+        assert over or late
+        assert told["safe"] == (info["reward_terms"]["touchdown"] > 0.0)
+        assert told["steps"] == len(one.actions)
+        if isinstance(shown, dict):
+            same(one.observations, {n: np.stack([s[n] for s in steps]) for n in shown})
+        else:
+            same(one.observations, np.stack(steps))
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        (("Guidance-v0", "--agent", "appollo"), "--agent"),
+        (("Guidance-v0", "--perception", "truth"), "--perception"),
+        (("Retarget-v0", "--perception", "trooth"), "perception"),
+        (("Guidance-v0", "--agent", "safest"), "--agent"),
+        (("Guidance-v0", "--episodes", "0"), "--episodes"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(script, tmp_path, given, word):
+    out = tmp_path / "some"
+    done = recorded(script, *given, "--out", out)
+    assert done.exit_code == 2, done.output
+    assert word in done.output
+    assert not out.exists()
+
+
+def test_nothing_is_written_over(script, tmp_path):
+    done = recorded(script, "Guidance-v0", "--out", tmp_path)
+    assert done.exit_code == 2 and "not there yet" in done.output
