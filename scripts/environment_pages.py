@@ -53,8 +53,8 @@ Rocket-Landing-v4 1,010:
 | `Control-v0`, one | 14,400, 14.2 of Rocket-Landing | 290 |
 | `Control-v0`, 4096 lanes | 2,710,000, 81 of LunarLander | 54,000 |
 
-A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it. These figures
-are from before the kernel took lanes eight at a time.
+A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it. These
+figures are from before the kernel took lanes eight at a time.
 
 ## Recordings
 
