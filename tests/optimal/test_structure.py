@@ -7,6 +7,7 @@ import pytest
 
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.problem import Cone
 from tests.optimal.cases import mars, moon
 
 
@@ -97,6 +98,7 @@ def test_the_slope_is_the_derivative_of_the_cost():
         (moon(), 30.0),
         (moon(max_tilt=lean), 34.0),
         (moon(spare=400.0), 27.2),
+        (mars(cone=Cone(np.array([[-0.07, 0.0, 1.0]])), dry_mass=1300.0), 82.0),
     ):
         planner = Planner(40)
         here = planner.at_time(descent, duration)
