@@ -269,7 +269,6 @@ def search_about(
         `curvature` of the path of a problem like this one; 0: not known.
     """
     search, best, failure = _Search(descent.gravity, step, bend), None, None
-    out_of_reach: list[float] = []
     settled, budget = False, np.inf
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
@@ -278,9 +277,6 @@ def search_about(
             path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
         except SolverError as error:  # another final time may do
             path, failure = None, error
-        else:
-            if path is None:
-                out_of_reach.append(time)
         if path is None:
             if best is None:
                 time = next(first, None)
@@ -294,8 +290,6 @@ def search_about(
         log_mass = path.log_mass
         if best is None:
             budget = before + most
-            for other in out_of_reach:
-                search.exclude(other, time)
         if best is None or path.cost < best.cost:
             best = path
         search.add(time, path.slope)

@@ -121,8 +121,8 @@ class Successive:
             point = new
             merits.append(new.merit)
         raise SolverError(
-            f"not settled in {self.most} programs: intervals {point.apart:.1e} apart, limits passed "
-            f"by {point.passed:.1e}"
+            f"not settled in {self.most} programs: intervals {point.apart:.1e} apart, limits "
+            f"passed by {point.passed:.1e}"
         )
 
     def _solved(self, filled: Filled) -> Array | None:
