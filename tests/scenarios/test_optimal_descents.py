@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.neural_law import LEAST_ELEVATION
 from lunarsim.scenario import Scenario
 
 
@@ -126,3 +127,7 @@ def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeyp
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 2, done.output
     assert "other limits" in " ".join(done.output.split())
+
+
+def test_descents_begin_no_lower_than_the_law_takes_over(small):
+    assert small.DrawnStarts().elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))

@@ -15,7 +15,12 @@ from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import divert_cost
-from lunarsim.onboard.guidance.neural_law import NeuralGuidance, NeuralOptimalLaw, shipped
+from lunarsim.onboard.guidance.neural_law import (
+    LEAST_ELEVATION,
+    NeuralGuidance,
+    NeuralOptimalLaw,
+    shipped,
+)
 from lunarsim.onboard.guidance.optimal_network import SHIPPED, OptimalNetwork, reduced
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.final_time import least_propellant
@@ -120,6 +125,23 @@ def test_outside_of_what_it_was_taught_apollo_flies_until_it_is_within():
         (0.0, "guidance-fallback"), (1.0, "guidance-planned"),
     ]  # fmt: skip
     assert flight.asked == 1
+
+
+def test_it_takes_over_no_lower_than_descents_that_it_was_taught_begin():
+    """Each number is within what it was shown, the way in is not; once on a path it may lie low."""
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    speed = np.array([25.0, 0.0, -5.0])
+    shown, _ = reduced(low - END.position, speed, 1400.0)
+    assert shipped().knows(shown)
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    flight.command(estimate(low, speed, 1400.0), END, 0.0, 40.0)
+    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+    flight.command(estimate(low + [0.0, 0.0, 10.0], speed, 1400.0, 1.0), END, 1.0, 39.0)
+    flight.command(estimate(low, speed, 1400.0, 1.1), END, 1.1, 38.9)
+    assert flight.asked == 2
+    other = PhaseEnd(END.position + [3.0, 0.0, 0.0], END.velocity)
+    flight.command(estimate(low, speed, 1400.0, 1.2), other, 1.2, 38.8)
+    assert flight.asked == 2
 
 
 @pytest.mark.parametrize(
