@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 
 def is_number(value: Any) -> bool:
     """Tell whether it is one finite real number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, bool | np.bool_) and np.isfinite(value)
+    real = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    return real and bool(np.isfinite(float(value)))
 
 
 def count(name: str, value: Any, least: int) -> int:

@@ -288,20 +288,16 @@ def search_about(
             time = 0.5 * (time + best.duration)
             continue
         log_mass = path.log_mass
-        if best is None:
-            budget = before + most
-        if best is None or path.cost < best.cost:
-            best = path
+        budget = before + most if best is None else budget
+        best = path if best is None or path.cost < best.cost else best
         search.add(time, path.slope)
         settled = path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost
         if settled or (settled := search.saves(best) < _GAIN * best.cost):
             break
         time = search.next()
-    if best is None:
-        if failure is not None:
-            raise failure
-        return None
-    return replace(best, curvature=search.curvature, settled=settled)
+    if best is None and failure is not None:
+        raise failure
+    return best and replace(best, curvature=search.curvature, settled=settled)
 
 
 def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> Path | None:

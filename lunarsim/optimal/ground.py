@@ -204,13 +204,7 @@ def least_propellant_over(
         raise InputError("optimal.terrain", type(relief).__name__, "a Relief")
     _check_clearance(clearance)
     rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
-    height = float(relief.height(descent.end_position[None])[0])
-    if not descent.end_position[2] >= height + clearance - 1e-9:
-        raise InputError(
-            "optimal.end_position", descent.end_position.tolist(),
-            f"an end on the posts, at least {clearance} m above the ground at {height:.2f} m",
-        )  # fmt: skip
-    _check_start(descent, relief, clearance)
+    _check_ends(descent, relief, clearance)
     path, best = None, None
     try:
         cone = relief.majorant(descent.end_position, sectors, clearance)
@@ -235,14 +229,16 @@ def _check_clearance(clearance: float) -> None:
         raise InputError("optimal.clearance", clearance, "a height of 0 m or more")
 
 
-def _check_start(descent: Descent, relief: Relief, clearance: float) -> None:
-    """Refuse a start off the posts or too near the ground."""
-    height = float(relief.height(descent.position[None])[0])
-    if not descent.position[2] >= height + clearance - 1e-9:
-        raise InputError(
-            "optimal.position", descent.position.tolist(),
-            f"a start on the posts, at least {clearance} m above the ground at {height:.2f} m",
-        )  # fmt: skip
+def _check_ends(descent: Descent, relief: Relief, clearance: float) -> None:
+    """Refuse a start or an end off the posts or too near the ground."""
+    for name, what in (("end_position", "an end"), ("position", "a start")):
+        at = getattr(descent, name)
+        height = float(relief.height(at[None])[0])
+        if not at[2] >= height + clearance - 1e-9:
+            raise InputError(
+                f"optimal.{name}", at.tolist(),
+                f"{what} on the posts, at least {clearance} m above the ground at {height:.2f} m",
+            )  # fmt: skip
 
 
 def _linearised(
