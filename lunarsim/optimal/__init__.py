@@ -4,7 +4,7 @@
 that were built once; `least_propellant` and `least_error` search the final time.
 """
 
-from lunarsim.optimal.errors import InfeasibleError, SolverError
+from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.final_time import least_error, least_propellant
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.planner import Planner
@@ -16,6 +16,7 @@ __all__ = [
     "InfeasibleError",
     "Path",
     "Planner",
+    "RelaxationError",
     "SolverError",
     "least_error",
     "least_propellant",

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.optimal.checks import count, is_number
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import first_time
 from lunarsim.optimal.problem import Descent
@@ -82,14 +83,16 @@ def collocate(
     Raises
     ------
     InputError
-        If the descent has what it may not, or the final time is no positive number.
+        If the descent has what it may not, the final time is no positive number, or numbers of
+        intervals or iterations are none.
     SolverError
         If IPOPT does not converge.
     """
+    intervals, most = count("intervals", intervals, 2), count("most", most, 0)
     for name, other in (("region", 0.0), ("spare", 0.0), ("cone", None), ("end_tilt", None)):
         if getattr(descent, name) != other:
             raise InputError(f"optimal.{name}", getattr(descent, name), f"{other}: none but that")
-    if duration is not None and not 0.0 < duration < np.inf:
+    if duration is not None and not (is_number(duration) and duration > 0.0):
         raise InputError("optimal.duration", duration, "a positive final time in s")
     guess = duration or 0.9 * first_time(descent)
     units = Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)

@@ -11,12 +11,14 @@ from lunarsim.errors import InputError
 
 
 class InfeasibleError(InputError):
-    """No path keeps all that is asked: proven by the solver, not guessed.
+    """No path keeps all that is asked: proven by the solver for every final time that was tried.
+
+    Final times between and beyond those are not looked at.
 
     Attributes
     ----------
     nearest
-        The nearest end that can be reached (3,), m, ENU; None where none was found.
+        The nearest end found that can be reached (3,), m, ENU; None where none was found.
     miss
         How far that is off, m.
     """
@@ -32,7 +34,7 @@ class InfeasibleError(InputError):
         expected = "an end that can be reached within thrust, tilt, glideslope and propellant"
         if nearest is not None:
             at = ", ".join(f"{x:.1f}" for x in nearest)
-            expected += f"; the nearest one is ({at}), {self.miss:.1f} m off"
+            expected += f"; the nearest one found is ({at}), {self.miss:.1f} m off"
         super().__init__("optimal.end_position", target.tolist(), f"{expected} ({why})")
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
@@ -51,3 +53,10 @@ def _again(
 
 class SolverError(RuntimeError):
     """The solver ended without an answer: whether there is a path is not known."""
+
+
+class RelaxationError(SolverError):
+    """The relaxed problem has an answer that the engine cannot fly: relaxing was not lossless.
+
+    Whether there is a path is not known.
+    """

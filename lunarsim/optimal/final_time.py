@@ -12,7 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.optimal.errors import InfeasibleError
+from lunarsim.errors import InputError
+from lunarsim.optimal.checks import is_number
+from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
@@ -24,7 +26,8 @@ _WARM, _COLD = 4, 16  # solves at most
 _GAIN = 5e-5  # of the increment that another solve may save at most: then it is not made
 _NEAR = 1e-3  # of an error of a metre
 # Shares of the first final time that are tried until one can be flown.
-_LADDER = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6)
+_LADDER = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6, 0.32, 3.3, 0.25, 4.2, 0.2, 5.3)
+_LOSSY = 0.05  # of the greatest thrust by which a path may break its limits
 _STEP = 0.04  # share of the final time that is tried where nothing is known of the slope's change
 
 
@@ -85,6 +88,18 @@ class _Search:
         else:
             self.high = min(self.high, time)
 
+    def exclude(self, time: float, flown: float) -> None:
+        """Note a final time that cannot be flown, on one side of one that can."""
+        if time < flown:
+            self.low = max(self.low, time)
+        else:
+            self.high = min(self.high, time)
+
+    def saves(self, best: Path) -> float:
+        """Return what a final time within the bracket saves at most, the cost being convex."""
+        to = self.low if best.slope > 0.0 else self.high
+        return abs(best.slope) * abs(best.duration - to)
+
     @property
     def curvature(self) -> float:
         """The slope's derivative by the last two, or a guess."""
@@ -110,6 +125,9 @@ class _Search:
             if rise * (time - before) > 0.0:
                 wanted = time - self._straight(slope) * (time - before) / rise
                 wanted = min(max(wanted, 0.8 * time), 1.25 * time)
+            elif slope * s0 > 0.0:
+                # Two slopes alike tell nothing of where it is zero, only on which side.
+                wanted = 0.8 * time if slope > 0.0 else 1.25 * time
         if not self.low < wanted < self.high:
             wanted = 0.5 * (self.low + self.high) if np.isfinite(self.high) else 1.2 * self.low
         return float(wanted)
@@ -122,8 +140,11 @@ def least_propellant(
     last: Path | None = None,
     elapsed: float = 0.0,
     walls: Walls | None = None,
+    lossy: bool = False,
 ) -> Path:
     """Return the path of least propellant over all final times.
+
+    `Path.settled` tells whether the search came to its end.
 
     Parameters
     ----------
@@ -137,21 +158,42 @@ def least_propellant(
         s.
     walls
         Half-spaces in place of the descent's cone.
+    lossy
+        Whether a path that breaks the limits of thrust by more than 5 % of the greatest is welcome
+        as well: a bound of what can be flown, or a first guess.
 
     Raises
     ------
+    InputError
+        If the time elapsed is no number, 0 or more.
     InfeasibleError
-        If there is none, with the nearest end that can be reached.
+        If there is none, with the nearest end found that can be reached.
     SolverError
-        If the solver fails.
+        If the solver fails; a `RelaxationError` where its answer breaks the limits of thrust.
     """
+    if not (is_number(elapsed) and elapsed >= 0.0):
+        raise InputError("optimal.elapsed", elapsed, "a time in s, 0 or more")
     before = planner.solves
     path = _warm(planner, descent, last, elapsed, walls) if last is not None else None
     if path is None:
         path = _cold(planner, descent, walls)
     if path is None:
         path = _rescued(planner, descent, walls)
+    if not (lossy or flyable(path)):
+        raise RelaxationError(
+            f"in the relaxed problem's answer thrust breaks its limits by {100.0 * path.excess:.0f}"
+            f" % of the greatest ({path.duration:.1f} s): relaxing was not lossless"
+        )
     return replace(path, solves=planner.solves - before)
+
+
+def flyable(path: Path) -> bool:
+    """Tell whether a path's thrust keeps its limits but for 5 % of the greatest, as they are flown.
+
+    Where they are broken by more, relaxing was not lossless: too few intervals about a switch, or a
+    bound on the state that binds for long.
+    """
+    return path.excess <= _LOSSY
 
 
 def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
@@ -159,8 +201,8 @@ def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
 
     Where fuel is short few final times can be flown: the error leads to them.
     """
-    near = nearest(planner, descent)
-    if near is not None and near.miss < 10.0 * _NEAR:
+    near = nearest(planner, descent, walls=walls)
+    if near is not None and near.miss < max(10.0 * _NEAR, descent.region):
         first = iter((near.duration, 1.01 * near.duration, 0.99 * near.duration))
         path = search_about(planner, descent, first, walls=walls, log_mass=near.log_mass)
         if path is not None:
@@ -218,7 +260,7 @@ def search_about(
     first
         Final times, s: the next one is tried while none could be flown.
     most
-        Solves at most.
+        Solves at most, from the first final time on that can be flown.
     log_mass
         Guess of ln(mass / mass at the start) in the middle of each interval (N,).
     step
@@ -226,42 +268,56 @@ def search_about(
     bend
         `curvature` of the path of a problem like this one; 0: not known.
     """
-    search, best, budget = _Search(descent.gravity, step, bend), None, planner.solves + most
+    search, best, failure = _Search(descent.gravity, step, bend), None, None
+    settled, budget = False, np.inf
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
-        path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
+        before = planner.solves
+        try:
+            path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
+        except SolverError as error:  # another final time may do
+            path, failure = None, error
         if path is None:
-            # Between what can be flown and what cannot the limit is approached by halves.
             if best is None:
                 time = next(first, None)
                 continue
-            if time < best.duration:
-                search.low = max(search.low, time)
-            else:
-                search.high = min(search.high, time)
+            # Between what can be flown and what cannot the limit is approached by halves.
+            search.exclude(time, best.duration)
+            if settled := search.saves(best) < _GAIN * best.cost:
+                break
             time = 0.5 * (time + best.duration)
             continue
         log_mass = path.log_mass
-        if best is None or path.cost < best.cost:
-            best = path
+        budget = before + most if best is None else budget
+        best = path if best is None or path.cost < best.cost else best
         search.add(time, path.slope)
-        if path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost:
+        settled = path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost
+        if settled or (settled := search.saves(best) < _GAIN * best.cost):
             break
         time = search.next()
-    if best is not None and search.known:
-        best = replace(best, curvature=search.curvature)
-    return best
+    if best is None and failure is not None:
+        raise failure
+    return best and replace(best, curvature=search.curvature, settled=settled)
 
 
-def nearest(planner: Planner, descent: Descent) -> Path | None:
-    """Return a path whose end comes nearest; None: it cannot land anywhere at that height."""
+def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> Path | None:
+    """Return a path whose end comes nearest; None: it cannot land anywhere at that height.
+
+    Spare thrust is had for nothing.
+    """
+    if descent.spare > 0.0:
+        descent = replace(descent, thrust_max=descent.thrust_max + descent.spare, spare=0.0)
     first = first_time(descent)
     search, best, log_mass = _Search(), None, None
     times = [s * first for s in _LADDER]
     time: float | None = times.pop(0)
-    budget = planner.solves + 2 * _COLD
+    budget = planner.solves + 2 * _COLD + len(_LADDER)
+    failure: SolverError | None = None
     while time is not None and planner.solves < budget:
-        path = planner.at_time(descent, time, log_mass=log_mass, nearest=True)
+        try:
+            path = planner.at_time(descent, time, log_mass=log_mass, walls=walls, nearest=True)
+        except SolverError as error:  # another final time may do
+            path, failure = None, error
         if path is None:
             if best is not None:
                 time = 0.5 * (time + best.duration)
@@ -276,6 +332,8 @@ def nearest(planner: Planner, descent: Descent) -> Path | None:
         left = abs(time - path.duration) * abs(path.slope)
         if path.miss < _NEAR or left < 0.05 * _NEAR * path.miss:
             break
+    if best is None and failure is not None:
+        raise failure
     return best
 
 

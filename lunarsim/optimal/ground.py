@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.optimal.checks import count, is_number, numbers
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.path import Path
@@ -51,10 +52,14 @@ class Relief:
     elevation: Array
 
     def __post_init__(self) -> None:
+        if not isinstance(self.grid, Grid):
+            raise InputError("optimal.grid", type(self.grid).__name__, "a Grid")
         if np.shape(self.elevation) != self.grid.shape:
             raise InputError(
                 "optimal.elevation", np.shape(self.elevation), f"an array of {self.grid.shape}"
             )
+        if np.asarray(self.elevation).dtype.kind not in "fiu":
+            raise InputError("optimal.elevation", "no numbers", "finite heights in m")
         missing = int((~np.isfinite(self.elevation)).sum())
         if missing:
             raise InputError("optimal.elevation", f"{missing} posts without one", "finite heights")
@@ -85,8 +90,16 @@ class Relief:
         """Return half-spaces over an end (3,) that all terrain with its clearance lies under.
 
         Terrain below the end asks for nothing: no slope is negative.
+
+        Raises
+        ------
+        InputError
+            If the end is no place, there are fewer than 3 sectors (each is under 180 deg wide) or
+            the clearance is no number.
         """
-        end = np.asarray(end, dtype=np.float64)
+        sectors = count("sectors", sectors, 3)
+        end = numbers("end_position", end, (3,), "three finite coordinates")
+        _check_clearance(clearance)
         gap = self.posts - end
         far = np.hypot(gap[:, 0], gap[:, 1])
         seen = far > 1e-9
@@ -139,7 +152,7 @@ class Relief:
         near = np.clip(np.arange(n)[:, None] + [-1, 0, 1], 0, n - 1)
         normals = np.concatenate((-planes[near][..., :2], np.ones((n, 3, 1))), axis=2)
         level = planes[near][..., 2] + clearance
-        return Walls(normals, level - normals @ path.descent.end_position)
+        return Walls(normals, level - normals @ path.descent.end_position, moves=False)
 
     @staticmethod
     def _plane(posts: Array, about: Array, reach: float) -> Array:
@@ -181,25 +194,25 @@ def least_propellant_over(
     Raises
     ------
     InputError
-        If the end lies lower, or the path leaves the posts.
+        If start or end lie lower, the path leaves the posts, or a figure cannot be.
     InfeasibleError
         If there is no path even over flat ground.
     SolverError
         If no path above the terrain was found.
     """
-    height = float(relief.height(descent.end_position[None])[0])
-    if not descent.end_position[2] >= height + clearance - 1e-9:
-        raise InputError(
-            "optimal.end_position", descent.end_position.tolist(),
-            f"an end on the posts, at least {clearance} m above the ground at {height:.2f} m",
-        )  # fmt: skip
+    if not isinstance(relief, Relief):
+        raise InputError("optimal.terrain", type(relief).__name__, "a Relief")
+    _check_clearance(clearance)
+    rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
+    _check_ends(descent, relief, clearance)
     path, best = None, None
     try:
         cone = relief.majorant(descent.end_position, sectors, clearance)
         path = least_propellant(planner, replace(descent, cone=cone))
     except InfeasibleError:
         pass  # a majorant may leave no way in where the terrain does
-    if path is not None:
+    # The majorant touches posts; between them, and off them, the terrain has the last word.
+    if path is not None and relief.above(path) > clearance - 1e-3:
         if path.bars.max(initial=0.0) < _BINDS * np.linalg.norm(path.primer, axis=1).max():
             return path
         best = path
@@ -209,6 +222,23 @@ def least_propellant_over(
     if best is None:
         raise SolverError(f"no path {clearance} m above the terrain was found in {rounds} rounds")
     return best
+
+
+def _check_clearance(clearance: float) -> None:
+    if not (is_number(clearance) and clearance >= 0.0):
+        raise InputError("optimal.clearance", clearance, "a height of 0 m or more")
+
+
+def _check_ends(descent: Descent, relief: Relief, clearance: float) -> None:
+    """Refuse a start or an end off the posts or too near the ground."""
+    for name, what in (("end_position", "an end"), ("position", "a start")):
+        at = getattr(descent, name)
+        height = float(relief.height(at[None])[0])
+        if not at[2] >= height + clearance - 1e-9:
+            raise InputError(
+                f"optimal.{name}", at.tolist(),
+                f"{what} on the posts, at least {clearance} m above the ground at {height:.2f} m",
+            )  # fmt: skip
 
 
 def _linearised(

@@ -44,6 +44,9 @@ class Path:
         Multipliers of the half-spaces (N - 2, planes), of any unit: more than 0 where one binds.
     curvature
         Second derivative of the least cost with the final time, as a search saw it; 0: not known.
+    settled
+        Whether a search for the best final time came to its end; False where its solves ran out, so
+        that another final time may cost less. True where none was searched for.
     solves, iterations, solver
         What it took, and who gave the answer.
     """
@@ -62,6 +65,7 @@ class Path:
     primer: Array
     bars: Array
     curvature: float = 0.0
+    settled: bool = True
     solves: int = 1
     iterations: int = 0
     solver: str = ""

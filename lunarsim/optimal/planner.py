@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.optimal.checks import count, is_number, numbers
 from lunarsim.optimal.cone_program import Answer, Judged, Program
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.path import Path
@@ -40,6 +41,11 @@ class Planner:
     solver
         Makes what answers the programs of a structure.
 
+    Raises
+    ------
+    InputError
+        If the number of intervals is none, or under 4.
+
     Attributes
     ----------
     solves, iterations
@@ -47,7 +53,7 @@ class Planner:
     """
 
     def __init__(self, intervals: int = 40, solver: type[ConeSolver] = Judged) -> None:
-        self.intervals = intervals
+        self.intervals = count("intervals", intervals, 4)
         self.solves = self.iterations = 0
         self._solver = solver
         self._made: dict[Structure, tuple[Transcription, ConeSolver]] = {}
@@ -63,7 +69,8 @@ class Planner:
     ) -> Path | None:
         """Return the best path of a final time; None: there is none.
 
-        That is proven, unless the solver is one that does not ask why.
+        That is proven, unless the solver is one that does not ask why. Whether the engine can fly
+        what is found is told by its `loss` and `excess`.
 
         Parameters
         ----------
@@ -81,15 +88,26 @@ class Planner:
         Raises
         ------
         InputError
-            If the final time is no positive number.
+            If the final time is no positive number, or masses or half-spaces are not those of so
+            many intervals.
         SolverError
             If the solver fails.
         """
-        if not 0.0 < duration < np.inf:
+        if not (is_number(duration) and duration > 0.0):
             raise InputError("optimal.duration", duration, "a positive final time in s")
-        walls = Walls.over(descent, self.intervals) if walls is None else walls
+        if descent.outside and not nearest:
+            return None
+        if walls is None:
+            walls = Walls.over(descent, self.intervals)
+        elif len(walls.normals) != self.intervals:
+            raise InputError(
+                "optimal.walls", walls.normals.shape, f"planes of {self.intervals} intervals"
+            )
         if log_mass is None:
             log_mass = self._burning(descent, duration)
+        else:
+            expected = f"finite numbers ({self.intervals},)"
+            log_mass = numbers("log_mass", log_mass, (self.intervals,), expected)
         path = self._solved(descent, duration, log_mass, walls, nearest)
         if path is not None and np.abs(path.log_mass - log_mass).max() > _MASS_OFF:
             again = self._solved(descent, duration, path.log_mass, walls, nearest)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.optimal.checks import is_number, numbers
 
 Array = NDArray[np.float64]
 
@@ -16,28 +17,32 @@ Array = NDArray[np.float64]
 class Cone:
     """Half-spaces ``normals @ (r - end) >= -drop`` that a path keeps: a cone over its end.
 
+    Its first and last piece are left out: a majorant of terrain may have the start under it.
+
     Attributes
     ----------
     normals
         (n, 3), dimensionless.
     drop
-        By how much its tip lies under the end, m.
+        By how much its tip lies under the end, m; 0 or more.
 
     Raises
     ------
     InputError
-        If there is none, or a figure is not finite.
+        If there is none, or a figure is not finite, or its tip lies above the end.
     """
 
     normals: Array
     drop: float = 0.0
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.normals)
-        if len(shape) != 2 or shape[0] == 0 or shape[1] != 3:
-            raise InputError("optimal.cone", shape, "at least one half-space: normals (n, 3)")
-        if not (np.isfinite(self.normals).all() and np.isfinite(self.drop)):
-            raise InputError("optimal.cone", "not finite", "finite normals and a drop in m")
+        expected = "at least one half-space: finite normals (n, 3)"
+        rows = len(self.normals) if np.ndim(self.normals) == 2 else 0
+        object.__setattr__(self, "normals", numbers("cone", self.normals, (rows, 3), expected))
+        if rows == 0:
+            raise InputError("optimal.cone", self.normals.shape, expected)
+        if not (is_number(self.drop) and self.drop >= 0.0):
+            raise InputError("optimal.cone", self.drop, "a drop of 0 m or more")
 
 
 @dataclass(frozen=True)
@@ -107,33 +112,40 @@ class Descent:
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise InputError(f"optimal.{name}", value.tolist(), "three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "three finite coordinates")
             object.__setattr__(self, name, value)
         for name in ("mass", "gravity", "thrust_max", "exhaust_velocity", "dry_mass"):
-            if not 0.0 < getattr(self, name) < np.inf:
+            if not (is_number(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"optimal.{name}", getattr(self, name), "a positive number")
-        for name in ("thrust_min", "drop", "region", "spare", "spare_price"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InputError(f"optimal.{name}", getattr(self, name), "0 or more")
+        for name in ("thrust_min", "drop", "region", "spare", "spare_price", "tilt_rate"):
+            if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise InputError(f"optimal.{name}", getattr(self, name), "a number, 0 or more")
         if not self.thrust_min < self.thrust_max:
             raise InputError("optimal.thrust_min", self.thrust_min, f"under {self.thrust_max} N")
         if not self.dry_mass < self.mass:
             raise InputError("optimal.mass", self.mass, f"more than the {self.dry_mass} kg left")
         if self.region > 0.0 and self.spare > 0.0:
             raise InputError("optimal.spare", self.spare, "0 where the end is a region")
-        if not 0.0 <= self.tilt_rate < np.inf:
-            raise InputError("optimal.tilt_rate", self.tilt_rate, "0 or more, in rad/s")
+        if not (self.cone is None or isinstance(self.cone, Cone)):
+            raise InputError("optimal.cone", type(self.cone).__name__, "a Cone, or None")
         for name in ("max_tilt", "glideslope", "end_tilt"):
             angle = getattr(self, name)
-            if angle is not None and not 0.0 <= angle < 0.5 * np.pi:
+            if angle is not None and not (is_number(angle) and 0.0 <= angle < 0.5 * np.pi):
                 raise InputError(f"optimal.{name}", angle, "an angle from 0 to 90 deg, in rad")
 
     @property
     def gap(self) -> Array:
         """From the end to the start (3,), m."""
         return np.asarray(self.position - self.end_position)
+
+    @property
+    def outside(self) -> bool:
+        """Whether it starts under the glideslope of every end that it may have."""
+        if self.glideslope is None:
+            return False
+        gap, slack = self.gap, 1e-9 * (1.0 + float(np.linalg.norm(self.gap)))
+        aside = max(float(np.hypot(gap[0], gap[1])) - self.region, 0.0)
+        return bool(gap[2] + self.drop < np.tan(self.glideslope) * aside - slack)
 
     def tilts(self, left: Array) -> Array | None:
         """Return the greatest tilts (n,), rad, with so much time left (n,), s; None for none."""

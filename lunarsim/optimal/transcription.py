@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lunarsim.errors import InputError
+from lunarsim.optimal.checks import numbers
 from lunarsim.optimal.cone_program import Program
 from lunarsim.optimal.problem import Descent
 
@@ -80,10 +81,25 @@ class Walls:
         (N, planes, 3).
     offsets
         From the end of the descent (N, planes), m.
+    moves
+        Whether they go where the end goes, if that lies in a disc: terrain does not.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or a figure is not finite.
     """
 
     normals: Array
     offsets: Array
+    moves: bool = True
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.normals) if np.ndim(self.normals) == 3 else (1, 1, 3)
+        for name, wanted in (("normals", (*shape[:2], 3)), ("offsets", shape[:2])):
+            found = numbers("walls", getattr(self, name), wanted, f"{name} of finite numbers, "
+                            "normals (N, planes, 3) and offsets (N, planes)")  # fmt: skip
+            object.__setattr__(self, name, found)
 
     @classmethod
     def over(cls, descent: Descent, intervals: int) -> Walls | None:
@@ -167,6 +183,10 @@ class Transcription:
             axes = [self._point(np.array([c])) for c in (2, 0, 1)]
             self._add("glideslope", np.stack(axes, axis=1).reshape(-1, axes[0].shape[1]))
             cones += [3] * len(self.inner)
+            if s.free:  # the end may not leave the start outside of what goes with it
+                ends = [[node[0] + c, node[-1] + c] for c in (2, 0, 1)]
+                self._add("start", np.array(ends))
+                cones += [3]
         if s.free:
             self._add("end", np.array([[self.variables - 1], [node[-1]], [node[-1] + 1]]))
             cones += [3]
@@ -276,7 +296,10 @@ class Transcription:
         if s.planes and walls is not None:
             a = walls.normals[self.inner].reshape(-1, 3)
             offsets = walls.offsets[self.inner].ravel() / units.length
-            out["planes"] = self._weighed(-a), -offsets
+            rows = self._weighed(-a)
+            if s.free and not walls.moves:
+                rows[:, 6:] = 0.0
+            out["planes"] = rows, -offsets
         if s.free:
             most = 2.0 if nearest else d.region / units.length
             out["reach"] = np.array([[1.0]]), np.array([most])
@@ -289,6 +312,9 @@ class Transcription:
             count = len(self.inner)
             row = self._weighed(np.array([[-1.0], [-tan], [-tan]]))
             out["glideslope"] = np.tile(row, (count, 1)), np.tile([drop, 0.0, 0.0], count)
+            if s.free:
+                start = np.array([[-1.0, 1.0], [-tan, tan], [-tan, tan]])
+                out["start"] = start, np.array([drop, 0.0, 0.0])
         return out
 
     def _weighed(self, a: Array) -> Array:

@@ -24,9 +24,11 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.computer import APPROACH
+from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
@@ -140,9 +142,21 @@ def fly(task: Task) -> list[Flown]:
         scenario = scenario_of(law, task.position_sigma, task.velocity_sigma)
         flight = Simulation(scenario, flight_seed(task.seed, task.flight), world=ground())
         if np.isnan(optimum):
-            optimum = least_propellant(Planner(60), problem(flight)).propellant
+            optimum = _optimum(task, flight)
         rows.append(_flown(law, task.flight, flight, optimum))
     return rows
+
+
+def _optimum(task: Task, flight: Simulation) -> float:
+    """Return the least propellant from a flight's true start, kg."""
+    try:
+        return least_propellant(Planner(60), problem(flight)).propellant
+    except (InputError, SolverError) as error:
+        raise InputError(
+            "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
+            f"starts that can be flown from, which flight {task.flight} of seed {task.seed} has "
+            f"not: {error}",
+        ) from None  # fmt: skip
 
 
 def _steady(briefing: Briefing, mass: float) -> float:
@@ -229,7 +243,12 @@ def main(
     console = Console(width=160)
     chosen = laws or tuple(kinds("guidance"))
     tasks = [Task(chosen, n, seed, position_sigma, velocity_sigma) for n in range(flights)]
-    rows = [row for some in gathered(fly, tasks, jobs, console, "flights") for row in some]
+    try:
+        if out is not None:
+            check_output("--json", out, ".json")
+        rows = [row for some in gathered(fly, tasks, jobs, console, "flights") for row in some]
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
     console.print(table_of(rows))
     for row in rows:
         if not row.safe:

@@ -22,6 +22,8 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -51,6 +53,8 @@ SHARD = 250
 _DROP = 0.5  # of the glideslope's tip under the end, m: as the laws have it
 # Columns of an observation, and of an action.
 OBSERVED, COMMANDED = 7, 3
+# Arrays of a shard.
+KEPT = ("observations", "actions", "duration", "propellant", "out_of_reach", "failed")
 
 
 @dataclass(frozen=True)
@@ -178,6 +182,44 @@ def solve_all(tasks: list[Task], folder: Path, jobs: int, console: Console) -> l
     return files
 
 
+def read_shard(file: Path) -> dict[str, Array]:
+    """Return what a shard holds.
+
+    Raises
+    ------
+    click.UsageError
+        If the file is none, or not whole.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as held:
+            return {name: held[name] for name in KEPT}
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise click.UsageError(
+            f"{file} is no whole shard ({error}): delete it, optimal_descents.py makes it anew"
+        ) from None
+
+
+def check_problem(folder: Path) -> None:
+    """Refuse a folder whose shards were solved under other limits; note the limits of a new one.
+
+    Raises
+    ------
+    click.UsageError
+        If the limits differ.
+    """
+    asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
+    asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
+    file = folder / "problem.json"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text_whole(file, json.dumps(asked, indent=1) + "\n")
+    elif json.loads(file.read_text()) != json.loads(json.dumps(asked)):
+        raise click.UsageError(
+            f"shards in {folder} were solved under other limits of approach or law "
+            f"({file.name}): --out another folder"
+        )
+
+
 def _save(path: Path, shard: dict[str, Array]) -> None:
     with path.open("wb") as file:
         np.savez_compressed(file, **shard)
@@ -197,7 +239,7 @@ def write_dataset(files: list[Path], folder: Path, task: Task, console: Console)
     )  # fmt: skip
     with Progress(console=console) as progress:
         for file in progress.track(files, description="writing"):
-            shard = np.load(file, allow_pickle=False)
+            shard = read_shard(file)
             storage.update_episodes(_episodes(shard, figures["descents"], EpisodeBuffer))
             figures["descents"] += len(shard["duration"])
             figures["out_of_reach"] += int(shard["out_of_reach"])
@@ -260,6 +302,7 @@ def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None
     whole, rest = divmod(descents, SHARD)
     counts = [SHARD] * whole + [rest] * (rest > 0)
     tasks = [Task(k, count, seed, intervals) for k, count in enumerate(counts)]
+    check_problem(out / "shards")
     try:
         files = solve_all(tasks, out / "shards", jobs, console)
     except KeyboardInterrupt:

@@ -20,7 +20,7 @@ from typing import Any
 import click
 import numpy as np
 from numpy.typing import NDArray
-from optimal_descents import problem_of
+from optimal_descents import problem_of, read_shard
 from rich.console import Console
 
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
@@ -55,7 +55,7 @@ class Descents:
     @classmethod
     def load(cls, files: list[Path]) -> Descents:
         """Read shards."""
-        held = [np.load(file, allow_pickle=False) for file in files]
+        held = [read_shard(file) for file in files]
         return cls(
             *(np.concatenate([h[n] for h in held]) for n in ("observations", "actions", "duration"))
         )
@@ -81,8 +81,8 @@ class Descents:
 def trained(
     learnt: Descents, gravity: float, minutes: float, epochs: int, width: int, seed: int,
     console: Console,
-) -> list[tuple[Array, Array]]:  # fmt: skip
-    """Return weights and biases of the layers."""
+) -> tuple[list[tuple[Array, Array]], int]:  # fmt: skip
+    """Return weights and biases of the layers, and how many epochs it took."""
     import torch
 
     torch.manual_seed(seed)
@@ -113,7 +113,8 @@ def trained(
             console.print(f"epoch {epoch}: loss {total / len(x):.6f}")
         if past >= 1.0:
             break
-    return [(m.weight.detach().double().numpy(), m.bias.detach().double().numpy()) for m in linear]
+    layers = [(m.weight.detach().double(), m.bias.detach().double()) for m in linear]
+    return [(weight.numpy(), bias.numpy()) for weight, bias in layers], epoch + 1
 
 
 def judged(network: OptimalNetwork, kept: Descents, gravity: float) -> dict[str, Any]:
@@ -175,7 +176,7 @@ def main(
     out_of = max(len(files) // 20, 1)
     learnt, kept = Descents.load(files[:-out_of]), Descents.load(files[-out_of:])
     gravity = Scenario.from_dict({"name": "descents"}).gravity_m_s2
-    layers = trained(learnt, gravity, minutes, epochs, width, seed, console)
+    layers, done = trained(learnt, gravity, minutes, epochs, width, seed, console)
     shown, _ = learnt.within(np.zeros(learnt.done.shape[:2]), gravity)
     low, high = shown.min(axis=0), shown.max(axis=0)
     beyond = _BEYOND * (high - low)  # a start with full tanks is at an edge
@@ -185,7 +186,10 @@ def main(
     )  # fmt: skip
     network.save(out)
     figures = judged(OptimalNetwork.load(out), kept, gravity)
-    figures |= {"learnt": len(learnt.duration), "bytes": out.stat().st_size, "seed": seed}
+    figures |= {
+        "learnt": len(learnt.duration), "shards": len(files), "epochs": done,
+        "bytes": out.stat().st_size, "seed": seed,
+    }  # fmt: skip
     console.print(json.dumps(figures))
     if told is not None:
         write_text_whole(told, json.dumps(figures, indent=1) + "\n")

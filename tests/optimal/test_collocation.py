@@ -56,5 +56,11 @@ def test_what_it_does_not_know_is_refused_and_failures_are_told():
         collocate(mars(region=10.0))
     with pytest.raises(InputError, match="duration"):
         collocate(mars(), duration=-1.0)
+    for duration in ("a", True, np.array([1.0, 2.0])):
+        with pytest.raises(InputError, match="duration"):
+            collocate(mars(), 10, duration=duration)
+    for intervals in (0, 2.5, "a", None):
+        with pytest.raises(InputError, match="intervals"):
+            collocate(mars(), intervals)
     with pytest.raises(SolverError, match="IPOPT"):
         collocate(mars(), 10, most=2)

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.optimal.errors import InfeasibleError
+from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.ground import Relief, least_propellant_over
 from lunarsim.optimal.planner import Planner
@@ -100,3 +100,77 @@ def test_no_way_at_all_is_infeasible_not_a_failure():
     with pytest.raises(InfeasibleError):
         flat = Relief(GRID, np.zeros(GRID.shape))
         least_propellant_over(Planner(10), moon(dry_mass=1495.0), flat)
+
+
+def test_a_start_under_the_ground_is_refused():
+    grid = Grid.centred((0.0, 0.0), 2000.0, 20.0)
+    east, north = np.meshgrid(grid.x, grid.y)
+    hill = Relief(grid, 200.0 * np.exp(-((east + 600.0) ** 2 + north**2) / (2.0 * 150.0**2)))
+    low = moon(position=np.array([-600.0, 0.0, 150.0]), velocity=np.array([28.0, 0.0, 5.0]))
+    with pytest.raises(InputError, match=r"optimal\.position"):
+        least_propellant_over(Planner(20), low, hill, clearance=1.0)
+
+
+def test_a_path_off_the_posts_is_refused():
+    small = Grid.centred((0.0, 0.0), 100.0, 5.0)
+    with pytest.raises(InputError, match="posts"):
+        least_propellant_over(Planner(20), moon(), Relief(small, np.zeros(small.shape)))
+
+
+@pytest.mark.parametrize("sectors", [0, 1, 2, 2.5, "a", None])
+def test_sectors_too_wide_for_a_plane_are_refused(sectors):
+    flat = Relief(grid := Grid.centred((0.0, 0.0), 1500.0, 50.0), np.zeros(grid.shape))
+    with pytest.raises(InputError, match=r"optimal\.sectors"):
+        flat.majorant(moon().end_position, sectors)
+
+
+@pytest.mark.parametrize("sectors", [3, 5])
+def test_few_sectors_keep_above_the_ground_too(sectors):
+    knoll, planner = hill(60.0, 60.0, 20.0), Planner(20)
+    path = least_propellant_over(planner, moon(), knoll, clearance=1.0, sectors=sectors, rounds=4)
+    assert knoll.above(path) > 1.0 - 2e-3
+
+
+def test_a_path_that_the_terrain_does_not_let_pass_is_not_returned(monkeypatch):
+    monkeypatch.setattr(Relief, "above", lambda self, path: 0.5)
+    with pytest.raises(SolverError, match="above the terrain"):
+        least_propellant_over(Planner(16), moon(), hill(60.0, 60.0, 20.0), clearance=1.0, rounds=2)
+
+
+def test_planes_lie_above_the_posts_about_each_piece_and_its_neighbours():
+    relief = hill(60.0, 60.0, 20.0)
+    path = least_propellant(Planner(16), moon())
+    walls = relief.walls(path, 3.0)
+    control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
+    for k in range(16):
+        near = relief.posts[np.hypot(*(relief.posts[:, :2] - control[k, :2]).T) < 20.0]
+        from_end = near - path.descent.end_position
+        under = from_end @ walls.normals[k, 1] - walls.offsets[k, 1]
+        assert under.max() < -3.0 + 1e-9, "each post lies the clearance under its plane"
+    for of, at in ((walls.normals[:, :, :], 0), (walls.offsets[:, :, None], 0)):
+        assert np.array_equal(of[1:, at], of[:-1, 1])
+        assert np.array_equal(of[:-1, 2], of[1:, 1])
+
+
+@pytest.mark.parametrize("value", [np.nan, -5.0, np.inf, "a", None])
+def test_a_clearance_that_is_no_height_is_refused(value):
+    flat = Relief(GRID, np.zeros(GRID.shape))
+    with pytest.raises(InputError, match=r"optimal\.clearance"):
+        least_propellant_over(Planner(8), moon(), flat, clearance=value)
+    with pytest.raises(InputError, match=r"optimal\.clearance"):
+        flat.majorant(moon().end_position, 12, value)
+
+
+def test_what_is_no_terrain_is_refused():
+    with pytest.raises(InputError, match=r"optimal\.terrain"):
+        least_propellant_over(Planner(8), moon(), None)
+    with pytest.raises(InputError, match=r"optimal\.grid"):
+        Relief(None, np.zeros((3, 3)))
+    with pytest.raises(InputError, match=r"optimal\.elevation"):
+        Relief(GRID, np.full(GRID.shape, "a"))
+    flat = Relief(GRID, np.zeros(GRID.shape))
+    with pytest.raises(InputError, match=r"optimal\.end_position"):
+        flat.majorant([np.nan, 0.0, 0.0])
+    for rounds in (0, -1, 2.5):
+        with pytest.raises(InputError, match=r"optimal\.rounds"):
+            least_propellant_over(Planner(8), moon(), flat, rounds=rounds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone
-from lunarsim.optimal.transcription import Structure
+from lunarsim.optimal.transcription import Structure, Walls
 from tests.optimal.cases import mars, moon
 
 
@@ -109,6 +110,38 @@ def test_spare_thrust_is_left_alone_while_there_is_another_way():
     assert 5568.0 * 1.002 < hard.forces.max() < 5968.0
 
 
+def test_spare_thrust_has_its_price_and_counts_among_the_limits():
+    hard = Planner(40).at_time(moon(spare=400.0, spare_price=8.0), 26.8)
+    share = (hard.forces.max() - 5568.0) / 400.0
+    assert 0.05 < share < 1.0
+    assert hard.cost - hard.increment == pytest.approx(8.0 * share, rel=0.02)
+    assert hard.excess < 1e-3
+    tight = replace(hard, descent=moon(spare=0.5 * share * 400.0))
+    assert tight.excess == pytest.approx(0.5 * share * 400.0 / 5568.0, rel=0.02)
+
+
+def test_tips_under_the_end_are_the_drop_lower():
+    slope = np.deg2rad(4.0)
+    path = Planner(20).at_time(mars(glideslope=slope, drop=12.0), 81.0)
+    gap = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
+    above = gap[:, 2] - np.tan(slope) * np.hypot(gap[:, 0], gap[:, 1])
+    assert above[1:-1].min() == pytest.approx(-12.0, abs=0.05)
+    planes = Cone(np.array([[-0.09, 0.0, 1.0], [0.0, 0.0, 1.0]]), 12.0)
+    path = Planner(20).at_time(mars(cone=planes, dry_mass=1300.0), 81.0)
+    gap = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
+    assert (gap @ planes.normals.T)[1:-1].min() == pytest.approx(-12.0, abs=0.05)
+
+
+def test_masses_that_are_off_are_solved_for_again():
+    """Taken as they are, limits of thrust would be off by as much."""
+    planner, none = Planner(20), np.zeros(20)
+    path = planner.at_time(moon(), 30.0, log_mass=none)
+    assert path.solves == planner.solves == 2
+    exact = planner.at_time(moon(), 30.0, log_mass=path.log_mass)
+    assert exact.solves == 1
+    assert path.increment == pytest.approx(exact.increment, rel=1e-5)
+
+
 class Failing:
     """A solver that gives up."""
 
@@ -165,6 +198,23 @@ def test_infeasible_errors_travel_between_processes():
         ({"tilt_rate": np.nan}, "tilt_rate"),
         ({"region": np.inf}, "region"),
         ({"region": 5.0, "spare": 10.0}, "spare"),
+        ({"mass": "abc"}, "mass"),
+        ({"mass": None}, "mass"),
+        ({"mass": True}, "mass"),
+        ({"mass": 1 + 2j}, "mass"),
+        ({"position": "abc"}, "position"),
+        ({"position": None}, "position"),
+        ({"position": [1.0, [2.0], 3.0]}, "position"),
+        ({"position": [True, False, True]}, "position"),
+        ({"thrust_min": None}, "thrust_min"),
+        ({"thrust_min": np.array([1.0, 2.0])}, "thrust_min"),
+        ({"max_tilt": "40"}, "max_tilt"),
+        ({"max_tilt": True}, "max_tilt"),
+        ({"glideslope": [0.1]}, "glideslope"),
+        ({"region": True}, "region"),
+        ({"spare_price": np.nan}, "spare_price"),
+        ({"cone": 3}, "cone"),
+        ({"cone": np.eye(3)}, "cone"),
     ],
 )
 def test_bad_problems_are_refused_by_name(changes, field):
@@ -173,14 +223,25 @@ def test_bad_problems_are_refused_by_name(changes, field):
 
 
 def test_bad_times_cones_and_grids_are_refused():
-    for duration in (0.0, -3.0, np.nan, np.inf):
+    for duration in (0.0, -3.0, np.nan, np.inf, "a", None, True, np.array([30.0, 31.0])):
         with pytest.raises(InputError, match="duration"):
             Planner(20).at_time(moon(), duration)
-    with pytest.raises(InputError, match="intervals"):
-        Planner(3).at_time(moon(), 30.0)
+    for intervals in (3, "a", None, True, np.inf, 8.0):
+        with pytest.raises(InputError, match="intervals"):
+            Planner(intervals).at_time(moon(), 30.0)
+    for masses in (np.zeros(3), np.full(20, np.nan), "a"):
+        with pytest.raises(InputError, match="log_mass"):
+            Planner(20).at_time(moon(), 30.0, log_mass=masses)
+    with pytest.raises(InputError, match="walls"):
+        Planner(20).at_time(moon(), 30.0, walls=Walls(np.ones((5, 1, 3)), np.zeros((5, 1))))
+    with pytest.raises(InputError, match="walls"):
+        Walls(np.ones((5, 1, 3)), np.zeros((5, 2)))
     with pytest.raises(InputError, match="spare"):
         Structure(20, True, True, 0, True, spare=True)
     with pytest.raises(InputError, match="cone"):
         Cone(np.zeros((0, 3)))
     with pytest.raises(InputError, match="cone"):
         Cone(np.array([[np.nan, 0.0, 1.0]]))
+    for normals, drop in (("a", 0.0), (np.eye(3), -1.0), (np.eye(3), "a"), (None, 0.0)):
+        with pytest.raises(InputError, match="cone"):
+            Cone(normals, drop)

@@ -153,9 +153,21 @@ def test_what_cannot_be_is_refused():
     for axis, half, share in (([0, 0, 0], 0.5, 0.5), ([0, 0, 1], 0.0, 0.5), ([0, 0, 1], 0.5, 0.0)):
         with pytest.raises(InputError, match="sight"):
             Sight(np.array(axis, dtype=float), half, share)
-    for solve in (lambda d: shoot(d, 1), lambda d: Successive(1)):
-        with pytest.raises(InputError, match="intervals"):
-            solve(descent(rng))
+    for intervals in (1, 3, "a", 2.5, True):
+        for solve in (shoot, lambda d, n: Successive(n)):
+            with pytest.raises(InputError, match="intervals"):
+                solve(far, intervals)
+    for most in (0, 1.5, None):
+        with pytest.raises(InputError, match="most"):
+            Successive(N, most)
+    for changes, name in (
+        ({"lander": None}, "lander"), ({"start": None}, "start"), ({"start": 3}, "start"),
+        ({"gravity": "a"}, "gravity"), ({"max_tilt": True}, "max_tilt"),
+        ({"reserve": np.nan}, "reserve"), ({"thrust_min": "a"}, "thrust_max"),
+        ({"end_position": "a"}, "end_position"), ({"max_rate": "a"}, "max_rate"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=name):
+            replace(far, **changes)
 
 
 def test_failures_of_solvers_are_told():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -25,6 +26,26 @@ def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
     assert optimal["approach"] < 1.02 * optimal["optimum"] < 0.95 * apollo["approach"]
     assert optimal["plans"] > 15
     assert optimal["fallbacks"] == apollo["plans"] == 0
+
+
+def test_starts_that_cannot_be_flown_from_and_files_that_cannot_be_are_told(
+    script, tmp_path, monkeypatch
+):
+    study = script("guidance", "propellant")
+    problem = study.problem
+
+    def short_of_fuel(flight):
+        d = problem(flight)
+        return replace(d, dry_mass=d.mass - 0.5)
+
+    monkeypatch.setattr(study, "problem", short_of_fuel)
+    for options, told in (
+        ([], "starts that can be flown from, which flight 0 of seed 1 has not"),
+        (["--json", str(tmp_path / "none" / "x.json")], "an existing folder"),
+    ):
+        done = CliRunner().invoke(study.main, ["--flights", "1", "--laws", "optimal", *options])
+        assert done.exit_code == 2, done.output
+        assert told in " ".join(done.output.split())
 
 
 def test_round_and_flat_are_set_side_by_side(script):

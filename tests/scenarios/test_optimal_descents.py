@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.neural_law import LEAST_ELEVATION
 from lunarsim.scenario import Scenario
 
 
@@ -66,14 +68,14 @@ def test_same_seed_same_bits_in_any_number_of_processes_and_after_a_break(small,
     written(small, whole)
     # Two of three shards are there already.
     (broken / "shards").mkdir(parents=True)
-    for file in sorted((whole / "shards").iterdir())[:2]:
+    for file in sorted((whole / "shards").glob("*.npz"))[:2]:
         (broken / "shards" / file.name).write_bytes(file.read_bytes())
     written(small, broken)
     figures = [json.loads((f / "figures.json").read_text()) for f in (whole, broken)]
     assert figures[0] == figures[1]
     tasks = [small.Task(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
     again = small.solve(tasks[1])
-    stored = np.load(sorted((whole / "shards").iterdir())[1])
+    stored = np.load(sorted((whole / "shards").glob("*.npz"))[1])
     assert np.array_equal(again["observations"], stored["observations"])
     other = small.solve(replace(tasks[1], seed=2))
     assert not np.array_equal(other["observations"], stored["observations"])
@@ -111,8 +113,21 @@ def test_an_interrupt_keeps_the_shards_that_are_done(small, tmp_path, monkeypatc
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 1
     assert "the same command goes on" in done.output
-    assert len(list((tmp_path / "shards").iterdir())) == 2
+    assert len(list((tmp_path / "shards").glob("*.npz"))) == 2
     assert not (tmp_path / "data").exists()
     left[0] = 1
     output = written(small, tmp_path)
     assert "7 descents" in output
+
+
+def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeypatch):
+    written(small, tmp_path)
+    (tmp_path / "data").rename(tmp_path / "before")
+    monkeypatch.setattr(small, "Approach", lambda: replace(Approach(), reserve=20.0))
+    done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
+    assert done.exit_code == 2, done.output
+    assert "other limits" in " ".join(done.output.split())
+
+
+def test_descents_begin_no_lower_than_the_law_takes_over(small):
+    assert small.DrawnStarts().elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from lunarsim.onboard.guidance.optimal_network import OptimalNetwork
+from tests.conftest import SCENARIOS
+
+# What is told of the weights that come along.
+FIGURES = SCENARIOS.parent / "docs" / "results" / "learning" / "neural_optimal.json"
 
 
 @pytest.fixture
@@ -51,15 +57,27 @@ def test_a_missing_extra_and_too_few_shards_are_told(study, shards, tmp_path, mo
     assert not (tmp_path / "w.npz").exists()
 
 
+def test_a_shard_that_is_not_whole_is_told(study, shards):
+    files = sorted((shards / "shards").glob("*.npz"))
+    files[0].write_bytes(files[0].read_bytes()[:500])
+    with pytest.raises(click.UsageError, match="is no whole shard"):
+        study.Descents.load(files)
+
+
 def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
     pytest.importorskip("torch")
     nets = []
     for name in ("a", "b"):
         path = tmp_path / f"{name}.npz"
+        told = tmp_path / f"{name}.json"
         given = [str(shards), "--epochs", "2", "--width", "8", "--out", str(path)]
+        given += ["--json", str(told)]
         done = CliRunner().invoke(study.main, given)
         assert done.exit_code == 0, done.output
         nets.append(OptimalNetwork.load(path))
+        figures = json.loads(told.read_text())
+        assert figures.keys() == json.loads(FIGURES.read_text()).keys()
+        assert (figures["shards"], figures["epochs"]) == (2, 2)
     for a, b in zip(nets[0].weights, nets[1].weights, strict=True):
         assert np.array_equal(a, b)
     assert np.array_equal(nets[0].problem, study.problem_figures())

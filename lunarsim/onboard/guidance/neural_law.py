@@ -1,11 +1,11 @@
 """The law of least propellant as a network has learnt it: no solver on board.
 
 What it was taught are descents of `lunarsim.optimal` under the limits of the default lander and
-approach. Each cycle it tells thrust and time-to-go from where the lander will be once attitude and
-engine have answered. Where it is asked what it was not taught, or its answer breaks the limits of
-thrust or tilt, the Apollo law flies, and the network is asked again an interval later. The last
-seconds are flown by E-guidance, whose thrust may be anything at the end, as an optimal descent's
-is: a network ends near the place, a path at it.
+approach, begun 15 deg or more over their end. Each cycle it tells thrust and time-to-go from where
+the lander will be once attitude and engine have answered. Where it is asked what it was not taught,
+or its answer breaks the limits of thrust or tilt, the Apollo law flies, and the network is asked
+again an interval later. The last seconds are flown by E-guidance, whose thrust may be anything at
+the end, as an optimal descent's is: a network ends near the place, a path at it.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from lunarsim.parts.quantity import quantity
 Array = NDArray[np.float64]
 
 _MOVED = 1.0  # of the end, m: a divert
+LEAST_ELEVATION = np.deg2rad(15.0)  # over the end, of where descents that it was taught begin
 _SAME = 1e-3  # share by which figures of the problem may differ from those it was taught
 
 
@@ -112,7 +113,7 @@ class NeuralGuidance:
         )  # fmt: skip
         self._end: PhaseEnd | None = None
         self._next = -np.inf
-        self._fallen = self._ending = False
+        self._fallen = self._ending = self._followed = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
@@ -128,6 +129,7 @@ class NeuralGuidance:
         self._answering.follow(time)
         if self._end is None or _apart(self._end, end) > _MOVED:
             self._end, self._next, self._ending = end, -np.inf, False
+            self._followed = False
             self.arrival = time + time_to_go
         assert self.arrival is not None
         push = None
@@ -149,7 +151,9 @@ class NeuralGuidance:
             return None
         position, velocity = self._answering.ahead(estimate)
         shown, axes = reduced(position - end.position, velocity, estimate.mass)
-        if not self.network.knows(shown):
+        # Later on a taught path may lie lower than where any of them begins.
+        low = not self._followed and shown[1] < np.tan(LEAST_ELEVATION) * shown[0]
+        if low or not self.network.knows(shown):
             self._fall_back(estimate, end, time, "outside what it was taught")
             return None
         self.asked += 1
@@ -162,7 +166,7 @@ class NeuralGuidance:
             return None
         if self._fallen:
             self.events.append((time, "guidance-planned", {}))
-        self._fallen = False
+        self._fallen, self._followed = False, True
         # The lag is made up for by commanding that much ahead, and the end comes the sooner.
         self.arrival = time + self._answering.lead + left
         self._ending = left < self.settings.handover
@@ -205,7 +209,7 @@ class NeuralGuidance:
             cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
             if np.isfinite(cost.time_to_go[0]):
                 self.arrival = time + float(cost.time_to_go[0])
-        self._fallen = True
+        self._fallen, self._followed = True, False
 
 
 def _apart(a: PhaseEnd, b: PhaseEnd) -> float:

@@ -3,10 +3,11 @@
 The lossless convexification of `lunarsim.optimal` is solved from where the lander will be once
 attitude and engine have answered, with the final time free. A path of least propellant brakes as
 late as it can, so that after a disturbance none may keep the throttle margin: what the margin keeps
-back above may be had at a price, high enough that it is left alone while there is another way. What
-a flight does depends on counts of iterations, never on a clock: a plan that takes more than it may
-is late. Where no plan is in time, or none exists even with all of the engine, the Apollo law flies
-until the next one.
+back above may be had at a price, high enough that it is left alone while there is another way. 4 %
+of the throttle range are kept back so whatever the margin is: with nothing to answer with, a path
+that brakes late is lost. What a flight does depends on counts of iterations, never on a clock: a
+plan that takes more than it may is late. Where no plan is in time, none exists even with all of the
+engine, or what is found breaks the limits of thrust, the Apollo law flies until the next one.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.cone_program import Unjudged
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import masses_left, search_about
+from lunarsim.optimal.final_time import flyable, masses_left, search_about
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
@@ -38,6 +39,7 @@ Array = NDArray[np.float64]
 
 _DROP = 0.5  # of the glideslope's tip under the end, m: as the polynomial laws have it
 _MOVED = 1.0  # of the end, m: a divert
+_SPARE = 0.04  # of the throttle range that plans leave above at least
 _TIMES = (1.0, 1.04, 1.12)  # shares of the expected time that are tried in turn
 _FRESH = (1.0, 0.93, 1.06, 0.86, 1.13, 0.8, 1.25)  # where there is no plan to go by
 _SOLVES, _STEP = 3, 0.015  # solves of a search about the last final time, and its first step
@@ -197,7 +199,9 @@ class OptimalGuidance:
             )  # fmt: skip
         except InputError as error:
             return None, str(error)
-        return path, "" if path is not None else self._why(descent, expected)
+        if path is None:
+            return None, self._why(descent, expected)
+        return (path, "") if flyable(path) else (None, "thrust")
 
     def _why(self, descent: Descent, duration: float) -> str:
         """Return why there is no path: told once, where the Apollo law takes over."""
@@ -212,7 +216,8 @@ class OptimalGuidance:
     def _descent(self, mass: float, position: Array, velocity: Array, end: PhaseEnd) -> Descent:
         """Return the problem; what the throttle margin keeps back above may be had at a price."""
         lander, limits = self.lander, self.limits
-        margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+        throttle = lander.thrust_max - lander.thrust_min
+        margin, spare = (m * throttle for m in (limits.throttle_margin, self._spare))
         gap = position - end.position
         aside = float(np.hypot(gap[0], gap[1]))
         # One that is under the glideslope already has to come in under it.
@@ -220,11 +225,16 @@ class OptimalGuidance:
         glideslope = max(min(limits.glideslope, own - np.deg2rad(0.5)), 0.0)
         return Descent(
             position, velocity, mass, end.position, end.velocity, self.gravity,
-            lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity,
+            lander.thrust_min + margin, lander.thrust_max - spare, lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
-            limits.max_tilt, glideslope, _DROP, spare=margin,
+            limits.max_tilt, glideslope, _DROP, spare=spare,
             end_tilt=self.settings.end_tilt, tilt_rate=self.settings.tilt_rate,
         )  # fmt: skip
+
+    @property
+    def _spare(self) -> float:
+        """Share of the throttle range that is kept back above."""
+        return max(self.limits.throttle_margin, _SPARE)
 
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int

@@ -61,7 +61,7 @@ def guess_of(descent: RigidDescent, intervals: int) -> Guess:
         If its solver fails.
     """
     d = descent
-    path = least_propellant(Planner(intervals), d.as_point())
+    path = least_propellant(Planner(intervals), d.as_point(), lossy=True)
     n, step = intervals, path.step
     states = np.zeros((n + 1, 15))
     states[:, :3], states[:, 3:6], states[:, 13] = path.position, path.velocity, path.mass

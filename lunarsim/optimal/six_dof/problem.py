@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
+from lunarsim.optimal.checks import is_number, numbers
 from lunarsim.optimal.problem import Descent
 
 Array = NDArray[np.float64]
@@ -139,18 +140,21 @@ class RigidDescent:
     reserve: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.lander, Lander):
+            raise InputError("optimal.lander", type(self.lander).__name__, "a Lander")
         for name in ("end_position", "end_velocity"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise InputError(f"optimal.{name}", value.tolist(), "three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "three finite coordinates")
             object.__setattr__(self, name, value)
         for name, given in (("thrust_min", self.lander.thrust_min),
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
         self._check_figures()
-        if not np.isfinite(self.start_vector).all():
-            raise InputError("optimal.start", "not finite", "a state of finite numbers")
+        try:
+            state = self.start_vector
+        except (AttributeError, TypeError, ValueError):
+            raise InputError("optimal.start", type(self.start).__name__, "a State") from None
+        numbers("start", state, (15,), "a state of finite numbers")
         if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
             raise InputError(
                 "optimal.start.attitude",
@@ -165,23 +169,25 @@ class RigidDescent:
 
     def _check_figures(self) -> None:
         low, high = self.lander.thrust_min, self.lander.thrust_max
-        if not low <= self.least < self.most <= high:
+        given = (self.thrust_min, self.thrust_max)
+        if not (all(map(is_number, given)) and low <= self.least < self.most <= high):
             raise InputError(
-                "optimal.thrust_max", [self.thrust_min, self.thrust_max],
+                "optimal.thrust_max", list(given),
                 f"a range within the engine's, {low} to {high} N",
             )  # fmt: skip
-        if not 0.0 < self.gravity < np.inf:
+        if not (is_number(self.gravity) and self.gravity > 0.0):
             raise InputError("optimal.gravity", self.gravity, "a positive number")
-        if not 0.0 < self.torque_share <= 1.0:
+        if not (is_number(self.torque_share) and 0.0 < self.torque_share <= 1.0):
             raise InputError("optimal.torque_share", self.torque_share, "more than 0, at most 1")
         for name in ("drop", "reserve"):
-            if not 0.0 <= getattr(self, name) < np.inf:
+            if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(f"optimal.{name}", getattr(self, name), "0 or more")
         for name in ("max_tilt", "glideslope"):
             angle = getattr(self, name)
-            if angle is not None and not 0.0 < angle < 0.5 * np.pi:
+            if angle is not None and not (is_number(angle) and 0.0 < angle < 0.5 * np.pi):
                 raise InputError(f"optimal.{name}", angle, "an angle from 0 to 90 deg, in rad")
-        if self.max_rate is not None and not 0.0 < self.max_rate < np.inf:
+        rate = self.max_rate
+        if rate is not None and not (is_number(rate) and rate > 0.0):
             raise InputError("optimal.max_rate", self.max_rate, "a positive rate, rad/s")
 
     def _check_start(self) -> None:

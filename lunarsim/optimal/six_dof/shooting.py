@@ -14,7 +14,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim.optimal.checks import count
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.compiled import compiled_library
 from lunarsim.optimal.six_dof.guess import Guess, guess_of
@@ -58,14 +58,13 @@ def shoot(
     Raises
     ------
     InputError
-        If the number of intervals cannot be, or C code is asked for where no compiler is.
+        If there are under 4 intervals, or C code is asked for where no compiler is.
     InfeasibleError
         If a point mass cannot land either.
     SolverError
         If IPOPT does not converge.
     """
-    if intervals < 2:
-        raise InputError("optimal.intervals", intervals, "2 or more")
+    intervals, most = count("intervals", intervals, 4), count("most", most, 1)
     begun = time.perf_counter()
     guess = guess_of(descent, intervals) if guess is None else guess.on(intervals)
     scale = Scale.of(descent, guess)

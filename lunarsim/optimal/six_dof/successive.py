@@ -17,7 +17,7 @@ import numpy as np
 import qoco
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.optimal.checks import count
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.guess import Guess, guess_of
 from lunarsim.optimal.six_dof.linearised import Point
@@ -52,13 +52,16 @@ class Successive:
         N, of held thrust and torques.
     most
         Programs after which it gives up.
+
+    Raises
+    ------
+    InputError
+        If there are under 4 intervals, or no program.
     """
 
     def __init__(self, intervals: int = 30, most: int = 40) -> None:
-        if intervals < 2:
-            raise InputError("optimal.intervals", intervals, "2 or more")
-        self.intervals, self.most = intervals, most
-        self._layout = Layout(intervals)
+        self.intervals, self.most = count("intervals", intervals, 4), count("most", most, 1)
+        self._layout = Layout(self.intervals)
         self._held: Any = None
 
     def solve(self, descent: RigidDescent, guess: Guess | None = None) -> RigidPath:
@@ -82,12 +85,12 @@ class Successive:
         guess = guess_of(descent, n) if guess is None else guess.on(n)
         scale = Scale.of(descent, guess)
         x, v, total = scale.split(scale.start(guess), n)
-        path, count = self._settled(scale, Point.at(x, v, total / n, scale))
+        path, programs = self._settled(scale, Point.at(x, v, total / n, scale))
         states, controls, duration = scale.read(
             np.concatenate((path.x.ravel(), path.v.ravel(), [n * path.length])), n
         )
         return RigidPath(
-            descent, duration, states, controls[:, 0], controls[:, 1:], count,
+            descent, duration, states, controls[:, 0], controls[:, 1:], programs,
             time.perf_counter() - begun,
         )  # fmt: skip
 
@@ -95,7 +98,7 @@ class Successive:
         """Return the path at which programs save no more, and how many there were."""
         price, joining = _FIRST, False
         merits = [point.merit]
-        for count in range(1, self.most + 1):
+        for programs in range(1, self.most + 1):
             program = self._layout.fill(scale, point, _JOINING if joining else price)
             z = self._solved(program)
             if z is None:
@@ -103,7 +106,7 @@ class Successive:
                 continue
             new = Point.at(*self._layout.read(z, point.x[0]), scale)
             if joining and new.apart < _JOINED and new.passed < _PASSED:
-                return new, count
+                return new, programs
             bar = max(merits[-_MEMORY:])
             foreseen = bar - new.burnt
             ratio = (bar - new.merit) / max(foreseen, 1e-12)
@@ -118,8 +121,8 @@ class Successive:
             point = new
             merits.append(new.merit)
         raise SolverError(
-            f"not settled in {count} programs: intervals {point.apart:.1e} apart, limits passed by "
-            f"{point.passed:.1e}"
+            f"not settled in {self.most} programs: intervals {point.apart:.1e} apart, limits "
+            f"passed by {point.passed:.1e}"
         )
 
     def _solved(self, filled: Filled) -> Array | None:

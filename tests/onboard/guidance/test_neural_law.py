@@ -9,11 +9,18 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.models.gravity import RoundMoon
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
-from lunarsim.onboard.guidance.neural_law import NeuralGuidance, NeuralOptimalLaw, shipped
+from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.neural_law import (
+    LEAST_ELEVATION,
+    NeuralGuidance,
+    NeuralOptimalLaw,
+    shipped,
+)
 from lunarsim.onboard.guidance.optimal_network import SHIPPED, OptimalNetwork, reduced
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.final_time import least_propellant
@@ -120,6 +127,23 @@ def test_outside_of_what_it_was_taught_apollo_flies_until_it_is_within():
     assert flight.asked == 1
 
 
+def test_it_takes_over_no_lower_than_descents_that_it_was_taught_begin():
+    """Each number is within what it was shown, the way in is not; once on a path it may lie low."""
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    speed = np.array([25.0, 0.0, -5.0])
+    shown, _ = reduced(low - END.position, speed, 1400.0)
+    assert shipped().knows(shown)
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    flight.command(estimate(low, speed, 1400.0), END, 0.0, 40.0)
+    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+    flight.command(estimate(low + [0.0, 0.0, 10.0], speed, 1400.0, 1.0), END, 1.0, 39.0)
+    flight.command(estimate(low, speed, 1400.0, 1.1), END, 1.1, 38.9)
+    assert flight.asked == 2
+    other = PhaseEnd(END.position + [3.0, 0.0, 0.0], END.velocity)
+    flight.command(estimate(low, speed, 1400.0, 1.2), other, 1.2, 38.8)
+    assert flight.asked == 2
+
+
 @pytest.mark.parametrize(
     ("push", "left"), [((0.0, 0.0, 6.0), 20.0), ((0.0, 0.0, 0.1), 20.0), ((3.0, 0.0, 2.0), 20.0),
                        ((0.0, 0.0, -2.0), 20.0), ((0.0, 0.0, 2.0), -1.0)],
@@ -141,6 +165,74 @@ def test_an_answer_that_breaks_them_by_little_is_cut_back():
     assert np.linalg.norm(got) * 1500.0 == pytest.approx(most)
     assert np.arccos(got[2] / np.linalg.norm(got)) == pytest.approx(tilt)
     assert flight.infeasible == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lander": Lander(thrust_max=LANDER.thrust_max * 1.005)},
+        {"weight": MOON * 1.003},
+        {"end": PhaseEnd(END.position, np.array([0.5, 0.0, -2.0]))},
+    ],
+)
+def test_problems_that_differ_by_little_are_other_problems_too(change):
+    end = change.pop("end", END)
+    flight = NeuralOptimalLaw().build(SimpleNamespace(**{**vars(BRIEFING), **change}), 0.0)
+    flight.command(estimate(), end, 0.0, 34.0)
+    assert [told["reason"] for _, _, told in flight.events] == ["another problem"]
+
+
+class Asked(OptimalNetwork):
+    """A network that keeps what it was shown."""
+
+    def __call__(self, shown):
+        ASKED.append(shown)
+        return super().__call__(shown)
+
+
+ASKED: list[np.ndarray] = []
+
+
+def test_it_is_asked_from_where_commands_take_effect_and_the_end_comes_that_much_later():
+    ASKED.clear()
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.5, Asked(**vars(shipped())))
+    flight.command(estimate(time=3.0), END, 3.0, 34.0)
+    ahead, _ = reduced(R + 0.5 * V - END.position, V, 1500.0)
+    assert np.allclose(ASKED[0], ahead)
+    assert flight.arrival == pytest.approx(3.5 + shipped()(ahead)[3])
+
+
+def test_a_divert_is_seen_while_another_law_flies():
+    """It had handed over to the last seconds: the way to a new site begins anew."""
+    other = PhaseEnd(END.position + [5.0, 0.0, 0.0], END.velocity)
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 2.0), 1.0))
+    for t, end in ((0.0, END), (0.1, END), (0.2, other), (0.3, other)):
+        flight.command(estimate(time=t), end, t, 34.0 - t)
+    assert flight.asked == 2
+    apart = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 6.0), 20.0))
+    for t, end in ((0.0, END), (0.1, END), (0.2, other), (0.3, other)):
+        apart.command(estimate(time=t), end, t, 34.0 - t)
+    assert apart.asked == 2
+
+
+def test_apollo_takes_over_with_a_time_of_its_own():
+    one = replace(END, position=END.position[None, :])
+    limits = BRIEFING.software.approach.limits
+    own = float(divert_cost(estimate(), one, LANDER, MOON, limits=limits).time_to_go[0])
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 6.0), 20.0))
+    flight.command(estimate(), END, 0.0, own + 25.0)
+    assert flight.arrival == pytest.approx(own)
+
+
+def test_gravity_by_place_is_made_up_for():
+    field = RoundMoon(spin=3e-4, latitude=0.4).gravity(MOON)
+    told = SimpleNamespace(**{**vars(BRIEFING), "field": field})
+    got, plain = (
+        NeuralOptimalLaw().build(b, 0.0).command(estimate(), END, 0.0, 34.0)
+        for b in (told, BRIEFING)
+    )
+    assert np.allclose(got - plain, -field.felt(R, V) - [0.0, 0.0, MOON])
+    assert np.linalg.norm(got - plain) > 1e-3
 
 
 def test_what_is_no_number_is_refused():

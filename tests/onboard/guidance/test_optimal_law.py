@@ -14,9 +14,11 @@ from hypothesis.extra.numpy import arrays
 from lunarsim.errors import InputError
 from lunarsim.models.gravity import RoundMoon
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance import optimal_law
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
+from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.final_time import least_propellant
@@ -181,6 +183,96 @@ def test_states_that_nobody_lands_from_still_have_finite_commands():
 @pytest.mark.slow
 def test_ten_thousand_states_never_give_a_command_that_is_not_finite():
     assert all_finite(10_000) > 100
+
+
+@pytest.fixture
+def searches(monkeypatch):
+    """Return what is searched for as a law plans: descent and path, one of each plan."""
+    found, search = [], optimal_law.search_about
+
+    def noted(planner, descent, first, **given):
+        path = search(planner, descent, first, **given)
+        found.append((descent, path))
+        return path
+
+    monkeypatch.setattr(optimal_law, "search_about", noted)
+    return found
+
+
+def test_plans_are_made_under_the_limits_of_the_approach(searches):
+    approach = replace(Approach(), reserve=40.0, glideslope=0.3, max_tilt=0.6, throttle_margin=0.1)
+    told = SimpleNamespace(**{**vars(BRIEFING), "software": SimpleNamespace(approach=approach)})
+    OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
+    d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
+    assert d.dry_mass == LANDER.dry_mass + 40.0
+    assert (d.glideslope, d.max_tilt, d.drop) == (0.3, 0.6, 0.5)
+    assert d.thrust_min == LANDER.thrust_min + 0.1 * throttle
+    assert d.thrust_max == LANDER.thrust_max - 0.1 * throttle
+    assert d.spare == 0.1 * throttle
+    assert (d.end_tilt, d.tilt_rate) == (OptimalLaw().end_tilt, OptimalLaw().tilt_rate)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.01])
+def test_some_thrust_is_kept_back_whatever_the_margin(searches, margin):
+    """A plan that takes all the engine has leaves nothing to answer a disturbance with."""
+    approach = replace(Approach(), throttle_margin=margin)
+    told = SimpleNamespace(**{**vars(BRIEFING), "software": SimpleNamespace(approach=approach)})
+    OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
+    d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
+    assert d.thrust_max == pytest.approx(LANDER.thrust_max - 0.04 * throttle)
+    assert d.thrust_max + d.spare == pytest.approx(LANDER.thrust_max)
+    assert d.thrust_min == pytest.approx(LANDER.thrust_min + margin * throttle)
+
+
+def test_a_lander_off_its_plan_is_pulled_back_to_it():
+    """Critically damped: w^2 of the distance and 2 w of the speed, against both."""
+    off, faster = np.array([0.3, -0.2, 0.1]), np.array([0.05, 0.02, -0.04])
+    law = OptimalLaw(intervals=10, frequency=0.5)
+    got = []
+    for dr, dv in ((0.0, 0.0), (off, 0.0), (0.0, faster)):
+        flight = law.build(BRIEFING, 0.0)
+        flight.command(estimate(), END, 0.0, 34.0)
+        here = estimate(R + 0.1 * V + dr, V + dv, time=0.1)
+        got.append(flight.command(here, END, 0.1, 33.9))
+    assert np.allclose(got[1] - got[0], -0.25 * off, atol=1e-9)
+    assert np.allclose(got[2] - got[0], -1.0 * faster, atol=1e-9)
+
+
+def test_a_plan_begins_when_its_first_command_takes_effect(searches):
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.5)
+    got = flight.command(estimate(), END, 0.0, 34.0)
+    path = searches[0][1]
+    assert np.allclose(path.position[0], R + 0.5 * V, atol=1e-5)
+    assert np.allclose(got, path.thrust[0], atol=1e-4)
+    assert flight.arrival == path.duration
+
+
+def test_a_divert_is_seen_before_the_next_plan_is_due(searches):
+    other = PhaseEnd(END.position + [30.0, 0.0, 0.0], END.velocity)
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    for t, end in ((0.0, END), (0.1, END), (0.2, other), (0.3, other)):
+        flight.command(estimate(R + t * V, V, time=t), end, t, 34.0 - t)
+    assert [d.end_position[0] for d, _ in searches] == [0.0, 30.0]
+    assert flight.plans == 2
+
+
+def test_apollo_takes_over_with_a_time_of_its_own():
+    one = replace(END, position=END.position[None, :])
+    limits = BRIEFING.software.approach.limits
+    own = float(divert_cost(estimate(), one, LANDER, MOON, limits=limits).time_to_go[0])
+    flight = OptimalLaw(iterations=1, intervals=10).build(BRIEFING, 0.0)
+    flight.command(estimate(), END, 0.0, own + 25.0)
+    assert flight.arrival == pytest.approx(own)
+
+
+def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
+    monkeypatch.setattr(optimal_law, "flyable", lambda path: False)
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    flight.command(estimate(), END, 0.0, 34.0)
+    assert flight.plans == 0
+    assert [(name, told["reason"]) for _, name, told in flight.events] == [
+        ("guidance-fallback", "thrust")
+    ]
 
 
 def test_reach_is_told_by_the_law_that_it_falls_back_to():
