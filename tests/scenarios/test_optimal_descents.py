@@ -48,8 +48,9 @@ def test_episodes_move_as_a_lander_that_burns(small, tmp_path):
         assert one.infos["time_to_go"][-1] == 0.0
         moved = velocity[:-1] + step * (one.actions - [0.0, 0.0, gravity])
         assert velocity[1:] == pytest.approx(moved, abs=1e-5)
+        # The solver keeps its equations to some 1e-8 of a kilometre, by processor.
         assert position[1:] == pytest.approx(
-            position[:-1] + 0.5 * step * (velocity[:-1] + velocity[1:]), abs=1e-5
+            position[:-1] + 0.5 * step * (velocity[:-1] + velocity[1:]), abs=3e-5
         )
         # It burns what it pushes with; at a switch of the thrust there may be a little more.
         push = np.linalg.norm(one.actions, axis=1)
