@@ -8,7 +8,8 @@ them together with the lander, `RockTracker` decides which are the same and whic
 from lunarsim.onboard.hazards.shadows.mapper import ShadowMapper
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
 from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
-from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
+from lunarsim.onboard.hazards.shadows.tracker import RockTracker
+from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 
 __all__ = [
     "HazardPrior",

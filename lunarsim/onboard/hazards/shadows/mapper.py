@@ -26,7 +26,8 @@ from lunarsim.onboard.hazards.shadows.probability_map import (
     ProbabilityMap,
     rocks_of,
 )
-from lunarsim.onboard.hazards.shadows.tracker import RockTracker, TrackerSettings
+from lunarsim.onboard.hazards.shadows.tracker import RockTracker
+from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.kinds import RockNavigation
