@@ -33,7 +33,8 @@ def entropy(p: ArrayLike) -> Array:
     """
     p = np.clip(np.asarray(p, dtype=np.float64), 0.0, 1.0)
     q = 1.0 - p
-    return -(p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
+    # Nought, not minus nought, where nothing is uncertain.
+    return 0.0 - (p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
 
 
 @dataclass(frozen=True)

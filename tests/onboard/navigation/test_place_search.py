@@ -286,19 +286,6 @@ def test_places_that_are_not_looked_at_keep_their_share_of_what_was_known():
     assert match.certainty == pytest.approx(p[near].sum(), rel=1e-4)
 
 
-def test_what_lies_beyond_the_places_searched_keeps_its_share():
-    rng = np.random.default_rng(4)
-    prior = small_map(rng, np.zeros((90, 90)), sigma=0.1)
-    search = PlaceSearch(MapFeatures(prior))
-    search.add(points_of(np.zeros((90, 90)), (25, 60), (25, 60), (0.0, 0.0, 0.0)))
-    for n in range(3):
-        match = search.search(float(n), np.zeros(2), np.eye(2) * 0.2**2)
-    assert match.certainty > 0.99, "what was searched about there is all there is"
-    # Known only to 1 km later on: the few metres searched can't be all.
-    search._cover = lambda mean, covariance: None
-    assert search.search(9.0, np.zeros(2), np.eye(2) * 1e6).certainty < 1e-2
-
-
 @pytest.mark.parametrize("sigma", [0.3, 0.02, 0.01, 0.003, 1e-4])
 def test_a_place_known_better_than_places_lie_apart_is_certain(sigma):
     prior, points = swept(sigma=0.1)
@@ -313,15 +300,20 @@ def test_a_place_known_better_than_places_lie_apart_is_certain(sigma):
 
 
 def test_a_prior_that_leans_weighs_places_as_it_leans():
-    search = PlaceSearch(MapFeatures(swept(sigma=0.1)[0]))
-    covariance, mean = np.array([[4.0, 3.0], [3.0, 9.0]]), np.array([0.7, -1.3])
-    search._cover(mean, covariance)
-    north, east = np.indices(search.evidence[0].shape)
-    at = search.spacing * np.stack(
-        (east + search.evidence[1][1], north + search.evidence[1][0]), -1
-    )
-    expected = 0.5 * np.einsum("...i,ij,...j->...", at - mean, np.linalg.inv(covariance), at - mean)
-    np.testing.assert_allclose(search._away(mean, covariance), expected, rtol=1e-9, atol=1e-9)
+    rng = np.random.default_rng(2)
+    ground = bumps(rng, (40, 40), height=0.2)
+    search = PlaceSearch(MapFeatures(small_map(rng, ground, sigma=0.12)))
+    search.add(points_of(ground, (10, 30), (10, 30)))
+    mean, covariance = np.array([0.7, -1.3]), np.array([[4.0, 3.0], [3.0, 9.0]])
+    search.search(0.0, mean, covariance)
+    match = search.search(2.0, mean, covariance)
+    found, origin = search.evidence
+    rows, cols = (part.ravel() for part in np.indices(found.shape))
+    shifts = search.spacing * np.column_stack((cols + origin[1], rows + origin[0]))
+    p = plain.posterior(found.ravel(), shifts, mean, covariance)
+    near = np.hypot(*(shifts - shifts[np.argmax(p)]).T) <= 1.5 * POSTING + 1e-9
+    assert match.certainty == pytest.approx(p[near].sum(), abs=2e-3)
+    assert match.shift[:2] == pytest.approx(p[near] @ shifts[near] / p[near].sum(), abs=1e-6)
 
 
 @pytest.mark.parametrize(

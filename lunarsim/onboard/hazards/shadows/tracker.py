@@ -171,13 +171,7 @@ class RockTracker:
         self.filter.rest(~view & large)
         # Rocks that rest stay behind until they are seen again.
         self._stood[~view & large] = np.nan
-        covariance = self.filter.innovation_covariance(sight)[at]
-        d, j, sure, close = associate(
-            seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
-            sight.pixel[at], covariance,
-            self.filter.radius[at], self.filter.radius_variance[at],
-        )  # fmt: skip
-        rock = at[j]
+        d, rock, sure, close = self._paired(seen, sight, at, radius_variance)
         # What has just been begun by a look is not seen by the same look once more.
         known = self.filter.count - parted
         at, again = at[at < known], rock < known
@@ -213,6 +207,21 @@ class RockTracker:
         small = self.filter.radius < _SHRUNK * s.least_radius
         self._drop(np.flatnonzero(small | (self.existence < _GONE)))
         return found
+
+    def _paired(
+        self, seen: Detections, sight: Sight, at: Index, radius_variance: Array
+    ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which detections are which of the rocks at `at`, of which it is sure.
+
+        And which detections (d,) lie close to a rock.
+        """
+        covariance = self.filter.innovation_covariance(sight)[at]
+        d, j, sure, close = associate(
+            seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
+            sight.pixel[at], covariance,
+            self.filter.radius[at], self.filter.radius_variance[at],
+        )  # fmt: skip
+        return d, at[j], sure, close
 
     def _pass_time(self, camera: CameraModel, sun: Array, time: float) -> None:
         """Let rocks wander since the last image."""
