@@ -42,19 +42,18 @@ observations, info = vector.reset(seed=1)
 observations, rewards, terminated, truncated, info = vector.step(vector.action_space.sample())
 ```
 
-`python scripts/bench.py envs`, two cores with other work beside it, random actions, new flights
-included, physics at 100 Hz; Gymnasium's LunarLander-v3 33,500 steps a second, PyFlyt's
-Rocket-Landing-v4 1,010:
+`python scripts/bench.py envs`, two cores, random actions, new flights
+included, physics at 100 Hz; Gymnasium's LunarLander-v3 26,400 steps a second, PyFlyt's
+Rocket-Landing-v4 650:
 
 | | steps a second | simulated seconds a second |
 | --- | --- | --- |
-| `Guidance-v0`, one | 12,900, 12.7 of Rocket-Landing | 2,600 |
-| `Guidance-v0`, 4096 lanes | 336,000, 10 of LunarLander | 67,000 |
-| `Control-v0`, one | 14,400, 14.2 of Rocket-Landing | 290 |
-| `Control-v0`, 4096 lanes | 2,710,000, 81 of LunarLander | 54,000 |
+| `Guidance-v0`, one | 6,600, 10.1 of Rocket-Landing | 1,300 |
+| `Guidance-v0`, 4096 lanes | 1,050,000, 39.8 of LunarLander | 210,000 |
+| `Control-v0`, one | 7,000, 10.8 of Rocket-Landing | 140 |
+| `Control-v0`, 4096 lanes | 1,960,000, 74 of LunarLander | 39,000 |
 
-A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it. These
-figures are from before the kernel took lanes eight at a time.
+A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it.
 
 ## Recordings
 
