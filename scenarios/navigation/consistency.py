@@ -14,6 +14,8 @@ python scenarios/navigation/consistency.py --flights 50 --scenario scenarios/sha
 python scenarios/navigation/consistency.py --flights 20 --without stars --speed 1 --speed 10
 python scenarios/navigation/consistency.py --scenario scenarios/morpheus.toml \
     --set sensors.flash.range_sigma_m=0.1
+python scenarios/navigation/consistency.py --scenario scenarios/two_eyes.toml --flights 50 \
+    --set navigation.relief_deg=0.5 --set start_knowledge.ground_m=5 --judge 0.9 --seed 1001
 """
 
 from __future__ import annotations
@@ -47,6 +49,23 @@ EPOCHS = (0.15, 0.35, 0.55, 0.75, 0.95)
 PARTS = {"all nine": np.arange(9), "position": np.r_[0:3], "velocity": np.r_[3:6],
          "attitude": np.r_[6:9]}  # fmt: skip
 LEVEL = 0.999
+# Sets of sensors that are judged at length: how modest each may be, since what a map's post tells
+# counts less where it is used again and scans are taken to differ by more than they do on level
+# grass; and what the mission knows of the ground, so that a level plane is not told to be relief.
+PLANE = ("navigation.relief_deg=0.5", "start_knowledge.ground_m=5")
+SETS = {
+    "instruments": (1.0, ()),
+    "two_eyes": (0.9, PLANE),
+    "shadow_nominal": (1.0, PLANE),
+    "morpheus": (0.5, ()),
+}
+# Innovations may be smaller than said, by kind: a rock shows in the same wrong place from look to
+# look while the view hardly turns, and what a map that is used again makes of scans and of fits.
+MODEST = {"places": 0.4, "scans": 0.2, "map": 0.0}
+# And larger: rocks of a pixel a radius scatter by more than is said.
+BOLD = {"places": 1.7}
+# No error is so many of its deviations unless navigation is lost; so many flights may be, of 50.
+FAR, LOST = 5.0, 0.02
 # What is watched and corrects nothing is no measurement: how many rocks were found again, and
 # whether shadows fall where the Sun throws them, both against a tolerance.
 CHECKS = ("rocks' expected", "rocks' shadows")
@@ -243,6 +262,45 @@ def nis_table(flights: list[Flown], which: str, title: str) -> Table:
     return table
 
 
+def broken(flights: list[Flown], modest: float) -> list[str]:
+    """Return where errors are not what is said, a line each.
+
+    Parameters
+    ----------
+    modest
+        Share of its lower bound by which NEES may be less.
+    """
+    out = []
+    lost = sum(f.lost[0] for f in flights)
+    if lost > LOST * len(flights):
+        out.append(f"{lost} of {len(flights)} flights are lost")
+    for n, f in enumerate(flights):
+        # A mean hides one that is far off and does not know.
+        off = np.abs(f.error) / np.sqrt(np.diagonal(f.covariance, axis1=1, axis2=2))
+        if not (f.lost[0] or (off < FAR).all()):
+            out.append(f"flight {n} is {off.max():.1f} sigma off, undeclared")
+    for k, share in enumerate(EPOCHS):
+        for part, keep in PARTS.items():
+            out += _outside(f"NEES of {part} at {share}", nees_of(flights, k, keep), modest, 1.0)
+        latest = [f.latest[k] for f in flights if len(f.latest) > k]
+        for kind in sorted({kind for at in latest for kind in at}):
+            found = [at[kind] for at in latest if kind in at]
+            total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
+            least, most = (
+                next((share for end, share in of.items() if kind.endswith(end)), 1.0)
+                for of in (MODEST, BOLD)
+            )
+            out += _outside(f"NIS of {kind} at {share}", total, least, most)
+    return out
+
+
+def _outside(name: str, found: Consistency, modest: float, bold: float) -> list[str]:
+    low, high = found.bounds(LEVEL)
+    if modest * low <= found.ratio <= bold * high:
+        return []
+    return [f"{name}: {found.ratio:.3f}, not from {modest * low:.3f} to {bold * high:.3f}"]
+
+
 def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     """Return how flights ended, by error at the start."""
     table = Table(title="Landings")
@@ -340,13 +398,16 @@ def plain(flight: Flown) -> dict[str, Any]:
     metavar="KEY=VALUE",
     help="Another value of a key of the scenario; may be repeated.",
 )
+@click.option("--judge", type=click.FloatRange(min=0, max=1, min_open=True), metavar="MODEST",
+              help="End with 1 where errors are not what is said; NEES may be less than its lower "
+                   "bound by this share.")  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @click.option("--json", "out", type=click.Path(path_type=Path), help="Every flight, by its start.")
 @seed_and_jobs
 def main(
     scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...],
     speeds: tuple[float, ...], without: tuple[str, ...], changes: tuple[str, ...], policy: str,
-    out: Path | None, seed: int, jobs: int,
+    judge: float | None, out: Path | None, seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Fly, and compare what navigation says of its errors with the errors."""
     console = Console(width=120)
@@ -369,6 +430,12 @@ def main(
     if out is not None:
         written = {name: [plain(f) for f in flown] for name, flown in by_start.items()}
         out.write_text(json.dumps(written, indent=1))
+    if judge is not None:
+        wrong = [f"{name}: {w}" for name, flown in by_start.items() for w in broken(flown, judge)]
+        for line in wrong:
+            console.print(line)
+        if wrong:
+            raise click.exceptions.Exit(1)
 
 
 if __name__ == "__main__":

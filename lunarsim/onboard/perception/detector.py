@@ -77,8 +77,8 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.40, 0.14)
-    look_small: tuple[float, float] = (0.35, 0.12)
+    look_sigma: tuple[float, float] = (0.30, 0.11)
+    look_small: tuple[float, float] = (0.72, 0.26)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
