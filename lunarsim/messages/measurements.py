@@ -107,6 +107,32 @@ class LidarScan:
     sigma: Array
     shape: tuple[int, int]
 
+    def check_arrays(self) -> None:
+        """Refuse arrays that do not belong together, or whose numbers are not real.
+
+        Raises
+        ------
+        InputError
+            If shapes do not belong together, or an array is masked or of other than real numbers.
+        """
+        shape = self.shape
+        if not (np.shape(shape) == (2,) and all(isinstance(k, int | np.integer) for k in shape)
+                and min(shape) >= 0):  # fmt: skip
+            raise InputError("scan.shape", shape, "two whole numbers: rows and columns")
+        n = int(np.prod(shape))
+        wanted = {"range": (n,), "sigma": (n,), "direction": (n, 3), "mount": (3, 3)}
+        for name, size in wanted.items():
+            value = getattr(self, name)
+            if np.shape(value) != size:
+                told = f"of shape {size} for {shape[0]} x {shape[1]} pixels"
+                raise InputError(f"scan.{name}", np.shape(value), told)
+            kind = type(value).__name__
+            if isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray):
+                kind = str(value.dtype)
+                if value.dtype.kind in "fiu":
+                    continue
+            raise InputError(f"scan.{name}", kind, "an array of real numbers; NaN for no return")
+
     def check(self, position: Array, attitude: Array) -> None:
         """Refuse what no scanner gives, and a pose that is none.
 
@@ -121,16 +147,7 @@ class LidarScan:
             If shapes do not belong together, numbers are not real, ranges or deviations of returns
             are not positive and finite, the mount is no rotation, or the pose not finite.
         """
-        n = int(np.prod(self.shape))
-        wanted = {"range": (n,), "sigma": (n,), "direction": (n, 3), "mount": (3, 3)}
-        for name, shape in wanted.items():
-            value = getattr(self, name)
-            if np.shape(value) != shape:
-                told = f"of shape {shape} for {self.shape[0]} x {self.shape[1]} pixels"
-                raise InputError(f"scan.{name}", np.shape(value), told)
-            if np.asarray(value).dtype.kind not in "fiu" or isinstance(value, np.ma.MaskedArray):
-                kind = "masked" if isinstance(value, np.ma.MaskedArray) else np.asarray(value).dtype
-                raise InputError(f"scan.{name}", str(kind), "real numbers; NaN for no return")
+        self.check_arrays()
         returned = ~np.isnan(self.range)
         for name in ("range", "sigma"):
             values = getattr(self, name)[returned]

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _OFF, _DEVIATIONS, _FEWEST = 1.0, 6.0, 3
 # Noise that a scan may have: so many times what is stated, and what rough ground looks like, m.
 _STATED, _ROUGH = 3.0, 0.25
+# Noise that may be stated, m: fits take ranges as exact, and the slopes that weigh them with them.
+_MOST_STATED = 0.15
 # Of a standard normal variable, deviation over median of its size.
 _BY_MEDIAN = 1.4826
 
@@ -63,11 +65,12 @@ def noise_of(scan: LidarScan) -> float:
 
 
 def is_noisy(scan: LidarScan) -> bool:
-    """Tell whether ranges scatter far beyond what the scanner states."""
+    """Tell whether ranges scatter far beyond what the scanner states, or by that alone too far."""
     stated = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
     if len(stated) == 0:
         return False
-    return bool(noise_of(scan) > _STATED * float(np.median(stated)) + _ROUGH)
+    usual = float(np.median(stated))
+    return usual > _MOST_STATED or bool(noise_of(scan) > _STATED * usual + _ROUGH)
 
 
 def _image(scan: LidarScan) -> Array:

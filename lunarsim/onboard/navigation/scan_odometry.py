@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation import odometry_noise as noise
@@ -189,13 +188,10 @@ def plausible(scan: LidarScan) -> LidarScan:
     Raises
     ------
     InputError
-        If its arrays do not fit each other.
+        If its arrays do not fit each other, or hold no real numbers.
     """
-    n = np.size(scan.range)
-    for name, shape in (("range", (n,)), ("direction", (n, 3)), ("sigma", (n,)), ("mount", (3, 3))):
-        given = np.shape(getattr(scan, name))
-        if given != shape:
-            raise InputError(f"scan.{name}", given, f"an array {shape}")
+    scan.check_arrays()
+    n = len(scan.range)
     with np.errstate(invalid="ignore", over="ignore"):
         turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS
         unit = np.abs(np.einsum("ni,ni->n", scan.direction, scan.direction) - 1.0) <= _TURNS

@@ -299,6 +299,17 @@ def test_a_place_known_better_than_places_lie_apart_is_certain(sigma):
     assert np.abs(match.shift[:2] - SHIFT[:2]).max() < 0.25
 
 
+@pytest.mark.parametrize(("first", "spacing"), [(1600.0, 1.0), (1.0, 0.5)])
+def test_places_lie_as_far_apart_as_when_the_search_began(first, spacing):
+    search = PlaceSearch(MapFeatures(swept(sigma=0.1)[0]))
+    for time, sigma in enumerate((first, 1.0, 1600.0)):
+        search.search(float(time), np.zeros(2), np.eye(2) * sigma**2)
+        assert search.spacing == spacing * search.prior.grid.posting
+    search.restart()
+    search.search(0.0, np.zeros(2), np.eye(2))
+    assert search.spacing == 0.5 * search.prior.grid.posting
+
+
 def test_a_prior_that_leans_weighs_places_as_it_leans():
     rng = np.random.default_rng(2)
     ground = bumps(rng, (40, 40), height=0.2)

@@ -77,7 +77,8 @@ def test_a_scan_is_noisy_where_it_scatters_beyond_what_is_stated():
     rng = np.random.default_rng(3)
     r = slope() + 0.5 * rng.standard_normal((40, 50))
     assert is_noisy(scan_of(r, 0.02))
-    assert not is_noisy(scan_of(r, 0.2)), "three deviations and rough ground"
+    assert not is_noisy(scan_of(r, 0.1)), "three deviations and rough ground"
+    assert is_noisy(scan_of(slope(), 0.2)), "so much noise is too much, stated or not"
     assert not is_noisy(scan_of(slope(), 0.02))
     assert not is_noisy(scan_of(np.full((40, 50), np.nan)))
     assert np.isnan(noise_of(scan_of(np.full((9, 9), 10.0)))), "too few to tell"
@@ -86,6 +87,24 @@ def test_a_scan_is_noisy_where_it_scatters_beyond_what_is_stated():
 def test_rows_and_columns_that_are_not_those_of_the_pixels_are_refused():
     with pytest.raises(InputError, match=r"scan\.shape"):
         without_spikes(replace(scan_of(slope()), shape=(40, 49)))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "match"),
+    [("shape", (-40, -50), "shape"), ("shape", (2000,), "shape"), ("shape", (40, 25, 2), "shape"),
+     ("shape", (40.0, 50.0), "shape"), ("shape", None, "shape"), ("shape", (40, 49), "range"),
+     ("range", [200.0] * 2000, "range"), ("range", None, "range"),
+     ("range", np.full(2000, 200.0 + 0j), "range"), ("range", np.full(2000, "200"), "range"),
+     ("range", np.ma.masked_equal(np.full(2000, 200.0), 200.0), "range"),
+     ("sigma", np.ma.masked_equal(np.full(2000, 0.01), 0.01), "sigma"),
+     ("mount", np.eye(3).astype(object), "mount")],
+)  # fmt: skip
+def test_arrays_that_are_none_of_a_scan_are_refused_by_name(field, value, match):
+    scan = replace(scan_of(slope()), **{field: value})
+    with pytest.raises(InputError, match=rf"scan\.{match}"):
+        plausible(scan)
+    with pytest.raises(InputError, match=rf"scan\.{match}"):
+        scan.check(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("sigma", [np.nan, -0.01, np.inf])

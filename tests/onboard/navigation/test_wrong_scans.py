@@ -10,7 +10,7 @@ import pytest
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.world import World
 from lunarsim.world.terrain import hazard_field
-from tests.lidar_descent import KEEP, VELOCITY, Descent, mapped, names
+from tests.lidar_descent import KEEP, LIDAR, VELOCITY, Descent, mapped, names
 
 FROM = 4.0
 
@@ -21,13 +21,13 @@ def ground():
     return world, mapped(world, np.random.default_rng(1))
 
 
-def flown(ground, seed, change, seconds):
+def flown(ground, seed, change, seconds, lidar=LIDAR):
     """Fly with scans that are changed from 4 s on; return the descent and its worst errors.
 
     Of position and attitude, in deviations, at the end of each second while not called lost.
     """
     world, prior = ground
-    descent = Descent(world, seed, prior)
+    descent = Descent(world, seed, prior, lidar=lidar)
     honest = descent.filter.take
 
     def take(sensor, scan, time):
@@ -94,3 +94,11 @@ def test_noise_that_drowns_the_ground_tells_nothing(ground):
     descent.filter.take = type(descent.filter).take.__get__(descent.filter)
     descent.fly(0.2)
     assert names(descent)[-1] == "scans-accepted"
+
+
+def test_noise_that_the_scanner_owns_up_to_tells_nothing_either(ground):
+    """0.3 m from the start on: slopes of noise tied the velocity to 12 deviations off."""
+    noisy = replace(LIDAR, noise_ratio=1.2e-3)
+    descent, worst = flown(ground, 11, lambda scan: scan, 6, noisy)
+    assert names(descent) == ["scans-refused"]
+    assert worst < 4.0 and velocity_off(descent) < 4.0

@@ -388,6 +388,7 @@ class RockTracker:
         sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
+        fresh &= positive(seen.look_covariance)
         if s.region is not None:
             west, east, south, north = s.region
             x, y = points[:, :2].T

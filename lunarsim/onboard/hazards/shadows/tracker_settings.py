@@ -80,9 +80,9 @@ class TrackerSettings:
         if not 0.0 <= self.least_found <= 1.0:
             raise InputError("tracker.least_found", self.least_found, "a share from 0 to 1")
         if self.region is not None:
-            west, east, south, north = self.region
-            if not (west < east and south < north):
-                raise InputError("tracker.region", self.region, "west < east and south < north")
+            limits = np.shape(self.region) == (4,)
+            if not (limits and self.region[0] < self.region[1] and self.region[2] < self.region[3]):
+                raise InputError("tracker.region", self.region, "west < east, south < north")
         shares = np.ravel((*np.atleast_1d(self.view_wander), self.common_pixels))
         if not (len(shares) == 4 and np.isfinite(shares).all() and (shares >= 0.0).all()):
             given = (self.view_wander, self.common_pixels)

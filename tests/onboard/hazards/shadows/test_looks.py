@@ -13,14 +13,14 @@ from lunarsim.onboard.perception.detector import detect_rocks
 from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
 
 
-def twice(change, **settings):
+def twice(change, pictures=3, **settings):
     """Follow the same rocks by pictures as they are, and as changed; return both trackers."""
     terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
     out = []
     for changed in (False, True):
         tracker = tracker_at((-30.0, 0.0, 60.0), **settings)
         outcomes = []
-        for k in range(3):
+        for k in range(pictures):
             state, camera, counts = picture(terrain, (-30.0 + k, 0.0, 60.0))
             error = np.zeros(15)
             error[:3] = state.position - tracker.filter.inertial.position
@@ -92,6 +92,24 @@ def test_a_second_look_that_errs_by_no_covariance_or_all_changes_nothing(share):
     assert other.filter.count == one.filter.count
     assert 0 < found[-1].degrees < 0.6 * 2 * one.filter.count
     assert found[-1].taken
+
+
+@pytest.mark.parametrize("broken", [np.diag([1.0, -1.0]), np.diag([-1.0, -1.0]), np.zeros((2, 2))])
+def test_a_first_look_that_errs_by_no_covariance_begins_no_rock(broken):
+    def change(seen, k):
+        look = seen.look_covariance.copy()
+        if k == 0:
+            look[::2] = 0.02 * broken
+        return replace(seen, look_covariance=look)
+
+    terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
+    state, camera, counts = picture(terrain, (-30.0, 0.0, 60.0))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    sound, tracker = tracker_at((-30.0, 0.0, 60.0)), tracker_at((-30.0, 0.0, 60.0))
+    sound.update(seen, camera, SUN, 0.0)
+    tracker.update(change(seen, 0), camera, SUN, 0.0)
+    assert 0 < tracker.filter.count < 0.7 * sound.filter.count
+    assert np.linalg.eigvalsh(tracker.filter.rock_covariance()[:, :2, :2]).min() > 0.0
 
 
 def test_whoever_was_seen_once_is_remembered_when_rocks_go():
@@ -187,7 +205,7 @@ def test_centres_wander_together_along_the_sun_as_the_lander_draws_near():
               {"birth_sigma": -1.0}, {"radius_floor": np.nan}, {"most_off": np.nan},
               {"least_expected": np.nan}, {"least_found": 1.5}, {"large": -1}, {"most_rocks": -1},
               {"most_updates": -1}, {"region": (1.0, -1.0, 0.0, 2.0)},
-              {"region": (0.0, 1.0, 0.0, np.nan)}],
+              {"region": (0.0, 1.0, 0.0, np.nan)}, {"region": (0.0, 1.0)}, {"region": 3.0}],
 )  # fmt: skip
 def test_shares_that_cannot_be_are_refused(given):
     with pytest.raises(InputError, match=r"tracker\."):
@@ -217,3 +235,30 @@ def test_a_sun_without_shadows_and_times_that_are_none_are_refused(sun, time, ma
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     with pytest.raises(InputError, match=match):
         tracker_at((-30.0, 0.0, 60.0)).update(seen, camera, sun, time)
+
+
+def test_a_pair_that_is_off_by_other_than_the_rest_corrects_nothing():
+    """Where the lander leans all rocks of a picture are off alike: one that is not is wrong."""
+    terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
+    state, camera, counts = picture(terrain, (-30.0, 0.0, 60.0))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    degrees = []
+    for off in (0.0, 2.5):
+        tracker = tracker_at((-30.0, 0.0, 60.0))
+        for k in range(2):
+            tracker.update(seen, camera, SUN, 0.1 * k)
+        tracker.filter.state.widen(np.arange(9, 12), 0.02**2 * np.eye(3))
+        pixel = seen.pixel + [3.0, 2.0]
+        pixel[:3] += [off, -off]
+        degrees.append(tracker.update(replace(seen, pixel=pixel), camera, SUN, 0.2).degrees)
+    assert degrees[0] > 40
+    assert degrees[1] == degrees[0] - 6
+
+
+def test_rocks_that_have_waited_longest_are_corrected_first():
+    (tracker, found), _ = twice(lambda seen, k: seen, most_updates=12, pictures=6)
+    assert [outcome.degrees for outcome in found[2:]] == [24] * 4
+    # Some 30 rocks in turn, 12 a picture: nobody waits for more than three.
+    seen = tracker.hits >= 6
+    assert seen.sum() > 24
+    assert tracker._updated[seen].min() >= 0.3 - 1e-9
