@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
-from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.models.instruments import FixedBeam, FixedBeams, LidarInstrument, StarInstrument
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
@@ -31,6 +31,7 @@ from lunarsim.onboard.navigation.measured import (
     take_range,
     take_speeds,
 )
+from lunarsim.onboard.navigation.seen_scan import scanner_block, scanner_covariance
 from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
 Array = NDArray[np.float64]
@@ -159,6 +160,14 @@ class Aids:
         self._speed_errors = {
             n: speed_errors(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
         }
+        # What blocks of sensors' own errors are said to be: sensor, name, deviations, by block.
+        self._stated: dict[str, tuple[str, str, Any]] = {
+            _speeds(n): (n, "speeds", stated) for n, (stated, _) in self._speed_errors.items()
+        }
+        for name, instrument in instruments.items():
+            if isinstance(instrument, LidarInstrument):
+                deviations = np.sqrt(scanner_covariance(instrument).diagonal())
+                self._stated[scanner_block(name)] = (name, "scanner", deviations)
         self._stars = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
         self._watches: dict[tuple[str, str], Watch] = {}
         self._place = state.inertial.position[:2].copy()
@@ -196,10 +205,11 @@ class Aids:
             self.state.widen(at, self.ground.growth * moved)
 
     def doubt_units(self) -> None:
-        """Be lost where a bias of inertial unit or beams is found that figures do not allow.
+        """Be lost where a bias of inertial unit, beams or scanner is found that figures forbid.
 
         Then it is another unit than it is said to be, or what the bias was found by drifts: the
-        one errs in velocity or attitude by nothing, the other by all of it.
+        one errs in velocity or attitude by nothing, the other by all of it. So with a scanner: a
+        lander that has turned by what nothing measures looks like a boresight that has.
         """
         if self._contradicted:
             return
@@ -211,11 +221,10 @@ class Aids:
                 own.bias_sigma, strict=True,
             )
         ]  # fmt: skip
-        for sensor, (stated, _) in self._speed_errors.items():
-            block = _speeds(sensor)
+        for block, (sensor, name, deviation) in self._stated.items():
             if self.state.has(block):
                 place, value = self.state.block(block), self.state.value(block)
-                found.append((sensor, "speeds", place, value, stated))
+                found.append((sensor, name, place, value, deviation))
         for sensor, name, place, value, stated in found:
             variance = self.state.p[place, place].diagonal() + stated**2
             if (value**2 > _MOST_BIAS**2 * variance).any():

@@ -37,10 +37,15 @@ def flown(ground, seed, change, seconds, lidar=LIDAR):
     worst = 0.0
     for _ in range(seconds):
         descent.fly(1.0)
-        sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
         if not descent.filter.lost:
-            worst = max(worst, float((np.abs(descent.error()) / sigma).max()))
+            worst = max(worst, descent_off(descent))
     return descent, worst
+
+
+def descent_off(descent):
+    """Greatest error of position or attitude, in deviations."""
+    sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
+    return float((np.abs(descent.error()) / sigma).max())
 
 
 def velocity_off(descent):
@@ -50,14 +55,32 @@ def velocity_off(descent):
     return float((np.abs(VELOCITY - found.velocity) / sigma).max())
 
 
-@pytest.mark.parametrize(("seed", "off"), [(11, 1.0), (12, 4.0)])
+@pytest.mark.parametrize(("seed", "off"), [(11, 0.4), (11, 1.0), (12, 4.0)])
 def test_ranges_that_are_all_too_long_are_laid_to_the_scanner(ground, seed, off):
+    """And where they are longer than by six of what it states, to one that is not as stated."""
     descent, worst = flown(ground, seed, lambda s: replace(s, range=s.range + off), 8)
-    assert names(descent) == ["lock", "doubted"]
+    assert names(descent)[:2] == ["lock", "doubted"]
+    assert descent.filter.lost is (off > 0.6)
     assert descent.filter.locked
-    assert worst < 4.0 and velocity_off(descent) < 4.0
+    assert worst < 4.0 and descent_off(descent) < 4.0 and velocity_off(descent) < 4.0
     bias = descent.filter.state.value("lidar flash")[0]
     assert abs(bias) == pytest.approx(off, abs=0.3)
+
+
+def test_a_turn_that_no_gyroscope_told_of_is_not_laid_to_the_boresight(ground):
+    """It is 1.1 deg: scans that fit elsewhere let the boresight go, which cannot be off by that."""
+    descent = Descent(ground[0], 11, ground[1]).fly(FROM)
+    honest = descent.filter.propagate
+
+    def turning(angle, velocity):
+        off = np.array([2e-4, 0.0, 0.0]) if descent.time < FROM + 1.0 else np.zeros(3)
+        honest(angle + off, velocity)
+
+    descent.filter.propagate = turning
+    descent.fly(5.0)
+    assert descent_off(descent) > 5.0
+    assert descent.filter.lost and names(descent)[-1] == "lost"
+    assert descent.filter.events[-1].details["measurement"] == "scanner"
 
 
 def test_what_the_scanner_cannot_have_erred_by_is_lost(ground):
