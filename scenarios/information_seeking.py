@@ -12,7 +12,6 @@ python scenarios/information_seeking.py --sobol 60 --jobs 2 --json out/seeking_s
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,12 @@ from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
 from seeking_flights import ALTITUDES, PATHS, SENSORS, Task, fly, sobol
 
+from lunarsim.campaign.kept_flights import Flight, KeptFlights
 from lunarsim.campaign.pool import outcomes
+from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import mean_interval
-from lunarsim.whole_files import write_text_whole
 
 LAST = f"{ALTITUDES[-1]:g}"
-Flight = dict[str, Any]
 
 # What a table tells of a flight.
 FIGURES: dict[str, Callable[[Flight], float]] = {
@@ -53,36 +52,9 @@ def _share(flight: Flight, level: str, name: str) -> float:
     return float(of[name] / of["safe_m2"]) if of["safe_m2"] > 0.0 else float("nan")
 
 
-class Results:
-    """Flights that are done, in a file that is whole after each of them.
-
-    Parameters
-    ----------
-    path
-        Of the file; None: nothing is kept.
-    settings
-        Of the study; a file of another is refused.
-    """
-
-    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
-        self._path, self._settings = path, settings
-        self.flights: dict[str, Flight] = {}
-        if path is not None and path.exists():
-            data = json.loads(path.read_text(encoding="utf-8"))
-            if data.get("settings") != settings:
-                raise click.BadParameter(
-                    f"{path} holds flights of {data.get('settings')}, not of {settings}",
-                    param_hint="--json",
-                )
-            self.flights = data["flights"]
-
-    def keep(self, task: Task, result: Flight) -> None:
-        """Add a flight, and write the file anew."""
-        self.flights[task.key] = result
-        if self._path is not None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            data = {"settings": self._settings, "flights": self.flights}
-            write_text_whole(self._path, json.dumps(data, indent=1))
+def unfinished(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[str]:
+    """Return the flights that were flown and never came to their last map: none is compared."""
+    return [t.key for t in tasks if t.key in flights and LAST not in flights[t.key]["levels"]]
 
 
 def whole_fields(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[dict[str, Flight]]:
@@ -138,13 +110,16 @@ def _odds(rows: list[dict[str, Flight]], other: str) -> str:
     if "clear" not in rows[0]["seeking"]["levels"][LAST]:
         of = FIGURES["recall at precision 0.99"]
     more = np.array([of(row["seeking"]) - of(row[other]) for row in rows])
+    more = more[np.isfinite(more)]
     ahead, apart = int((more > 0.0).sum()), int((more != 0.0).sum())
     if apart == 0:
         return f"as much as {other} in all fields"
+    won = mean_interval(more)
+    word = "a clear win" if won.mean - won.half > 0.0 else "no clear win"
     return (
-        f"more than {other} in {ahead} of {len(rows)} fields, median {np.median(more):+.3f} "
+        f"more than {other} in {ahead} of {len(more)} fields, median {np.median(more):+.3f} "
         f"(sign test p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon's "
-        f"p = {wilcoxon(more).pvalue:.2g})"
+        f"p = {wilcoxon(more).pvalue:.2g}): by the interval of the mean {word}"
     )
 
 
@@ -176,7 +151,7 @@ def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
               help="Fly so many points of Sun, slope and cover instead, a field each.")  # fmt: skip
 @click.option("--sensors", type=click.Choice((*SENSORS, "all")), default="all", show_default=True,
               help="What sees; by Sobol points the camera.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
@@ -189,7 +164,14 @@ def main(
 ) -> None:  # fmt: skip
     """Fly the three paths over the same fields and compare what they see."""
     console = Console(width=150)
-    results = Results(json_file, {"seed": seed, "sobol": points > 0})
+    if points and sensors not in {"all", "camera"}:
+        raise click.BadParameter("Sobol points are flown with the camera", param_hint="--sensors")
+    try:
+        results = KeptFlights(json_file, {"seed": seed, "sobol": points > 0})
+    except InputError as error:
+        raise click.BadParameter(str(error), param_hint="--json") from None
+    if results.of_other_code:
+        console.print(f"{results.of_other_code} flights of {json_file} were made by other code")
     if points:
         everything = [
             Task(p, k, seed, "camera", g) for k, g in enumerate(sobol(points, seed)) for p in PATHS
@@ -202,7 +184,7 @@ def main(
         bar = progress.add_task("flights", total=len(tasks))
         try:
             for index, result in outcomes(fly, tasks, jobs):
-                results.keep(tasks[index], result)
+                results.keep(tasks[index].key, result)
                 progress.advance(bar)
         except KeyboardInterrupt:
             console.print("interrupted; what is done is kept")
@@ -210,6 +192,8 @@ def main(
         mine = [t for t in everything if t.sensors == name]
         rows = whole_fields(mine, results.flights)
         show(name, rows, console)
+        if short := unfinished(mine, results.flights):
+            console.print(f"never at {LAST} m, their fields left out: {', '.join(short)}")
         if points and rows:
             show_losses(rows, console)
         if figure is not None and rows:

@@ -165,6 +165,9 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
     InputError
         If the scenario cannot be flown: see the message.
     """
+    if world.gravity != scenario.gravity_m_s2:
+        # The computer is told the scenario's, and would fly by that.
+        raise InputError("world.gravity", world.gravity, f"the scenario's {scenario.gravity_m_s2}")
     lander: Lander = scenario.vehicle.make()
     lander.check_hover(scenario.gravity_m_s2)
     start: Start = scenario.start.make()

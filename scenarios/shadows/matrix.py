@@ -9,7 +9,6 @@ python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
 from functools import reduce
@@ -25,7 +24,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from lunarsim.campaign.kept_flights import KeptFlights
 from lunarsim.campaign.pool import outcomes
+from lunarsim.errors import InputError
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.rng import flight_seed
@@ -126,44 +127,10 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 # --- the file --------------------------------------------------------------------------------
 
 
-class Results:
-    """Flights that are done, in a file that is whole after each of them.
-
-    Parameters
-    ----------
-    path
-        Of the file; None: nothing is kept.
-    settings
-        Seed, path and method of its flights; a file of others is refused.
-    """
-
-    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
-        self._path = path
-        self._settings = settings
-        self.flights: dict[str, dict[str, Any]] = {}
-        if path is not None and path.exists():
-            data = json.loads(path.read_text(encoding="utf-8"))
-            if data.get("settings") != settings:
-                raise click.BadParameter(
-                    f"{path} holds flights of {data.get('settings')}, not of {settings}",
-                    param_hint="--json",
-                )
-            self.flights = data["flights"]
-
-    def has(self, task: Task) -> bool:
-        """Tell whether a flight was made, of this very cell."""
-        done = self.flights.get(task.key)
-        return done is not None and done["cell"] == asdict(task.cell)
-
-    def keep(self, task: Task, result: dict[str, Any]) -> None:
-        """Add a flight, and write the file anew."""
-        self.flights[task.key] = result
-        if self._path is not None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            part = self._path.with_suffix(".part")
-            data = {"settings": self._settings, "flights": self.flights}
-            part.write_text(json.dumps(data, indent=1), encoding="utf-8")
-            part.replace(self._path)
+def has(results: KeptFlights, task: Task) -> bool:
+    """Tell whether a flight was made, of this very cell."""
+    done = results.flights.get(task.key)
+    return done is not None and done.get("cell") == asdict(task.cell)
 
 
 # --- the table -------------------------------------------------------------------------------
@@ -200,7 +167,7 @@ def meets(cell: Cell, figures: dict[str, float]) -> str:
     return ", ".join(misses)
 
 
-def show(tasks: list[Task], results: Results, console: Console) -> None:
+def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
     """Print a row a cell, and what they make together."""
     first = tasks[0]
     table = Table(
@@ -215,7 +182,7 @@ def show(tasks: list[Task], results: Results, console: Console) -> None:
     blind = []
     for cell in dict.fromkeys(t.cell for t in tasks):
         mine = [t for t in tasks if t.cell == cell]
-        flights = [results.flights[t.key] for t in mine if results.has(t)]
+        flights = [results.flights[t.key] for t in mine if has(results, t)]
         if not flights:
             continue
         f = pooled(flights)
@@ -274,15 +241,20 @@ def main(
         raise click.BadParameter(
             f"{patterns!r} names none of: {', '.join(c.name for c in CELLS)}", param_hint="--cells"
         )
-    results = Results(json_file, {"seed": seed, "path": way, "method": method})
+    try:
+        results = KeptFlights(json_file, {"seed": seed, "path": way, "method": method})
+    except InputError as error:
+        raise click.BadParameter(str(error), param_hint="--json") from None
+    if results.of_other_code:
+        console.print(f"{results.of_other_code} flights of {json_file} were made by other code")
     # Field by field: an interrupt leaves something of every cell.
     everything = [Task(cell, k, seed, way, method) for k in range(fields) for cell in cells]
-    tasks = [t for t in everything if not results.has(t)]
+    tasks = [t for t in everything if not has(results, t)]
     with Progress(console=console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
             for index, result in outcomes(fly, tasks, jobs):
-                results.keep(tasks[index], result)
+                results.keep(tasks[index].key, result)
                 progress.advance(bar)
         except KeyboardInterrupt:
             console.print("interrupted; what is done is kept")

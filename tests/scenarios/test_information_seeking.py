@@ -49,14 +49,30 @@ def test_paths_are_compared_field_by_field(study):
     assert "less clear ground than nominal in 0 of 2" in told
     assert "2 of 120" in told
     assert "more than modified in 1 of 2 fields, median +0.000" in told
+    assert told.count("no clear win") == 2
+
+
+def test_a_win_is_one_whose_interval_lies_above_nought(study):
+    few = [{p: made(study, v) for p, v in row.items()} for row in (
+        {"nominal": 0.20, "modified": 0.60, "seeking": 0.70},
+        {"nominal": 0.22, "modified": 0.80, "seeking": 0.71},
+        {"nominal": 0.19, "modified": 0.50, "seeking": 0.69},
+    )]  # fmt: skip
+    assert "by the interval of the mean a clear win" in study._odds(few, "nominal")
+    assert "by the interval of the mean no clear win" in study._odds(few, "modified")
+    # A figure that is none leaves its field out.
+    few[0]["seeking"]["levels"][study.LAST]["clear"] = float("nan")
+    assert "in 2 of 2 fields" in study._odds(few, "nominal")
 
 
 def test_a_field_counts_once_all_paths_have_flown_it(study):
     tasks = [study.Task(p, k, 1) for k in range(2) for p in study.PATHS]
     flights = {t.key: made(study, 0.5) for t in tasks[:5]}
     assert len(study.whole_fields(tasks, flights)) == 1
+    assert study.unfinished(tasks, flights) == []
     del flights[tasks[0].key]["levels"][study.LAST]
     assert study.whole_fields(tasks, flights) == []
+    assert study.unfinished(tasks, flights) == [tasks[0].key]
 
 
 def test_points_lie_within_what_is_asked(study):
@@ -94,6 +110,37 @@ def test_it_goes_on_from_its_file_and_refuses_another(study, tmp_path, monkeypat
     wrong = CliRunner().invoke(study.main, [*words, "--seed", "7"])
     assert wrong.exit_code == 2
     assert "holds flights of" in wrong.output
+    file.write_text(file.read_text()[:200])
+    wrong = CliRunner().invoke(study.main, words)
+    assert wrong.exit_code == 2
+    assert "a file of flights" in wrong.output
+    assert flown[7:] == []
+
+
+def test_an_interrupt_keeps_what_is_done(study, tmp_path, monkeypatch):
+    flown = []
+
+    def fly(task):
+        if len(flown) == 4:
+            raise KeyboardInterrupt
+        flown.append(task.key)
+        return made(study, 0.5)
+
+    monkeypatch.setattr(study, "fly", fly)
+    file = tmp_path / "study.json"
+    words = ["--sobol", "2", "--json", str(file)]
+    done = CliRunner().invoke(study.main, words)
+    assert "interrupted; what is done is kept" in done.output
+    assert list(json.loads(file.read_text())["flights"]) == flown
+    monkeypatch.setattr(study, "fly", lambda task: flown.append(task.key) or made(study, 0.5))
+    assert CliRunner().invoke(study.main, words).exit_code == 0
+    assert len(flown) == len(set(flown)) == 6
+
+
+@pytest.mark.parametrize("words", [["--sobol", "2", "--sensors", "lidar"], ["--seed", "-1"],
+                                   ["--sobol", "-1"], ["--fields", "0"]])  # fmt: skip
+def test_words_that_cannot_be_are_refused(study, words):
+    assert CliRunner().invoke(study.main, words).exit_code == 2
 
 
 @pytest.mark.parametrize("sensors", ["camera", "lidar", "both"])

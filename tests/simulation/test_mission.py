@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.error_state import MAP
@@ -50,6 +53,17 @@ def test_errors_of_the_start_are_those_stated():
         quat_angle(b.start.attitude, s.state.attitude) for s, b in zip(made, told, strict=True)
     ]
     assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.deg2rad(np.sqrt(3)), rel=0.2)
+
+
+def test_a_world_of_another_gravity_is_refused(small_scenario):
+    """The computer is told the scenario's."""
+    world = build_world(small_scenario, Streams(1))
+    assert Simulation(small_scenario, 1, world=world).world is world
+    heavy = replace(world, gravity=1.7)
+    with pytest.raises(InputError, match=r"world\.gravity = 1\.7: the scenario's 1\.62"):
+        Simulation(small_scenario, 1, world=heavy)
+    other = small_scenario.changed(gravity_m_s2=1.7)
+    assert Simulation(other, 1, world=heavy).briefing.weight == 1.7
 
 
 def test_rocks_are_told_as_expected_not_as_drawn():

@@ -161,7 +161,10 @@ class SeekingGuidance:
         self._lowest = min(self._lowest, altitude)
         if moved or self._end is None or (time >= self._next - 1e-9 and self._open(time)):
             self._end, self._next = end, time + self.settings.interval
-            self._replan(estimate, end, time, site)
+            flown = self.plan
+            if moved:
+                self.plan = None  # it ends elsewhere: only as a first guess is it good
+            self._replan(estimate, end, time, site, flown)
         elif self._late and not self._over:
             self._go_down(estimate, end, time)
         asked = end if self.plan is None else replace(end, acceleration=self.plan.acceleration)
@@ -202,8 +205,10 @@ class SeekingGuidance:
         position, velocity = self._answering.ahead(estimate)
         return replace(estimate, position=position, velocity=velocity)
 
-    def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, site: Array) -> None:
-        """Look for the best path from where commands take effect."""
+    def _replan(
+        self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, flown: Plan | None
+    ) -> None:
+        """Look for the best path from where commands take effect; `flown`: the one so far."""
         if self._late:
             self._go_down(estimate, end, time)
             return
@@ -211,7 +216,7 @@ class SeekingGuidance:
         cheapest, soonest = self._cheapest(here, end, self.limits)
         left = (self.arrival or time) - time - lead
         problem = self.problem(here, end, site)
-        last = None if self.plan is None else replace(self.plan, time_to_go=left)
+        last = None if flown is None else replace(flown, time_to_go=left)
         expected = soonest if np.isfinite(soonest) else max(left, 1.0)
         most = self._most(estimate.mass, cheapest)
         plan = None if problem is None else self.planner.best(problem, expected, most, last)
@@ -237,30 +242,38 @@ class SeekingGuidance:
         return max(mass - self._budget, cheapest if np.isfinite(cheapest) else 0.0)
 
     def _fall_back(self, time: float, why: str) -> None:
-        """Fly on as before: by the last plan, or as the computer wants it."""
+        """Fly on as before: by the last plan to this end, or as the computer wants it."""
         if not self._fallen:
             self.events.append((time, "guidance-fallback", {"reason": why}))
         self._fallen = True
 
     def _go_down(self, estimate: Estimate, end: PhaseEnd, time: float) -> None:
-        """Take the cheapest path that leans little where looks no longer count, if there is one.
+        """Take a path that leans little where looks no longer count, if there is one.
 
-        The less the better: a lander that is to lean to the other side takes a second or two to
-        turn over. Where there is none the plan is flown out, which keeps the greatest lean too.
+        The less the better, and not in haste: a lander that is to lean to the other side takes a
+        second or two to turn over. But for that no more is burnt over the cheapest of these paths
+        than seeing may cost: one that leans by hardly more than nothing may hover down for
+        minutes. Where there is none the plan is flown out, which keeps the greatest lean too.
         """
-        here = self._ahead(estimate)
+        ways = self._ways_down(self._ahead(estimate), end)
+        if not ways:
+            return
+        most = min(propellant for propellant, _, _ in ways) + self.settings.allowance
+        _, soonest, lean = next(way for way in ways if way[0] <= most)
+        self.plan, self._over = None, True
+        self.arrival = time + soonest + self._answering.lead
+        self.events.append((time, "seeking-over", {"time_to_go": soonest, "lean": lean}))
+
+    def _ways_down(self, here: Estimate, end: PhaseEnd) -> list[tuple[float, float, float]]:
+        """Return propellant (kg), time-to-go (s) and lean (rad) of paths, the calmest first."""
+        ways = []
         for share in _UPRIGHT:
             lean = share * min(self.settings.end_tilt, self.limits.max_tilt)
             limits = replace(self.limits, max_tilt=lean)
-            _, soonest = self._cheapest(here, end, limits)
-            _, slower = self._cheapest(here, end, limits, _CALM * soonest)
-            soonest = slower if np.isfinite(slower) else soonest
-            if np.isfinite(soonest):
-                self.plan, self._over = None, True
-                self.arrival = time + soonest + self._answering.lead
-                told = {"time_to_go": soonest, "lean": lean}
-                self.events.append((time, "seeking-over", told))
-                return
+            hasty, soonest = self._cheapest(here, end, limits)
+            calm, slower = self._cheapest(here, end, limits, _CALM * soonest)
+            ways += [(calm, slower, lean), (hasty, soonest, lean)]
+        return [way for way in ways if np.isfinite(way[0])]
 
     def problem(self, here: Estimate, end: PhaseEnd, site: Array) -> Problem | None:
         """Return what a plan is to be made for; None without a map."""

@@ -116,6 +116,36 @@ def test_below_the_last_decision_it_goes_down_upright(paper):
     assert np.hypot(*wanted[:2]) < np.tan(np.radians(26.0)) * wanted[2]
 
 
+def test_what_hovering_down_upright_would_cost_is_not_paid(paper):
+    """After a late divert the path of the least lean hovers for half a minute."""
+    law, (here, end) = at_start(paper)
+    end = replace(end, position=end.position + [-2.4, -0.6, 0.0])
+    low = replace(
+        here, position=end.position + [-14.2, -20.7, 33.4], velocity=np.array([5.2, 5.6, -8.1]),
+        mass=193.6,
+    )  # fmt: skip
+    law.command(low, end, 42.8, 9.6)
+    assert [e[1] for e in law.events] == ["seeking-over"]
+    told = law.events[0][2]
+    assert told["time_to_go"] < 25.0
+    ways = law._ways_down(law._ahead(low), end)
+    assert max(way[1] for way in ways) > 30.0
+    taken = next(way[0] for way in ways if way[1] == told["time_to_go"])
+    assert taken <= min(way[0] for way in ways) + law.settings.allowance
+
+
+def test_a_divert_without_an_admissible_path_is_flown_as_the_computer_wants(paper):
+    """The plan was made for another end: what it asks for there is not asked for here."""
+    law, (here, end) = at_start(paper)
+    law.command(here, end, 0.0, 47.0)
+    assert law.plan is not None
+    assert np.linalg.norm(law.plan.acceleration) > 0.1
+    law.belief = lambda: None
+    law.command(here, replace(end, position=end.position + [15.0, 5.0, 0.0]), 0.1, 44.0)
+    assert law.plan is None
+    assert law.arrival == pytest.approx(44.1)
+
+
 @pytest.mark.parametrize("which", ["position", "velocity", "mass", "end", "time"])
 def test_what_is_not_finite_is_refused(paper, which):
     law, (here, end) = at_start(paper)

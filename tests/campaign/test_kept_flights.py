@@ -1,0 +1,90 @@
+"""Flights of a study in a file that a later run goes on from."""
+
+import json
+
+import pytest
+
+from lunarsim.campaign import kept_flights
+from lunarsim.campaign.kept_flights import KeptFlights
+from lunarsim.errors import InputError
+
+SETTINGS = {"seed": 3, "path": "modified"}
+
+
+def test_what_is_kept_is_there_again(tmp_path):
+    file = tmp_path / "folder" / "flights.json"
+    kept = KeptFlights(file, SETTINGS)
+    kept.keep("a / 0", {"clear": 0.5, "landed": True})
+    kept.keep("b / 0", {"clear": 0.25, "landed": False})
+    again = KeptFlights(file, SETTINGS)
+    assert again.flights == kept.flights
+    assert list(again.flights) == ["a / 0", "b / 0"]
+    again.keep("c / 0", {"clear": 0.0, "landed": True})
+    assert len(KeptFlights(file, SETTINGS).flights) == 3
+    assert [p.name for p in file.parent.iterdir()] == ["flights.json"]
+
+
+def test_without_a_file_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    kept = KeptFlights(None, SETTINGS)
+    kept.keep("a", {"clear": 1.0})
+    assert kept.flights == {"a": {"clear": 1.0}}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_that_breaks_off_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    file = tmp_path / "flights.json"
+    kept = KeptFlights(file, SETTINGS)
+    kept.keep("a", {"clear": 1.0})
+    before = file.read_bytes()
+    with pytest.raises(TypeError):
+        kept.keep("b", {"clear": object()})
+    assert file.read_bytes() == before
+    assert KeptFlights(file, SETTINGS).flights == {"a": {"clear": 1.0}}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[1, 2]", "null", '{"settings": {"seed": 3, "path": "modified"}}',
+     '{"settings": {"seed": 3, "path": "modified"}, "flights": [1]}',
+     '{"settings": {"seed": 3, "path": "modified"}, "flights": {"a": 1}}'],
+)  # fmt: skip
+def test_a_file_that_is_none_is_refused_and_left(tmp_path, text):
+    file = tmp_path / "flights.json"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"flights\.file.*a file of flights"):
+        KeptFlights(file, SETTINGS)
+    assert file.read_text() == text
+
+
+def test_what_is_no_text_or_a_folder_is_refused(tmp_path):
+    file = tmp_path / "flights.json"
+    file.write_bytes(b"\xff\xfe\x00\x01")
+    for path in (file, tmp_path):
+        with pytest.raises(InputError, match=r"flights\.file"):
+            KeptFlights(path, SETTINGS)
+
+
+def test_flights_of_another_study_are_refused(tmp_path):
+    file = tmp_path / "flights.json"
+    KeptFlights(file, SETTINGS).keep("a", {"clear": 1.0})
+    with pytest.raises(InputError, match=r"holds flights of .*'seed': 3"):
+        KeptFlights(file, {**SETTINGS, "seed": 4})
+
+
+def test_flights_of_other_code_are_counted(tmp_path, monkeypatch):
+    file = tmp_path / "flights.json"
+    monkeypatch.setattr(kept_flights, "code_digest", lambda: "before")
+    KeptFlights(file, SETTINGS).keep("a", {"clear": 1.0})
+    assert KeptFlights(file, SETTINGS).of_other_code == 0
+    monkeypatch.setattr(kept_flights, "code_digest", lambda: "after")
+    kept = KeptFlights(file, SETTINGS)
+    kept.keep("b", {"clear": 1.0})
+    assert kept.of_other_code == 1
+    kept.keep("a", {"clear": 0.5})
+    assert KeptFlights(file, SETTINGS).of_other_code == 0
+    # Of a file that does not say, nobody knows.
+    data = json.loads(file.read_text())
+    del data["code"]
+    file.write_text(json.dumps(data))
+    assert KeptFlights(file, SETTINGS).of_other_code == 2
