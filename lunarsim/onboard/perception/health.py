@@ -153,6 +153,22 @@ class HealthSettings:
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
 
 
+@dataclass
+class SunProof:
+    """Whether shadows have shown that the Sun is where it is taken to be.
+
+    It stays there, so later pictures need not show it again, be they another camera's of the same
+    lander; one that shows otherwise takes it back.
+
+    Attributes
+    ----------
+    seen
+        Whether they have.
+    """
+
+    seen: bool = False
+
+
 class PictureHealth:
     """Judges the pictures of one camera, one after the other.
 
@@ -160,17 +176,14 @@ class PictureHealth:
     ----------
     settings
         See `HealthSettings`.
-
-    Attributes
-    ----------
-    sun_seen
-        Whether shadows have shown that the Sun is where it is taken to be. It stays there, so
-        later pictures need not show it again; one that shows otherwise takes it back.
+    sun
+        What pictures have shown of the Sun, to share with the lander's other cameras; left out: its
+        own.
     """
 
-    def __init__(self, settings: HealthSettings | None = None) -> None:
+    def __init__(self, settings: HealthSettings | None = None, sun: SunProof | None = None) -> None:
         self.settings = settings or HealthSettings()
-        self.sun_seen = False
+        self.sun = sun or SunProof()
         self._last: deque[NDArray[Any]] = deque(maxlen=_KEPT)
 
     def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> Health:
@@ -279,10 +292,10 @@ class PictureHealth:
         s = self.settings
         if self.tells(turn):
             if abs(turn.angle) >= s.least_turn:
-                self.sun_seen = False
+                self.sun.seen = False
                 return Fault.SUN_ELSEWHERE
-            self.sun_seen |= bool(abs(turn.angle) <= s.most_turn)
-        return None if self.sun_seen else Fault.SUN_UNPROVEN
+            self.sun.seen |= bool(abs(turn.angle) <= s.most_turn)
+        return None if self.sun.seen else Fault.SUN_UNPROVEN
 
 
 def _brightness(seen: NDArray[Any]) -> float:
