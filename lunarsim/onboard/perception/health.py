@@ -23,7 +23,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.direction import SunAngle
-from lunarsim.onboard.perception.edges import EdgeWidths, edge_widths
+from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
 
 Array = NDArray[np.float64]
 
@@ -135,7 +135,7 @@ class HealthSettings:
     most_same: float = 0.9
     least_shadows: int = 4
     most_width: float = 1.25
-    most_smear: float = 1.35
+    most_smear: float = 1.15
     most_turn: float = float(np.deg2rad(10.0))
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))
@@ -279,7 +279,7 @@ class PictureHealth:
         expected = EdgeWidths.expected(self.settings.blur_sigma)
         if not widths.sharpest <= self.settings.most_width * expected:
             return Fault.BLURRED
-        if not widths.least_sharp <= self.settings.most_smear * expected:
+        if not widths.least_sharp <= self.settings.most_smear * max(expected, LEAST_WIDTH):
             return Fault.SMEARED
         return None
 
