@@ -31,7 +31,7 @@ from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper
+from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper, sensors_of
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
@@ -358,12 +358,12 @@ class OnboardComputer:
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
         software = self.briefing.software.mappers
-        taking = [name for name in self.mappers if software[name].sensor == sensor]
+        taking = [name for name in self.mappers if sensor in sensors_of(software[name])]
         if not taking:
             return
         after = self.navigation.estimate(self.time, self.mass)
         for name in taking:
-            self.mappers[name].update(*self.navigation.corrected(sensor, measurement, after))
+            self.mappers[name].take(sensor, *self.navigation.corrected(sensor, measurement, after))
             self.mapped.add(name)
         self.mapped |= {n for n, m in self.mappers.items() if m.sources & self.mapped}
 

@@ -12,7 +12,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.hazards.fusion import FusedMapping
-from lunarsim.onboard.hazards.mapper import check_map
+from lunarsim.onboard.hazards.mapper import check_map, sensors_of
 from lunarsim.parts import loadable
 
 
@@ -179,24 +179,31 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
             _check_sources(field, mapper, scenario)
             continue
         _check_map(field, mapper, scenario)
-        if mapper.sensor not in sensors:
-            raise InputError(
-                f"{field}.sensor", mapper.sensor,
-                f"the name of a sensor of kind {_kinds_giving(mapper.takes)}; there are "
-                + (", ".join(sensors) or "none"),
-            )  # fmt: skip
-        given = sensors[mapper.sensor].gives
-        if not issubclass(given, mapper.takes):
-            raise InputError(
-                f"{field}.sensor", mapper.sensor,
-                f"a sensor of kind {_kinds_giving(mapper.takes)}: this one gives {given.__name__}",
-            )  # fmt: skip
+        _check_eyes(field, mapper, sensors)
         wanted = getattr(mapper, "navigation", None)
         if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
                 f"{_kinds_of('navigation', wanted)}: {field} of kind {part.kind!r} maps with that "
                 "filter",
+            )  # fmt: skip
+
+
+def _check_eyes(field: str, mapper: Any, sensors: dict[str, Any]) -> None:
+    """Refuse a mapper of sensors that there are not, or that give what it does not take."""
+    key = f"{field}.sensors" if getattr(mapper, "sensors", ()) else f"{field}.sensor"
+    for name in sensors_of(mapper) or (mapper.sensor,):
+        if name not in sensors:
+            raise InputError(
+                key, name,
+                f"the name of a sensor of kind {_kinds_giving(mapper.takes)}; there are "
+                + (", ".join(sensors) or "none"),
+            )  # fmt: skip
+        given = sensors[name].gives
+        if not issubclass(given, mapper.takes):
+            raise InputError(
+                key, name,
+                f"a sensor of kind {_kinds_giving(mapper.takes)}: this one gives {given.__name__}",
             )  # fmt: skip
 
 
@@ -331,7 +338,7 @@ def _check_tasking(scenario: Tables, sensors: dict[str, Any]) -> None:
 def _check_effect(scenario: Tables, sensors: dict[str, Any]) -> None:
     """Refuse parts that nothing uses."""
     navigation = scenario.navigation.make()
-    used = {part.make().sensor for part in scenario.mappers.values()}
+    used = {name for part in scenario.mappers.values() for name in sensors_of(part.make())}
     wanted = (*navigation.needs, *navigation.takes)
     if scenario.control.make().torques:
         wanted = (*wanted, InertialSamples)

@@ -94,7 +94,7 @@ def look(task: Task) -> list[dict[str, Any]]:
         for name, image, turn in cases + (spoilt(counts, rng) if task.faults else []):
             sun = direction_from_angles(light.azimuth + turn, light.elevation)
             health = PictureHealth()
-            health.sun_seen = name == SEEN
+            health.sun.seen = name == SEEN
             verdict = judge(image, camera, state, sun, aim[2], health)
             rows.append(cell | {"fault": name, "verdict": verdict})
     return rows

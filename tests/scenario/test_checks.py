@@ -63,6 +63,20 @@ WRONG = {
         camera_lander(mappers={"dem": {"kind": "quadtree", "sensor": "eye"}}),
         "mappers.dem.sensor", "eye", "a sensor of kind 'flash-lidar': this one gives Picture",
     ),
+    "one of several cameras is missing": (
+        camera_lander(
+            mappers={"rocks": {"kind": "shadow", "sensors": ["eye", "other"]}},
+            navigation={"kind": "rocks"},
+        ),
+        "mappers.rocks.sensors", "other", "the name of a sensor of kind",
+    ),
+    "one of several cameras is none": (
+        camera_lander(
+            mappers={"rocks": {"kind": "shadow", "sensors": ["eye", "imu"]}},
+            navigation={"kind": "rocks"},
+        ),
+        "mappers.rocks.sensors", "imu", "this one gives InertialSamples",
+    ),
     "shadow mapper without rocks navigation": (
         camera_lander(navigation={"kind": "fixes"}),
         "navigation.kind", "fixes", "'rocks': mappers.rocks of kind 'shadow' maps with that filter",

@@ -1,4 +1,4 @@
-"""The study of all eyes: its figures from made counts, and one flight of it."""
+"""The study of all eyes: its figures from made counts, its file, and one flight of it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from click.testing import CliRunner
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.rocks.field import RockField
+from lunarsim.world.terrain import Terrain
+from tests.worlds import flat_terrain
 
 
 @dataclass(frozen=True)
@@ -23,51 +29,118 @@ def study(script):
     return script(".", "all_eyes")
 
 
-def judged(study, p, safe):
-    """Return the counts of a map that claims a frequency everywhere."""
-    p, s = np.asarray(p), np.asarray(safe, float)
-    curve = study.PrecisionRecall.of(p, s > 0.5)
-    return {
-        "unsafe": curve.unsafe.tolist(), "safe": curve.safe.tolist(),
-        "table": study.reliability(p, s).tolist(),
-        "squares": [float(p.size), float(s.sum()), float(((p - s) ** 2).sum())], "observed": 1.0,
-    }  # fmt: skip
+@pytest.fixture
+def figures(study):
+    return pytest.importorskip("eyes_figures")
 
 
-def test_figures_of_a_map(study):
+@pytest.fixture
+def flights(study):
+    return study.eyes_flights
+
+
+def judged(flights, p, safe, large=None, objects=()):
+    """Return the counts of a map that claims a frequency everywhere, a cell for each place."""
+    p, s = np.asarray(p, np.float32), np.asarray(safe, bool)
+    grid = Grid(0.0, 0.0, 1.0, 1, len(p))
+    seen = np.ones((1, len(p)), bool)
+    drawn = HazardMap(grid, p[None], seen, np.zeros((1, len(p)), np.float32), in_domain=seen)
+    ground = flights.Ground(
+        grid.centres().reshape(-1, 2), s, np.zeros(len(p), bool) if large is None else large,
+        np.array([[x, 0.0] for x in objects]).reshape(-1, 2),
+    )  # fmt: skip
+    return json.loads(json.dumps(flights.judged(drawn, ground)))
+
+
+def test_figures_of_a_map(figures, flights):
     truth = [True] * 8 + [False] * 2
-    good = judged(study, [0.9] * 8 + [0.6, 0.1], truth)
-    f = study.figures_of([good, good])
+    good = judged(flights, [0.9] * 8 + [0.6, 0.1], truth, objects=(8.0, 9.0))
+    f = figures.figures_of([good, good])
     assert f["precision"] == pytest.approx(8 / 9)
     assert f["recall"] == 1.0
     assert f["recall_at_precision"] == 1.0
-    assert f["missed_hazard"] == 0.5
-    assert f["ece"] == pytest.approx((8 * 0.1 + 0.6 + 0.1) / 10)
-    assert f["skill"] == pytest.approx(1.0 - (8 * 0.01 + 0.36 + 0.01) / 10 / 0.16)
+    assert f["missed_hazard"] == f["missed_objects"] == 0.5
+    assert f["ece"] == pytest.approx((8 * 0.1 + 0.6 + 0.1) / 10, abs=1e-6)
+    assert f["skill"] == pytest.approx(1.0 - (8 * 0.01 + 0.36 + 0.01) / 10 / 0.16, abs=1e-6)
 
 
-def test_the_fused_map_is_set_against_the_best_other_field_by_field(study):
+def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, flights):
     truth = [True] * 5 + [False] * 5
-    half = judged(study, [0.9, 0.9, 0.2, 0.2, 0.2] + [0.4] * 5, truth)
-    whole = judged(study, [0.9] * 5 + [0.1] * 5, truth)
-    none = judged(study, [0.1] * 5 + [0.9] * 5, truth)
-    flights = [
-        {"row": "made", "ms": dict.fromkeys(study.MAPS, 1.0), "maps": {
-            "100": {"dem": none, "quadtree": none, "rocks": half, "fused": fused}}}
+    half = judged(flights, [0.9, 0.9, 0.2, 0.2, 0.2] + [0.4] * 5, truth)
+    whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
+    none = judged(flights, [0.1] * 5 + [0.9] * 5, truth)
+    made = [
+        flight("made", "100", flights, dem=none, quadtree=none, rocks=half, fused=fused)
         for fused in (whole, half)
-    ]  # fmt: skip
-    assert study.best_single(flights, "100") == "rocks"
-    assert study.gained(flights, "100", "rocks") == pytest.approx([0.6, 0.0])
+    ]
+    assert figures.best_single(made, "100") == "rocks"
+    assert figures.gained(made, "100", "rocks") == pytest.approx([0.6, 0.0])
+    (found,) = figures.comparisons(made, 400.0)
+    assert (found.best, found.left, found.missed) == ("rocks", [], [])
 
 
-def test_half_of_the_returns_are_lost_alike_for_all(study):
+def flight(row, altitude, flights, **maps):
+    return {"row": row, "ms": dict.fromkeys(flights.MAPS, 1.0), "refused": {},
+            "maps": {altitude: maps}}  # fmt: skip
+
+
+def test_large_rocks_are_counted_at_the_recall_of_the_lidars_map(figures, flights):
+    """Both find four of five safe places; among what they call safe, one and none have a rock."""
+    truth = np.array([True] * 5 + [False] * 3)
+    large = ~truth
+    dem = judged(flights, [0.9, 0.9, 0.8, 0.7, 0.1, 0.75, 0.2, 0.2], truth, large)
+    fused = judged(flights, [0.9, 0.9, 0.9, 0.9, 0.2, 0.1, 0.1, 0.1], truth, large)
+    assert figures.large_share([dem], 0.8) == pytest.approx(1 / 5)
+    assert figures.large_share([fused], 0.8) == 0.0
+    assert np.isnan(figures.large_share([dem], 0.0))
+    others = {"dem": dem, "quadtree": dem, "rocks": dem}
+    for last, aims in ((fused, []), (dem, ["large hazards"])):
+        (found,) = figures.comparisons([flight("made", "1000", flights, **others, fused=last)], 4e2)
+        assert found.large_dem == pytest.approx(1 / 5)
+        assert found.missed == aims
+
+
+def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(figures, flights):
+    truth = [True] * 5 + [False] * 5
+    whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
+    none = judged(flights, [0.1] * 5 + [0.9] * 5, truth)
+    for row, left in (("cameras dead from 400 m on", "dem"), ("LiDAR dead from 400 m on", "rocks")):
+        maps = dict.fromkeys(flights.MAPS, none) | {left: whole}
+        for altitude, gap in (("500", []), ("200", [-1.0])):
+            (found,) = figures.comparisons([flight(row, altitude, flights, **maps)], 400.0)
+            assert found.left == gap
+            assert ("worse than the eye that is left" in found.missed) == bool(gap)
+
+
+def test_half_of_the_returns_are_lost_alike_for_all(flights):
     taken = []
-    lossy = study.dropping(lambda scan, estimate: taken.append(scan.range))
+    lossy = flights.dropping(lambda scan, estimate: taken.append(scan.range))
     scan = Scan(3.21, np.ones((100, 100)))
     lossy(scan, None)
     lossy(scan, None)
     assert np.isnan(taken[0]).mean() == pytest.approx(0.5, abs=0.03)
     assert np.array_equal(taken[0], taken[1], equal_nan=True)
+
+
+def test_rocks_reach_into_footprints_and_stand_above_the_ground(flights):
+    xy = np.array([[0.0, 0.0], [3.0, 0.0], [8.0, 0.0]])
+    middles, radius = np.array([[4.0, 0.0]]), np.array([0.5])
+    assert flights.reached(xy, middles, radius, 3.0).tolist() == [False, True, False]
+    assert flights.reached(xy, middles, radius, 3.5).tolist() == [True, True, True]
+    assert not flights.reached(xy, np.empty((0, 2)), np.empty(0), 3.0).any()
+    rocks = RockField.hemispheres([0.0, 5.0], [0.0, 1.0], [0.0, -0.2], [0.5, 0.5])
+    terrain = Terrain(flat_terrain(40.0, 2.0).relief, rocks)
+    assert flights.rises(terrain) == pytest.approx([0.5, 0.3], abs=1e-6)
+
+
+def test_every_row_can_be_flown(flights):
+    """Each is a scenario that checks, with both cameras in one map and the fused map to decide."""
+    for row in flights.ROWS.values():
+        scenario = flights.scenario_of(row.world, (1000.0, 100.0))
+        assert scenario.start.make().position[2] == pytest.approx(1200.0)
+        assert scenario.mappers["rocks"].make().sensors == ("narrow", "wide")
+        assert set(row.dead) <= set(scenario.tasking)
+        assert row.left in ("", *flights.MAPS)
 
 
 @pytest.mark.parametrize(
@@ -80,16 +153,49 @@ def test_mistakes_are_named(study, option, value, told):
     assert told in result.output
 
 
-@pytest.mark.slow
-def test_a_flight_is_judged_printed_and_drawn(study, tmp_path):
+def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch):
+    """Flights that are kept are not flown again, and the file is of one seed and code."""
+    truth = [True] * 5 + [False] * 5
+    counts = judged(flights, [0.9] * 5 + [0.1] * 5, truth, objects=(7.0,))
+    flown = []
+
+    def fly(task):
+        if len(flown) == 3:
+            raise KeyboardInterrupt
+        flown.append(task.key)
+        maps = {f"{a:g}": dict.fromkeys(flights.MAPS, counts) for a in task.altitudes}
+        return flight(task.row, "", flights) | {"field": task.field, "maps": maps}
+
+    monkeypatch.setattr(study, "fly", fly)
     file = tmp_path / "all.json"
-    options = ["--fields", "1", "--rows", "camera dead from 400 m on", "--altitudes", "120"]
-    result = CliRunner().invoke(study.main, [*options, "--json", str(file), "--out", str(tmp_path)])
+    options = ["--fields", "2", "--rows", "level, rocks;15 % cover", "--json", str(file)]
+    assert CliRunner().invoke(study.main, options).exit_code != 0
+    assert len(json.loads(file.read_text())["flights"]) == 3
+    first = list(flown)
+    flown.clear()
+    result = CliRunner().invoke(study.main, [*options, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    for words in study.MAPS.values():
+    assert len(flown) == 1 and not set(flown) & set(first)
+    for words in (*flights.MAPS.values(), "objects missed", "mean over rows", "15 % cover"):
         assert words in result.output
-    (flight,) = json.loads(file.read_text())["flights"]
-    maps = flight["maps"]["120"]
+    assert (tmp_path / "all_eyes.png").stat().st_size > 10_000
+    other = CliRunner().invoke(study.main, [*options, "--seed", "7"])
+    assert other.exit_code == 2
+    assert "flights of another seed" in " ".join(other.output.split())
+    file.write_text("[]")
+    broken = CliRunner().invoke(study.main, options)
+    assert broken.exit_code == 2
+    assert "is no file of flights" in " ".join(broken.output.split())
+
+
+@pytest.mark.slow
+def test_a_flight_is_judged(study, tmp_path):
+    file = tmp_path / "all.json"
+    options = ["--fields", "1", "--rows", "cameras dead from 400 m on", "--altitudes", "120"]
+    result = CliRunner().invoke(study.main, [*options, "--json", str(file)])
+    assert result.exit_code == 0, result.output
+    (kept,) = json.loads(file.read_text())["flights"].values()
+    maps = kept["maps"]["120"]
     # Nothing was seen above 400 m that could have been mapped: the LiDAR's map is what is left.
     assert maps["fused"] == maps["dem"]
-    assert (tmp_path / "all_eyes.png").stat().st_size > 10_000
+    assert maps["dem"]["objects"][0] > 20

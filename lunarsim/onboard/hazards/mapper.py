@@ -32,6 +32,13 @@ class HazardMapper(ABC):
     def update(self, measurement: Any, estimate: Estimate) -> None:
         """Take in one measurement made at the estimated pose."""
 
+    def take(self, sensor: str, measurement: Any, estimate: Estimate) -> None:
+        """Take in one measurement of a named sensor made at the estimated pose.
+
+        A mapper of several sensors overrides this; for others all are of the same one.
+        """
+        self.update(measurement, estimate)
+
     @abstractmethod
     def hazard_map(self) -> HazardMap:
         """Return the map as it stands."""
@@ -112,6 +119,8 @@ class MapperPart(Protocol):
         May be left out: type of the evidence that it gives to maps of several mappers.
     sensor
         Name of the sensor whose measurements it maps.
+    sensors
+        May be left out: names of several, in place of `sensor`; see `sensors_of`.
     """
 
     takes: ClassVar[type]
@@ -130,6 +139,20 @@ class MapperPart(Protocol):
             If the map is smaller than the lander's footprint or its posting is too coarse.
         """
         ...
+
+
+def sensors_of(part: Any) -> tuple[str, ...]:
+    """Return the names of the sensors whose measurements a mapper's part takes; none: no sensor's.
+
+    Parameters
+    ----------
+    part
+        See `MapperPart`.
+    """
+    several = getattr(part, "sensors", ())
+    if several:
+        return tuple(several)
+    return (part.sensor,) if part.sensor else ()
 
 
 def is_aside(grid: Grid, centre: Array) -> bool:

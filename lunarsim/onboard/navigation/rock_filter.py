@@ -66,6 +66,7 @@ class RockFilter(RockStates):
         self.pictures = PictureWatch(self.events)
         self._aids = aids
         self._eye: Array | None = None
+        self._pixel = 0.0
 
     @classmethod
     def of(
@@ -255,7 +256,8 @@ class RockFilter(RockStates):
 
         How a patch lies about its rock depends on where it is seen from. What the model of shadows
         has wrong of that is a rock's own in part and in part the same for all; what is shared lies
-        along the Sun.
+        along the Sun. A camera of other pixels shows the same rocks with more or fewer of them, as
+        if from another range.
 
         Parameters
         ----------
@@ -266,13 +268,17 @@ class RockFilter(RockStates):
         shared
             The same of what all share.
         closing
-            Of what all share when the range has changed by a factor e, in what a pixel spans.
+            Of what all share when what a pixel spans has changed by a factor e, be it by the range
+            or the camera; in what the coarser pixel spans.
         pixel
             What a pixel spans at a range of 1 m, m.
         """
         eye = self.inertial.position.copy()
+        other, coarser = 0.0, pixel
+        if min(pixel, self._pixel) > 0.0:
+            other, coarser = abs(float(np.log(pixel / self._pixel))), max(pixel, self._pixel)
         if self._eye is None or self.count == 0:
-            self._eye = eye
+            self._eye, self._pixel = eye, pixel
             return
         old, new = self.xyz - self._eye, self.xyz - eye
         angle = np.arctan2(
@@ -280,13 +286,13 @@ class RockFilter(RockStates):
         )
         far = np.maximum(np.linalg.norm(new, axis=1), _NEAREST)
         nearer = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _NEAREST)))
-        if max(np.median(angle), np.median(nearer)) < _LEAST_TURN:
+        if max(np.median(angle), np.median(nearer), other) < _LEAST_TURN:
             return
-        self._eye = eye
+        self._eye, self._pixel = eye, pixel
         level = sun[:2] / np.hypot(sun[0], sun[1])
         root = np.sqrt(angle) * self.radius
         self._wander_together(shared * root, level)
-        self._wander_together(closing * np.sqrt(nearer) * pixel * far, level)
+        self._wander_together(closing * np.sqrt(nearer + other) * coarser * far, level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes

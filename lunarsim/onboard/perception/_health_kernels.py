@@ -10,6 +10,9 @@ from lunarsim._jit import kernel
 
 # Edges are compared with the range of brightness so many pixels about them.
 REACH = 3
+# Along a direction they are compared with the range along it, or this share of that all about, if
+# it is more.
+ABOUT = 0.5
 # Directions in which the slope of an edge is taken: right, right and down, down, left and down; and
 # that in which it is steepest.
 SLOPES = 5
@@ -32,6 +35,24 @@ def _range_about(image, i, j):
 
 
 @kernel(inline=True)
+def _range_along(image, i, j, down, right):
+    """Return the range of an image along a line through a pixel."""
+    low = high = image[i, j]
+    for n in range(-REACH, REACH + 1):
+        value = image[i + n * down, j + n * right]
+        low = min(low, value)
+        high = max(high, value)
+    return high - low
+
+
+@kernel(inline=True)
+def _raise_along(out, k, direction, slope, size, least):
+    """Raise the steepest slope of patch k along a direction by one, over the range along it."""
+    if size >= least:
+        out[k, direction] = max(out[k, direction], slope / size)
+
+
+@kernel(inline=True)
 def _raise_slopes(out, k, image, i, j, least):
     """Raise the steepest slopes of patch k by those at a pixel."""
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
@@ -43,16 +64,25 @@ def _raise_slopes(out, k, image, i, j, least):
     size = _range_about(image, i, j)
     if not size >= least:
         return
-    out[k, 0] = max(out[k, 0], abs(gu) / size)
-    out[k, 1] = max(out[k, 1], abs(gu + gv) * _DIAGONAL / size)
-    out[k, 2] = max(out[k, 2], abs(gv) / size)
-    out[k, 3] = max(out[k, 3], abs(gv - gu) * _DIAGONAL / size)
     out[k, 4] = max(out[k, 4], steep / size)
+    # Beside a rock's lit face the range all about is that of another edge.
+    half = ABOUT * size
+    along = max(_range_along(image, i, j, 0, 1), half)
+    _raise_along(out, k, 0, abs(gu), along, least)
+    along = max(_range_along(image, i, j, 1, 1), half)
+    _raise_along(out, k, 1, abs(gu + gv) * _DIAGONAL, along, least)
+    along = max(_range_along(image, i, j, 1, 0), half)
+    _raise_along(out, k, 2, abs(gv), along, least)
+    along = max(_range_along(image, i, j, 1, -1), half)
+    _raise_along(out, k, 3, abs(gv - gu) * _DIAGONAL, along, least)
 
 
 @kernel()
 def edge_slopes(image, patch, count, every, least):
     """Return the steepest slope at the rim of each patch, over the range of brightness there.
+
+    Along a direction the range is that along it, or half of that all about if it is more; of the
+    steepest it is that all about.
 
     Parameters
     ----------

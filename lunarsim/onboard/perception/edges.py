@@ -20,6 +20,9 @@ _STEEPEST = 1.0 / np.sqrt(2.0 * np.pi)
 # A difference over two pixels adds this to the square of a width, and a pixel's own size a quarter
 # of it.
 _DIFFERENCE = 4.0 / 12.0
+# No difference over two pixels exceeds the range it is compared with: what is sharper shows no
+# sharper, pixels.
+LEAST_WIDTH = 2.0 * _STEEPEST
 # Share of the shadows that are taken to be as sharp as the optics let them be: others have round
 # rocks or half-shade at their edges.
 _SHARP = 0.2
@@ -55,7 +58,9 @@ def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
     """Measure the edges of rocks' shadows.
 
     An edge that optics blur with a normal point spread of width s is at its steepest 0.4 / s of its
-    height; the height is taken from the range of brightness within three pixels.
+    height; the height is taken from the range of brightness within three pixels, and for the slope
+    along a direction from that along it: beside a lit face, the range all about is the height of
+    another edge.
 
     Parameters
     ----------

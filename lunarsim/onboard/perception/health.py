@@ -23,7 +23,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.direction import SunAngle
-from lunarsim.onboard.perception.edges import EdgeWidths, edge_widths
+from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
 
 Array = NDArray[np.float64]
 
@@ -135,7 +135,7 @@ class HealthSettings:
     most_same: float = 0.9
     least_shadows: int = 4
     most_width: float = 1.25
-    most_smear: float = 1.35
+    most_smear: float = 1.15
     most_turn: float = float(np.deg2rad(10.0))
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))
@@ -153,6 +153,22 @@ class HealthSettings:
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
 
 
+@dataclass
+class SunProof:
+    """Whether shadows have shown that the Sun is where it is taken to be.
+
+    It stays there, so later pictures need not show it again, be they another camera's of the same
+    lander; one that shows otherwise takes it back.
+
+    Attributes
+    ----------
+    seen
+        Whether they have.
+    """
+
+    seen: bool = False
+
+
 class PictureHealth:
     """Judges the pictures of one camera, one after the other.
 
@@ -160,17 +176,14 @@ class PictureHealth:
     ----------
     settings
         See `HealthSettings`.
-
-    Attributes
-    ----------
-    sun_seen
-        Whether shadows have shown that the Sun is where it is taken to be. It stays there, so
-        later pictures need not show it again; one that shows otherwise takes it back.
+    sun
+        What pictures have shown of the Sun, to share with the lander's other cameras; left out: its
+        own.
     """
 
-    def __init__(self, settings: HealthSettings | None = None) -> None:
+    def __init__(self, settings: HealthSettings | None = None, sun: SunProof | None = None) -> None:
         self.settings = settings or HealthSettings()
-        self.sun_seen = False
+        self.sun = sun or SunProof()
         self._last: deque[NDArray[Any]] = deque(maxlen=_KEPT)
 
     def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> Health:
@@ -266,7 +279,7 @@ class PictureHealth:
         expected = EdgeWidths.expected(self.settings.blur_sigma)
         if not widths.sharpest <= self.settings.most_width * expected:
             return Fault.BLURRED
-        if not widths.least_sharp <= self.settings.most_smear * expected:
+        if not widths.least_sharp <= self.settings.most_smear * max(expected, LEAST_WIDTH):
             return Fault.SMEARED
         return None
 
@@ -279,10 +292,10 @@ class PictureHealth:
         s = self.settings
         if self.tells(turn):
             if abs(turn.angle) >= s.least_turn:
-                self.sun_seen = False
+                self.sun.seen = False
                 return Fault.SUN_ELSEWHERE
-            self.sun_seen |= bool(abs(turn.angle) <= s.most_turn)
-        return None if self.sun_seen else Fault.SUN_UNPROVEN
+            self.sun.seen |= bool(abs(turn.angle) <= s.most_turn)
+        return None if self.sun.seen else Fault.SUN_UNPROVEN
 
 
 def _brightness(seen: NDArray[Any]) -> float:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.instruments import CameraInstrument, LidarInstrument, PointedInstrument
+from lunarsim.onboard.hazards.mapper import sensors_of
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVATION
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
@@ -101,7 +102,8 @@ def eyes_of(briefing: Briefing, least_diameter: float) -> list[Eye]:
     least_diameter
         Of a rock that is a hazard, m.
     """
-    taken = {part.sensor for part in briefing.software.mappers.values() if hasattr(part, "sensor")}
+    parts = [part for part in briefing.software.mappers.values() if hasattr(part, "sensor")]
+    taken = {sensor for part in parts for sensor in sensors_of(part)}
     found = []
     for name, known in briefing.instruments.items():
         if name not in taken or name not in briefing.software.tasking:

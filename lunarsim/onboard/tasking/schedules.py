@@ -70,7 +70,7 @@ class AtAltitudes:
 
 @dataclass(frozen=True)
 class Periodic:
-    """Measurements of the site at a fixed rate below an altitude.
+    """Measurements of the site at a fixed rate below an altitude, down to another.
 
     Attributes
     ----------
@@ -78,21 +78,40 @@ class Periodic:
         Hz.
     first_altitude
         Above the site, m.
+    last_altitude
+        At and below it nothing is measured: another sensor looks there, m.
+
+    Raises
+    ------
+    InputError
+        If the last altitude is not below the first.
     """
 
     rate: float = quantity(10.0, "Hz", gt=0, help="measurements a second")
     first_altitude: float = quantity(400.0, "m", gt=0, help="of the first, above the site")
+    last_altitude: float = quantity(
+        0.0, "m", ge=0, help="above the site; from there on nothing is measured"
+    )
+
+    def __post_init__(self) -> None:
+        if not self.last_altitude < self.first_altitude:
+            raise InputError(
+                "last_altitude_m", self.last_altitude,
+                f"less than first_altitude_m, {self.first_altitude:g} m",
+            )  # fmt: skip
 
     @property
     def looks(self) -> Looks:
         """Where it measures."""
-        return Looks(highest=self.first_altitude)
+        return Looks(highest=self.first_altitude, lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:
         """Return the schedule of one flight."""
         _check_rate(sensor, "rate_hz", self.rate, briefing)
         limit = briefing.instruments[sensor].gimbal_limit
-        return PeriodicSchedule(sensor, self.rate, self.first_altitude, limit)
+        return PeriodicSchedule(
+            sensor, self.rate, self.first_altitude, limit, last_altitude=self.last_altitude
+        )
 
 
 @dataclass(frozen=True)
@@ -173,7 +192,7 @@ class AltitudeSchedule:
 
 
 class PeriodicSchedule:
-    """Measurements of the site at a fixed rate below an altitude.
+    """Measurements of the site at a fixed rate below an altitude, down to another.
 
     Parameters
     ----------
@@ -185,19 +204,30 @@ class PeriodicSchedule:
         Above the site, m.
     limit
         See `gimbal_mount`, rad.
+    last_altitude
+        At and below it nothing is measured, m.
     """
 
-    def __init__(self, sensor: str, rate: float, first_altitude: float, limit: float) -> None:
+    def __init__(
+        self,
+        sensor: str,
+        rate: float,
+        first_altitude: float,
+        limit: float,
+        *,
+        last_altitude: float = 0.0,
+    ) -> None:
         self._sensor = sensor
         self._interval = 1.0 / rate
-        self._first_altitude = first_altitude
+        self._first_altitude, self._last_altitude = first_altitude, last_altitude
         self._limit = limit
         self._next = -np.inf
 
     def task(self, situation: Situation) -> SensorTask | None:
         """Measure when the next one is due."""
         s = situation
-        if s.time < self._next - 1e-9 or not 0.0 < s.altitude <= self._first_altitude:
+        due = s.time >= self._next - 1e-9
+        if not (due and self._last_altitude < s.altitude <= self._first_altitude):
             return None
         self._next = _next_due(self._next, s.time, self._interval)
         mount = gimbal_mount(s.estimate.attitude, s.site - s.estimate.position, self._limit)

@@ -28,6 +28,9 @@ class MeasuredGround(Roughness):
         come in steps, m.
     relief_scale
         c of Eq. 20 of the Gaussian DEM paper.
+    mirrored_to
+        Side of the square to which the raster is carried on, mirrored at its edges: for sensors
+        that see farther than it reaches, m.
     posting
         Of the refined relief, m.
     detail
@@ -44,6 +47,9 @@ class MeasuredGround(Roughness):
         None, "m", gt=0, help="for a raster whose elevations come in steps: smooth within them"
     )
     relief_scale: float = quantity(1.0, ge=0, help="c of Eq. 20 of the Gaussian DEM paper")
+    mirrored_to: float | None = quantity(
+        None, "m", gt=0, help="carry it on, mirrored at its edges, to a square of this side"
+    )
     posting: float = quantity(0.25, "m", gt=0, help="of the refined relief")
     detail: bool = quantity(True, help="add roughness and craters between the posts")
 
@@ -73,14 +79,21 @@ def _measured(ground: MeasuredGround) -> Heightfield:
     if ground.height_step is not None:
         measured = measured.dequantised(ground.height_step)
     measured = measured.scaled(ground.relief_scale)
+    if ground.mirrored_to is not None:
+        _check_posts(ground, ground.mirrored_to)
+        measured = measured.mirrored(ground.mirrored_to)
     west, east, south, north = measured.bounds
-    side = max(east - west, north - south)
+    _check_posts(ground, max(east - west, north - south))
+    return measured
+
+
+def _check_posts(ground: MeasuredGround, side: float) -> None:
+    """Refuse a posting too fine for a square of some side, m."""
     if side / ground.posting > MOST_POSTS:
         raise InputError(
             "terrain.posting_m", ground.posting, f"at least {side / MOST_POSTS:.3g} m: at most "
             f"{MOST_POSTS} posts along the {side:.0f} m of the raster",
         )  # fmt: skip
-    return measured
 
 
 @lru_cache(maxsize=4)

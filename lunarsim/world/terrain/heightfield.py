@@ -62,6 +62,18 @@ class Heightfield:
         """Return the relief times `factor`: c of Eq. 20 of the Gaussian DEM paper."""
         return Heightfield(self.grid, (self.z * np.float32(factor)).astype(np.float32))
 
+    def mirrored(self, side: float) -> Heightfield:
+        """Return the relief carried on over a square of at least this side, m, about its middle.
+
+        It is mirrored at its edges, and again at the edges of that: without a step in elevation.
+        What is as wide already stays so wide.
+        """
+        wanted = int(np.ceil(side / self.grid.posting - 1e-9)) + 1
+        rows, cols = (max(-(-(wanted - n) // 2), 0) for n in self.grid.shape)
+        grid, z = self.grid, np.pad(self.z, ((rows, rows), (cols, cols)), mode="reflect")
+        west, south = grid.x0 - cols * grid.posting, grid.y0 - rows * grid.posting
+        return Heightfield(Grid(west, south, grid.posting, *z.shape), z)
+
     def dequantised(self, step: float) -> Heightfield:
         """Return a smooth relief that rounds to this one: for elevations kept in coarse steps.
 

@@ -486,6 +486,24 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
     assert np.array_equal(grown, np.zeros_like(grown))
 
 
+def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span():
+    """As if from a range at which the pixels of one are those of the other."""
+    flight = Flight(np.random.default_rng(16), rocks=2)
+    flight.image()
+    f, sun = flight.filter, np.array([0.6, 0.0, 0.8])
+    wide, narrow = 2e-3, 0.5e-3
+    f.turn(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=wide)
+    p = f.covariance.copy()
+    for pixel, times in ((wide, 0), (narrow, 1), (narrow, 1), (wide, 2)):
+        f.turn(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=pixel)
+        grown = f.covariance - p
+        span = wide * np.linalg.norm(f.xyz - f.inertial.position, axis=1)
+        expected = times * 0.9**2 * np.log(4.0) * span**2
+        assert np.diag(grown)[[15, 18]] == pytest.approx(expected, abs=1e-15)
+        assert grown[15, 18] == pytest.approx(np.sqrt(expected.prod()), abs=1e-15)
+        assert np.count_nonzero(grown) == (4 if times else 0)
+
+
 def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     start = Flight(np.random.default_rng(17)).filter.inertial
     level, events = LevelGround(0.0, 3.0, 0.1), []

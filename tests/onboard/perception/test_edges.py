@@ -11,6 +11,7 @@ import pytest
 from lunarsim.onboard.perception import _health_kernels as kernels
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.edges import EdgeWidths, edge_widths
+from lunarsim.onboard.perception.health import HealthSettings
 from tests.shadow_scene import SUN, at
 
 
@@ -47,6 +48,34 @@ def test_a_smear_shows_along_its_direction_alone():
     assert found.sharpest < 1.2 * EdgeWidths.expected(0.6)
     # A box of ten pixels has a standard deviation of 2.9; its edge is as steep as a tenth.
     assert found.least_sharp > 2.0 * EdgeWidths.expected(0.6)
+
+
+def test_a_lit_face_beside_a_shadow_does_not_blur_the_shadows_other_edges():
+    """Seen from the Sun's side, a rock is half as bright again as the ground, right by its shadow.
+
+    The shadow's ends lie beside the face: compared with the range from dark to bright all about,
+    their step down from the ground passed for the foot of a wide edge.
+    """
+    rng = np.random.default_rng(0)
+    scale = 8
+    fine = np.full((480 * scale, 640 * scale), 60.0, np.float32)
+    for row in range(20, 440, 55):
+        for col in range(20, 600, 55):
+            i, j = scale * row + rng.integers(scale), scale * col + rng.integers(scale)
+            # Four pixels of shadow, as many of the face below them, slanting ends.
+            for k in range(5 * scale):
+                lean = k // 3
+                fine[i + k, j - lean : j + 12 * scale + lean] = 4.0
+                fine[i + 5 * scale + k, j - lean : j + 12 * scale + lean] = 150.0
+    counts = {}
+    for name, length in (("still", 1), ("smeared", 5 * scale)):
+        soft = cv2.GaussianBlur(cv2.blur(fine, (length, 1)), (0, 0), 0.6 * scale)
+        counts[name] = np.rint(soft[scale // 2 :: scale, scale // 2 :: scale]).astype(np.uint8)
+    state, camera = at((0.0, 0.0, 30.0))
+    widths = {n: edge_widths(detect_rocks(c, camera, state, SUN), 0.01) for n, c in counts.items()}
+    most = HealthSettings().most_smear * EdgeWidths.expected(0.6)
+    assert widths["still"].number > 50
+    assert widths["still"].least_sharp < most < widths["smeared"].least_sharp
 
 
 def test_nothing_to_measure_is_not_sharp():
@@ -101,7 +130,10 @@ def test_slopes_equal_plain_loops():
                 if size < 0.3 or np.hypot(gu, gv) <= 0.02:
                     continue
                 slopes = [abs(gu), abs(gu + gv) / np.sqrt(2), abs(gv), abs(gv - gu) / np.sqrt(2)]
-                expected[k] = np.maximum(expected[k], np.array([*slopes, np.hypot(gu, gv)]) / size)
+                lines = window[3], np.diag(window), window[:, 3], np.diag(window[:, ::-1])
+                ranges = np.array([max(np.ptp(line), 0.5 * size) for line in lines])
+                told = np.where(ranges >= 0.3, slopes / ranges, 0.0)
+                expected[k] = np.maximum(expected[k], [*told, np.hypot(gu, gv) / size])
     assert found == pytest.approx(expected, rel=1e-5)
     assert (found[[1, 2, 4, 5]] > 0.0).all() and (found[3] == 0.0).all()
     some = kernels.edge_slopes(image, patch, 5, 2, 0.3)

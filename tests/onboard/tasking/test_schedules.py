@@ -12,6 +12,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.models.instruments import PointedInstrument
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.tasking import Situation
+from lunarsim.onboard.tasking.contract import Looks
 from lunarsim.onboard.tasking.schedules import AtAltitudes, Periodic, Sweep
 
 SITE = np.array([5.0, -3.0, 1.0])
@@ -83,6 +84,21 @@ def test_periodic_keeps_its_rate_below_its_altitude_and_above_the_ground():
     assert where == pytest.approx(np.tile(SITE[:2], (len(where), 1)), abs=1e-9)
     assert schedule.task(at(50.0, 0.0)) is None
     assert schedule.task(at(50.0, 0.1)) is not None
+
+
+def test_one_camera_hands_over_to_another_at_an_altitude():
+    high = built(Periodic(rate=2.0, first_altitude=900.0, last_altitude=400.0))
+    low = built(Periodic(rate=2.0, first_altitude=400.0))
+    looks = [
+        (altitude, high.task(at(float(n), altitude)) is not None,
+         low.task(at(float(n), altitude)) is not None)
+        for n, altitude in enumerate((901.0, 900.0, 400.1, 400.0, 10.0))
+    ]  # fmt: skip
+    assert [one[1] for one in looks] == [False, True, True, False, False]
+    assert [one[2] for one in looks] == [False, False, False, True, True]
+    assert Periodic(first_altitude=900.0, last_altitude=400.0).looks == Looks(900.0, 400.0)
+    with pytest.raises(InputError, match="last_altitude_m = 900"):
+        Periodic(first_altitude=900.0, last_altitude=900.0)
 
 
 def test_a_sweep_covers_its_square_row_by_row_and_then_dwells():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Literal
@@ -19,7 +20,7 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.instruments import CameraInstrument
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid, sensors_of
 from lunarsim.onboard.hazards.published import RockEvidence
 from lunarsim.onboard.hazards.shadows.probability_map import (
     HazardPrior,
@@ -39,7 +40,13 @@ from lunarsim.onboard.perception.detector import (
     unit_vector,
 )
 from lunarsim.onboard.perception.direction import turn_from_sun
-from lunarsim.onboard.perception.health import Fault, Health, HealthSettings, PictureHealth
+from lunarsim.onboard.perception.health import (
+    Fault,
+    Health,
+    HealthSettings,
+    PictureHealth,
+    SunProof,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
@@ -72,6 +79,8 @@ class ShadowMapping:
     ----------
     sensor
         Whose pictures it maps.
+    sensors
+        Names of several cameras whose pictures it maps, in place of `sensor`.
     posting, size
         Of the map, m.
     hazard_diameter
@@ -83,9 +92,15 @@ class ShadowMapping:
         the paper's half spheres.
     form
         Of the probability that a tracked rock covers a place, see `cover_probability`.
+
+    Raises
+    ------
+    InputError
+        If a camera is named twice, or `sensor` is none of several.
     """
 
     sensor: str = quantity("camera", help="whose pictures it maps")
+    sensors: tuple[str, ...] = quantity((), help="several cameras, in place of sensor")
     posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
@@ -100,6 +115,12 @@ class ShadowMapping:
     takes: ClassVar[type] = Picture
     publishes: ClassVar[type] = RockEvidence
     navigation: ClassVar[type | None] = RockNavigation
+
+    def __post_init__(self) -> None:
+        if len(set(self.sensors)) < len(self.sensors):
+            raise InputError("sensors", self.sensors, "each camera once")
+        if self.sensors and self.sensor not in ("camera", *self.sensors):
+            raise InputError("sensor", self.sensor, f"left out, or one of sensors, {self.sensors}")
 
     def build(self, briefing: Briefing, navigation: Navigation) -> ShadowMapper:
         """Return the mapper of one flight.
@@ -121,11 +142,10 @@ class ShadowMapping:
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
         probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
-        known = briefing.instruments.get(self.sensor)
-        blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
+        proof = SunProof()
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
-            health=PictureHealth(HealthSettings(blur_sigma=blur)),
+            health={name: _health_of(briefing, name, proof) for name in sensors_of(self)},
         )  # fmt: skip
 
     def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
@@ -133,6 +153,14 @@ class ShadowMapping:
         if self.shapes == "inferred":
             return ShapeMixture(elevation, rocks.shape)
         return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
+
+
+@dataclass
+class _Judge:
+    """Who judges the pictures of a camera, and why the last of them did not count."""
+
+    health: PictureHealth
+    fault: Fault | None = None
 
 
 class ShadowMapper(HazardMapper):
@@ -153,7 +181,8 @@ class ShadowMapper(HazardMapper):
     interval
         Least time between two evaluations of the map, s.
     health
-        Judges pictures; left out: with default settings.
+        Judges the pictures of each camera, by the sensor's name; or one that judges all; left out:
+        one with default settings.
 
     Attributes
     ----------
@@ -175,7 +204,7 @@ class ShadowMapper(HazardMapper):
         *,
         detector: DetectorSettings | None = None,
         interval: float = 1.0,
-        health: PictureHealth | None = None,
+        health: PictureHealth | Mapping[str, PictureHealth] | None = None,
     ) -> None:
         _check_sun(sun, tracker.model.elevation)
         self.tracker = tracker
@@ -185,7 +214,9 @@ class ShadowMapper(HazardMapper):
         self.footprint = footprint
         self.interval = interval
         self.detector = detector or DetectorSettings()
-        self.health = health or PictureHealth()
+        named = dict(health) if isinstance(health, Mapping) else {"": health or PictureHealth()}
+        self._cameras = {name: _Judge(one) for name, one in named.items()}
+        self._camera = next(iter(self._cameras))
         self.refused: Counter[Fault] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
@@ -194,8 +225,26 @@ class ShadowMapper(HazardMapper):
         self._time = -np.inf
         self._checked = -np.inf
         self._renewals = 0
-        self._fault: Fault | None = None
         self._all_safe = False
+
+    @property
+    def health(self) -> PictureHealth:
+        """That of the camera whose picture was the last."""
+        return self._cameras[self._camera].health
+
+    def take(self, sensor: str, measurement: Picture, estimate: Estimate) -> None:
+        """Take in one picture of a named camera, see `update`.
+
+        Several cameras stamp their pictures each by itself: one that was taken before the last of
+        another's is left out, and reported as "out-of-order".
+        """
+        if sensor in self._cameras:
+            self._camera = sensor
+        if len(self._cameras) > 1 and measurement.time < self._time:
+            told = {"sensor": sensor, "stamp": measurement.time, "last": self._time}
+            self.tracker.filter.events.append(NavigationEvent(self._time, "out-of-order", told))
+            return
+        self.update(measurement, estimate)
 
     def update(self, measurement: Picture, estimate: Estimate) -> None:
         """Take in one picture, seen from the estimated pose, if it counts.
@@ -271,12 +320,15 @@ class ShadowMapper(HazardMapper):
 
     def _report(self, time: float, health: Health) -> None:
         """Count pictures that do not count, and say when that begins and ends."""
-        fault, before, self._fault = health.fault, self._fault, health.fault
+        judge = self._cameras[self._camera]
+        fault, before, judge.fault = health.fault, judge.fault, health.fault
         if fault is not None:
             self.refused[fault] += 1
         if fault is before:
             return
         details: dict[str, Any] = {"refused": self.refused.total()}
+        if len(self._cameras) > 1:
+            details["camera"] = self._camera
         name = "picture-accepted"
         if fault is not None:
             name = "picture-refused"
@@ -381,6 +433,13 @@ class ShadowMapper(HazardMapper):
                 "existence": self.tracker.existence.copy(),
             }
         }  # fmt: skip
+
+
+def _health_of(briefing: Briefing, camera: str, sun: SunProof) -> PictureHealth:
+    """Return what judges the pictures of a camera, by its own point spread."""
+    known = briefing.instruments.get(camera)
+    blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
+    return PictureHealth(HealthSettings(blur_sigma=blur), sun)
 
 
 def _tracked(grid: Grid) -> tuple[float, float, float, float]:

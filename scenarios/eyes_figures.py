@@ -1,0 +1,247 @@
+"""Figures of the study of all eyes: of one map over fields, and of the fused one against others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eyes_flights import LARGE, MAPS, ROWS
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.evaluation.map_quality import MapQuality
+from lunarsim.evaluation.precision_recall import PrecisionRecall
+from lunarsim.evaluation.reliability import calibration_error
+from lunarsim.evaluation.statistics import mean_interval
+
+Counts = dict[str, Any]
+Flight = dict[str, Any]
+
+PRECISION = 0.99
+# The fused map may find so much less safe ground than the best single one, and than the eye that is
+# left when the other fails; at 1000 m it may call so much of the LiDAR's share of large hazards
+# safe.
+LESS_THAN_BEST, LESS_THAN_LEFT, OF_LARGE, FROM = 0.01, 0.02, 0.5, "1000"
+COLOURS = {"dem": "tab:blue", "quadtree": "tab:cyan", "rocks": "tab:orange", "fused": "black"}
+
+
+def recall_of(judged: list[Counts]) -> float:
+    """Return the recall at precision `PRECISION` of maps, their cells pooled."""
+    return curve_of(judged).recall_at(PRECISION)
+
+
+def curve_of(judged: list[Counts]) -> PrecisionRecall:
+    """Return the counts of maps, pooled."""
+    return PrecisionRecall(*(_pooled(judged, name) for name in ("unsafe", "safe")))
+
+
+def _pooled(judged: list[Counts], name: str) -> np.ndarray:
+    return np.asarray(np.sum([j[name] for j in judged], axis=0))
+
+
+def figures_of(judged: list[Counts]) -> dict[str, float]:
+    """Return the figures of one map over the fields; hazards are missed at p > 0.5."""
+    curve = curve_of(judged)
+    quality: MapQuality = curve.at_half()
+    unsafe = quality.false_safe + quality.rejected
+    objects, missed = _pooled(judged, "objects")
+    n, good, squares = _pooled(judged, "squares")
+    base = good / n if n else float("nan")
+    spread = base * (1.0 - base)
+    return {
+        "precision": quality.precision,
+        "recall": quality.recall,
+        "recall_at_precision": curve.recall_at(PRECISION),
+        "missed_hazard": quality.false_safe / unsafe if unsafe else float("nan"),
+        "missed_objects": missed / objects if objects else float("nan"),
+        "ece": calibration_error(_pooled(judged, "table")),
+        "skill": 1.0 - squares / n / spread if n and spread > 0.0 else float("nan"),
+        "claimed": n / max(quality.judged, 1),
+        "observed": float(np.mean([j["observed"] for j in judged])),
+    }
+
+
+def large_share(judged: list[Counts], recall: float) -> float:
+    """Return the share of ground with a large rock under the lander among ground called safe.
+
+    At the highest threshold that finds so much of the safe ground; NaN where no threshold does, or
+    where none is asked for.
+    """
+    curve, large = curve_of(judged), _pooled(judged, "large")
+    found = np.cumsum(curve.safe[::-1])
+    called = found + np.cumsum(curve.unsafe[::-1])
+    enough = np.flatnonzero(found >= recall * max(found[-1], 1.0))
+    if not (recall > 0.0 and len(enough)):
+        return float("nan")
+    first = int(enough[0])
+    return float(np.cumsum(large[::-1])[first] / called[first])
+
+
+def best_single(flights: list[Flight], altitude: str) -> str:
+    """Return the map other than the fused one with the greatest pooled recall at the precision."""
+    of = {n: recall_of([f["maps"][altitude][n] for f in flights]) for n in MAPS if n != "fused"}
+    return max(of, key=lambda name: of[name])
+
+
+def gained(flights: list[Flight], altitude: str, other: str) -> list[float]:
+    """Return by how much the fused map's recall exceeds another's, field by field."""
+    pairs = ((f["maps"][altitude]["fused"], f["maps"][altitude][other]) for f in flights)
+    return [recall_of([a]) - recall_of([b]) for a, b in pairs]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The fused map against others at one altitude of a row.
+
+    Attributes
+    ----------
+    row, altitude
+        Where.
+    best, gain
+        The best single map, and the differences of recall to it, field by field.
+    left
+        The same against the map of the eye that is left; empty: none has failed, or not yet.
+    large_dem, large_fused
+        Share of ground with a large rock among ground called safe, at the recall of the LiDAR's map
+        at p > 0.5.
+    """
+
+    row: str
+    altitude: str
+    best: str
+    gain: list[float]
+    left: list[float]
+    large_dem: float
+    large_fused: float
+
+    @property
+    def missed(self) -> list[str]:
+        """What of the study's aims it misses, in words; empty: nothing."""
+        out = []
+        if np.mean(self.gain) < -LESS_THAN_BEST:
+            out.append(f"worse than {MAPS[self.best]}")
+        if self.left and np.mean(self.left) < -LESS_THAN_LEFT:
+            out.append("worse than the eye that is left")
+        if self.altitude == FROM and self.large_fused > OF_LARGE * self.large_dem:
+            out.append("large hazards")
+        return out
+
+
+def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
+    """Return the fused map against others, row by row and altitude by altitude."""
+    out = []
+    for row, mine in by_row(flights).items():
+        left = ROWS[row].left if row in ROWS else ""
+        for altitude in common(mine):
+            best = best_single(mine, altitude)
+            failed = left and float(altitude) < dead_below
+            dem, fused = ([f["maps"][altitude][n] for f in mine] for n in ("dem", "fused"))
+            recall = curve_of(dem).at_half().recall
+            out.append(
+                Comparison(
+                    row, altitude, best, gained(mine, altitude, best),
+                    gained(mine, altitude, left) if failed else [],
+                    large_share(dem, recall), large_share(fused, recall),
+                )
+            )  # fmt: skip
+    return out
+
+
+def by_row(flights: list[Flight]) -> dict[str, list[Flight]]:
+    """Return flights by the row that they are of, in their order."""
+    rows = dict.fromkeys(f["row"] for f in flights)
+    return {row: [f for f in flights if f["row"] == row] for row in rows}
+
+
+def common(flights: list[Flight]) -> list[str]:
+    """Return the altitudes that all flights were judged at."""
+    return [a for a in flights[0]["maps"] if all(a in f["maps"] for f in flights)]
+
+
+# --- printed and drawn -----------------------------------------------------------------------
+
+_COLUMNS = {
+    "precision": "precision", "recall": "recall",
+    "recall_at_precision": f"recall at {PRECISION}", "missed_hazard": "hazard missed",
+    "missed_objects": "objects missed", "ece": "ECE", "skill": "skill", "claimed": "claimed",
+    "observed": "seen",
+}  # fmt: skip
+
+
+def show(flights: list[Flight], dead_below: float, console: Console) -> None:
+    """Print the figures of each row, altitude and map, and the fused map against others."""
+    for row, mine in by_row(flights).items():
+        table = Table(title=f"{row}: {len(mine)} fields")
+        table.add_column("altitude", justify="right")
+        table.add_column("map")
+        for heading in _COLUMNS.values():
+            table.add_column(heading, justify="right")
+        for altitude in common(mine):
+            for name, words in MAPS.items():
+                f = figures_of([one["maps"][altitude][name] for one in mine])
+                table.add_row(altitude, words, *(f"{f[key]:.3f}" for key in _COLUMNS))
+        console.print(table)
+        spent = {n: float(np.median([one["ms"][n] for one in mine])) for n in MAPS}
+        words = ", ".join(f"{MAPS[n]} {ms:.0f}" for n, ms in spent.items())
+        console.print(f"ms a map drawn, all that it took counted: {words}")
+        refused: dict[str, int] = {}
+        for flight in mine:
+            for why, count in flight["refused"].items():
+                refused[why] = refused.get(why, 0) + count
+        told = ", ".join(f"{why} {count}" for why, count in sorted(refused.items()))
+        console.print(f"pictures that did not count: {told or 'none'}")
+    _show_comparison(comparisons(flights, dead_below), console)
+
+
+def _show_comparison(found: list[Comparison], console: Console) -> None:
+    table = Table(title=f"Fused less others, recall at {PRECISION}, by field")
+    for heading in ("row", "altitude", "best single", "fused less it", "less the eye left",
+                    f"{LARGE} m, DEM", "fused", "misses"):  # fmt: skip
+        table.add_column(heading)
+    for c in found:
+        table.add_row(
+            c.row, c.altitude, MAPS[c.best], mean_interval(c.gain).text(3),
+            mean_interval(c.left).text(3) if c.left else "",
+            f"{c.large_dem:.4f}", f"{c.large_fused:.4f}", ", ".join(c.missed),
+        )  # fmt: skip
+    console.print(table)
+    means = [float(np.mean(c.gain)) for c in found]
+    console.print(
+        f"mean over rows and altitudes of fused less the best single: {np.mean(means):+.3f}; "
+        f"least {min(means):+.3f}"
+    )
+
+
+def draw(flights: list[Flight], path: Path) -> None:
+    """Draw a panel a row: how much safe ground each map finds on the way down."""
+    from matplotlib import pyplot as plt
+
+    rows = by_row(flights)
+    wide = min(len(rows), 5)
+    high = -(-len(rows) // wide)
+    figure, axes = plt.subplots(
+        high, wide, figsize=(3.0 * wide + 0.6, 3.2 * high), sharey=True, squeeze=False
+    )
+    for axis in axes.flat[len(rows) :]:
+        axis.set_visible(False)
+    for axis, (row, mine) in zip(axes.flat, rows.items(), strict=False):
+        altitudes = common(mine)
+        for name, words in MAPS.items():
+            found = [recall_of([f["maps"][a][name] for f in mine]) for a in altitudes]
+            axis.plot(
+                range(len(altitudes)), found, "o-", color=COLOURS[name], label=words,
+                lw=2.6 if name == "fused" else 1.4, zorder=3 if name == "fused" else 2,
+            )  # fmt: skip
+        axis.set_xticks(range(len(altitudes)), altitudes)
+        axis.set_title(row, fontsize=10)
+        axis.set_xlabel("altitude, m")
+        axis.set_ylim(-0.03, 1.03)
+        axis.grid(alpha=0.3)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("safe ground found,\n1 in 100 called safe wrong")
+    axes.flat[len(rows) - 1].legend(fontsize=8, loc="best")
+    figure.tight_layout()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

@@ -1,0 +1,320 @@
+"""Flights of the study of all eyes: rows, descents, and what each map is worth on the way.
+
+Every flight carries all mappers at once, so that their maps are made of the same returns and
+pictures of the same ground; all are judged on the same cells at the same moments.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from lunarsim.evaluation.map_quality import local_ground
+from lunarsim.evaluation.precision_recall import PrecisionRecall
+from lunarsim.evaluation.reliability import reliability
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.rng import Streams, flight_seed
+from lunarsim.safety import exact_safety
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation, build_world
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+HERE = Path(__file__).parent
+SIZE, POSTING = 60.0, 0.25
+# Half side of the quadtree's landing zone over that of the lander's footprint, as in its paper.
+ZONE = 1.35
+DROPPED = 0.5
+DEAD_BELOW = 400.0
+# A large rock has at least this diameter, m.
+LARGE = 0.7
+MAPS = {"dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "fused": "fused"}
+
+_TILTED = {
+    "kind": "dtm", "posting_m": 0.5, "detail": False, "mirrored_to_m": 500.0,
+    "path": str(HERE / "data" / "hirise_dteec_010228_1490_crop.tif"),
+}  # fmt: skip
+_MIXED = {"shape": "mixed", "cover": 0.04, "burial": [0.0, 0.5]}
+WORLDS: dict[str, dict[str, Any]] = {
+    "level": {},
+    "HiRISE 0.2": {"terrain": _TILTED | {"relief_scale": 0.2}},
+    "HiRISE 0.5": {"terrain": _TILTED | {"relief_scale": 0.5}},
+    "highland": {
+        "terrain": {"preset": "highland", "rms_slope_deg": 4.0},
+        "rocks": _MIXED, "expected_rocks": _MIXED,
+    },
+    "15 % cover": {"rocks": {"cover": 0.15}, "expected_rocks": {"cover": 0.15}},
+    "Sun 5 deg": {"sun": {"elevation_deg": 5.0}},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the study.
+
+    Attributes
+    ----------
+    world
+        Its name; rows of the same one share it.
+    drops
+        Whether half of the LiDAR's returns are lost.
+    dead
+        Sensors that measure no more below `DEAD_BELOW`.
+    left
+        The map of the eye that is left then; empty: none has failed altogether.
+    """
+
+    world: str
+    drops: bool = False
+    dead: tuple[str, ...] = ()
+    left: str = ""
+
+
+ROWS: dict[str, Row] = {
+    "level, rocks": Row("level"),
+    "HiRISE, c = 0.2": Row("HiRISE 0.2"),
+    "HiRISE, c = 0.5": Row("HiRISE 0.5"),
+    "cratered highland": Row("highland"),
+    "15 % cover": Row("15 % cover"),
+    "Sun at 5 deg": Row("Sun 5 deg"),
+    "LiDAR with 50 % drop-outs": Row("level", drops=True),
+    "cameras dead from 400 m on": Row("level", dead=("narrow", "wide"), left="dem"),
+    "LiDAR dead from 400 m on": Row("level", dead=("flash",), left="rocks"),
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One flight: a row's name, a field, the root seed, and where maps are judged, m."""
+
+    row: str
+    field: int
+    seed: int
+    altitudes: tuple[float, ...]
+
+    @property
+    def key(self) -> str:
+        """Name of its row and field."""
+        return f"{self.row} | {self.field}"
+
+
+def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
+    """Return the descent over a world, all mappers on board, a flash at every altitude judged."""
+    base = Scenario.load(HERE / "all_eyes.toml").changed(**WORLDS[world])
+    lander = base.vehicle.make()
+    half = lander.leg_radius + 0.5 * lander.pad_diameter
+    # On the way of the scenario's own start, and as fast as a fall from there.
+    highest = max(altitudes)
+    top = max(1.2 * highest, highest + 40.0)
+    start = base.start.make()
+    share = top / start.position[2]
+    rocks = base.expected_rocks
+    # The least rock that is too high for the lander.
+    ratio = {"hemisphere": 0.5, "cube": 1.0}.get(rocks.shape, rocks.height_ratio[0])
+    return base.changed(
+        start={
+            "position_m": [share * x for x in start.position], "position_sigma_m": 0.0,
+            "velocity_m_s": [np.sqrt(share) * v for v in start.velocity],
+        },
+        tasking={"flash": {"altitudes_m": [a + 15.0 for a in altitudes]}},
+        mappers={
+            "dem": {"size_m": SIZE, "posting_m": POSTING},
+            "rocks": {
+                "size_m": SIZE, "posting_m": POSTING,
+                "hazard_diameter_m": lander.roughness_limit / ratio,
+            },
+            "quadtree": {
+                "kind": "quadtree", "sensor": "flash", "size_m": SIZE, "posting_m": POSTING,
+                "sites": {"zone_m": ZONE * half, "roughness_limit_m": lander.roughness_limit},
+            },
+        },
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def world_of(world: str, seed: int) -> World:
+    """Return a world."""
+    return build_world(scenario_of(world, (100.0,)), Streams(seed))
+
+
+def fly(task: Task) -> dict[str, Any]:
+    """Fly once; return what each map was worth at each altitude, as JSON has it."""
+    row = ROWS[task.row]
+    seed = flight_seed(task.seed, task.field)
+    scenario = scenario_of(row.world, task.altitudes)
+    simulation = Simulation(scenario, seed, "no-divert", world=world_of(row.world, seed))
+    mappers = simulation.computer.mappers
+    if row.drops:
+        for name in ("dem", "quadtree"):
+            mappers[name].update = dropping(mappers[name].update)  # type: ignore[method-assign]
+    clock = Clock({name: mappers[name] for name in MAPS})
+    judged: dict[str, Any] = {}
+    waiting = sorted(task.altitudes, reverse=True)
+    while waiting and not simulation.done:
+        simulation.step()
+        if simulation.altitude < DEAD_BELOW:
+            schedules = zip(scenario.tasking, simulation.computer.tasking, strict=True)
+            for part in (part for name, part in schedules if name in row.dead):
+                part.stop()
+        if simulation.altitude <= waiting[0]:
+            judged[f"{waiting.pop(0):g}"] = judge(simulation)
+    refused = mappers["rocks"].refused  # type: ignore[attr-defined]
+    return {"row": task.row, "field": task.field, "maps": judged, "ms": clock.mean_ms(),
+            "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
+
+
+class Clock:
+    """Counts the time that each mapper works: what it asks of another is the other's.
+
+    Parameters
+    ----------
+    mappers
+        By name.
+    """
+
+    def __init__(self, mappers: dict[str, HazardMapper]) -> None:
+        self._seconds = dict.fromkeys(mappers, 0.0)
+        self._drawn: dict[str, dict[int, Any]] = {name: {} for name in mappers}
+        self._inside = 0.0
+        for name, mapper in mappers.items():
+            for method in ("update", "refresh", "hazard_map", "evidence"):
+                setattr(mapper, method, self._timed(name, getattr(mapper, method)))
+
+    def _timed(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            began, others, self._inside = time.perf_counter(), self._inside, 0.0
+            try:
+                given = method(*args)
+                if isinstance(given, HazardMap):
+                    # Kept, so that no other is given its number.
+                    self._drawn[name][id(given.p_safe)] = given.p_safe
+                return given
+            finally:
+                whole = time.perf_counter() - began
+                self._seconds[name] += whole - self._inside
+                self._inside = others + whole
+
+        return call
+
+    def mean_ms(self) -> dict[str, float]:
+        """Return the time of all that a mapper did, over the number of maps that it drew, ms."""
+        return {n: 1e3 * s / max(len(self._drawn[n]), 1) for n, s in self._seconds.items()}
+
+
+def dropping(update: Callable[..., None]) -> Callable[..., None]:
+    """Return the method of a mapper, given scans of which half of the returns are lost."""
+
+    def taken(scan: LidarScan, estimate: Any) -> None:
+        # Drawn by the scan's own time: all mappers lose the same returns.
+        lost = np.random.default_rng(round(1e3 * scan.time)).random(scan.range.shape) < DROPPED
+        update(replace(scan, range=np.where(lost, np.nan, scan.range)), estimate)
+
+    return taken
+
+
+# --- what maps are worth ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The truth under a map.
+
+    Attributes
+    ----------
+    xy, safe
+        Places (n, 2), local frame, m, and whether they are safe (n,).
+    under_large
+        Whether a rock of `LARGE` or more lies under the lander there (n,).
+    objects
+        Middles of rocks that stand higher than the lander's limit (k, 2), local frame, m.
+    """
+
+    xy: Array
+    safe: NDArray[np.bool_]
+    under_large: NDArray[np.bool_]
+    objects: Array
+
+
+def ground_under(simulation: Simulation) -> Ground:
+    """Return the truth on the cells of the Gaussian DEM."""
+    lander, terrain = simulation.lander, simulation.world.terrain
+    grid = simulation.computer.mappers["dem"].hazard_map().grid
+    error = simulation.navigation_error
+    truth = exact_safety(local_ground(terrain, grid, error), grid, lander)
+    xy = grid.centres()[truth.observed]
+    rocks = terrain.rocks
+    middles = np.column_stack((rocks.x, rocks.y)) + error[:2]
+    diameter = 2.0 * np.sqrt(rocks.a * rocks.b)
+    footprint = lander.leg_radius + 0.5 * lander.pad_diameter
+    near = grid.contains(middles)
+    high = near & (rises(terrain) >= lander.roughness_limit)
+    return Ground(
+        xy, truth.safe[truth.observed],
+        reached(xy, middles[diameter >= LARGE], 0.5 * diameter[diameter >= LARGE], footprint),
+        middles[high],
+    )  # fmt: skip
+
+
+def rises(terrain: Any) -> Array:
+    """Return how far the middle of each rock stands above the ground about it (n,), m."""
+    rocks = terrain.rocks
+    middles = np.column_stack((rocks.x, rocks.y))
+    around = 0.25 * np.pi * np.arange(8)
+    ring = np.column_stack((np.cos(around), np.sin(around)))
+    off = 1.3 * np.maximum(rocks.a, rocks.b)[:, None, None] * ring
+    about = terrain.elevation((middles[:, None] + off).reshape(-1, 2)).reshape(-1, 8)
+    return np.asarray(terrain.elevation(middles) - np.nanmedian(about, axis=1))
+
+
+def reached(xy: Array, middles: Array, radius: Array, footprint: float) -> NDArray[np.bool_]:
+    """Tell at which places (n, 2) some rock (k, 2) reaches into a footprint (n,), m."""
+    out = np.zeros(len(xy), np.bool_)
+    if len(middles):
+        found = cKDTree(xy).query_ball_point(middles, radius + footprint)
+        out[np.concatenate([np.asarray(own, np.int64) for own in found])] = True
+    return out
+
+
+def judge(simulation: Simulation) -> dict[str, Any]:
+    """Compare all maps as they stand with the truth."""
+    ground = ground_under(simulation)
+    mappers = simulation.computer.mappers
+    return {name: judged(mappers[name].hazard_map(), ground) for name in MAPS}
+
+
+def judged(drawn: HazardMap, ground: Ground) -> dict[str, Any]:
+    """Return counts of one map, as JSON has them."""
+    p = drawn.p_safe_at(ground.xy)
+    layer = drawn.observed if drawn.in_domain is None else drawn.in_domain
+    claimed = _under(drawn, layer, ground.xy)
+    curve = PrecisionRecall.of(p, ground.safe)
+    large = PrecisionRecall.of(p, ground.under_large)
+    c, s = p[claimed], ground.safe[claimed].astype(np.float64)
+    over = drawn.p_safe_at(ground.objects) if len(ground.objects) else np.empty(0)
+    return {
+        "unsafe": curve.unsafe.tolist(),
+        "safe": curve.safe.tolist(),
+        "large": large.safe.tolist(),
+        "objects": [len(over), int((over > 0.5).sum())],
+        "table": reliability(c, s).tolist(),
+        "squares": [float(c.size), float(s.sum()), float(((c - s) ** 2).sum())],
+        "observed": float(_under(drawn, drawn.observed, ground.xy).mean()),
+    }
+
+
+def _under(drawn: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
+    g = drawn.grid
+    row, col = g.cell(xy)
+    found = layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)]
+    return np.asarray(found & g.contains(xy))
