@@ -77,8 +77,8 @@ class DetectorSettings:
     largest_radius: float = 5.0
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.30, 0.11)
-    look_small: tuple[float, float] = (0.72, 0.26)
+    look_sigma: tuple[float, float] = (0.26, 0.095)
+    look_small: tuple[float, float] = (0.70, 0.25)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
