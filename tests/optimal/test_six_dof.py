@@ -206,7 +206,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         monkeypatch.setattr(programs, "_solved", lambda program: np.zeros(1))
         coming = iter(made)
         monkeypatch.setattr(successive.Point, "at", lambda *given, c=coming: next(c))
-        path, count = programs._settled(None, point(2e-3))
+        path, count = programs.settled(None, point(2e-3))
         assert path is made[given]
         assert count == given + 1
 
