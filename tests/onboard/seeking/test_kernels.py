@@ -104,7 +104,7 @@ def test_what_paths_let_a_lander_know(seed):
         2: eyes[1:],
         3: [an_eye(rng, gimbal=70.0), eyes[1]],
         4: [an_eye(rng, longest=120.0)],
-        5: [an_eye(rng, highest=150.0)],
+        5: [an_eye(rng, highest=250.0) | {"lowest": 120.0}],
     }.get(seed, eyes)
     found, wanted = both(rng, eyes, some_plans(rng))
     assert np.isfinite(wanted[:, 1]).sum() > 5
