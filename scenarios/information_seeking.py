@@ -99,12 +99,12 @@ def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
     hazards = {p: _hazards(row[p] for row in rows) for p in PATHS}
     console.print(f"not landed: {lost}; hazards wholly called clear: {hazards}")
     for other in ("nominal", "modified"):
-        console.print(_odds(rows, other))
+        console.print(odds(rows, other))
     back = sum(row["seeking"]["fallbacks"] for row in rows)
     console.print(f"seeking without an admissible path at some time: {back} flights' events")
 
 
-def _odds(rows: list[dict[str, Flight]], other: str) -> str:
+def odds(rows: list[dict[str, Flight]], other: str) -> str:
     """Return in how many fields seeking knows more than another path, and how likely by chance."""
     of = FIGURES["clear ground called clear"]
     if "clear" not in rows[0]["seeking"]["levels"][LAST]:

@@ -58,11 +58,11 @@ def test_a_win_is_one_whose_interval_lies_above_nought(study):
         {"nominal": 0.22, "modified": 0.80, "seeking": 0.71},
         {"nominal": 0.19, "modified": 0.50, "seeking": 0.69},
     )]  # fmt: skip
-    assert "by the interval of the mean a clear win" in study._odds(few, "nominal")
-    assert "by the interval of the mean no clear win" in study._odds(few, "modified")
+    assert "by the interval of the mean a clear win" in study.odds(few, "nominal")
+    assert "by the interval of the mean no clear win" in study.odds(few, "modified")
     # A figure that is none leaves its field out.
     few[0]["seeking"]["levels"][study.LAST]["clear"] = float("nan")
-    assert "in 2 of 2 fields" in study._odds(few, "nominal")
+    assert "in 2 of 2 fields" in study.odds(few, "nominal")
 
 
 def test_a_field_counts_once_all_paths_have_flown_it(study):

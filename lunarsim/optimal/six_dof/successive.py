@@ -85,7 +85,7 @@ class Successive:
         guess = guess_of(descent, n) if guess is None else guess.on(n)
         scale = Scale.of(descent, guess)
         x, v, total = scale.split(scale.start(guess), n)
-        path, programs = self._settled(scale, Point.at(x, v, total / n, scale))
+        path, programs = self.settled(scale, Point.at(x, v, total / n, scale))
         states, controls, duration = scale.read(
             np.concatenate((path.x.ravel(), path.v.ravel(), [n * path.length])), n
         )
@@ -94,7 +94,7 @@ class Successive:
             time.perf_counter() - begun,
         )  # fmt: skip
 
-    def _settled(self, scale: Scale, point: Point) -> tuple[Point, int]:
+    def settled(self, scale: Scale, point: Point) -> tuple[Point, int]:
         """Return the path at which programs save no more, and how many there were."""
         price, joining = _FIRST, False
         merits = [point.merit]

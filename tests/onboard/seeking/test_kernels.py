@@ -104,7 +104,7 @@ def test_what_paths_let_a_lander_know(seed):
         2: eyes[1:],
         3: [an_eye(rng, gimbal=70.0), eyes[1]],
         4: [an_eye(rng, longest=120.0)],
-        5: [an_eye(rng, highest=150.0)],
+        5: [an_eye(rng, highest=250.0) | {"lowest": 120.0}],
     }.get(seed, eyes)
     found, wanted = both(rng, eyes, some_plans(rng))
     assert np.isfinite(wanted[:, 1]).sum() > 5
@@ -145,6 +145,20 @@ def test_an_altitude_that_is_passed_on_the_way_up_is_past(monkeypatch):
     assert np.isfinite(found[:, 1]).sum() > 3
     np.testing.assert_allclose(found, wanted, rtol=1e-6)
     np.testing.assert_array_equal(found, only)
+
+
+def test_ground_above_the_lander_is_not_seen():
+    """Just before it, too, where tables carried on below the horizon would tell all."""
+    rng = np.random.default_rng(5)
+    eye = an_eye(rng, half_field=89.0)
+    eye |= {"sharp": np.full((9, 9), 50.0), "open": np.ones((9, 9)), "astray": np.zeros((9, 9))}
+    heights = (500.0, 700.0)
+    for up in heights:
+        node = {"at": np.array([-150.0, 20.0, up]), "weight": 1.0, "known": 0.1, "needs": 0.0}
+        out = scored([eye], some_plans(rng, 60), [node], (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1))
+        good = np.isfinite(out[:, 1])
+        assert good.any()
+        np.testing.assert_allclose(out[good, 0], 0.1)
 
 
 def test_nothing_to_look_at_is_nothing_known():
