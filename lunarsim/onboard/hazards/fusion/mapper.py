@@ -70,7 +70,7 @@ class FusedMapping:
         if found is not None and found.other > 0.0 and not self.feature:
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"a file without a weight of a second map ({found.other:g}), or its name as feature",
+                f"one without a weight of a second map ({found.other:g}), or its name as feature",
             )  # fmt: skip
 
     def calibration(self) -> FusedCalibration | None:

@@ -262,7 +262,7 @@ class ClearEvidence:
         table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
         missed = self.rates.false_negative(self._radius[mine][:, None] * table)
         share = np.maximum(self._number[mine] @ missed / self._number[mine].sum(), self.model.bare)
-        return np.interp(dark, table, share).astype(np.float32)
+        return np.asarray(np.interp(dark, table, share), np.float32)
 
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return how many rocks that are not tracked reach into a disc about each place.
