@@ -99,7 +99,7 @@ def flown(tasks: list[Task], jobs: int, kept: Kept, console: Console) -> list[di
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes; results do not depend on it.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File for the counts of every flight; what is in it is not flown again.")  # fmt: skip
+              help="File for the counts of every flight; those in it are kept.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder for the figure.")  # fmt: skip
 def main(

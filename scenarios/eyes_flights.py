@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import logit
 
 from lunarsim.evaluation.map_quality import local_ground
 from lunarsim.evaluation.precision_recall import PrecisionRecall
@@ -39,6 +40,8 @@ DROPPED = 0.5
 DEAD_BELOW = 400.0
 # A large rock has at least this diameter, m.
 LARGE = 0.7
+# Log odds between which sites are counted by two maps.
+ODDS = np.linspace(-8.0, 8.0, 33)
 MAPS = {"dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "fused": "fused"}
 
 _TILTED = {
@@ -289,8 +292,31 @@ def reached(xy: Array, middles: Array, radius: Array, footprint: float) -> NDArr
 def judge(simulation: Simulation) -> dict[str, Any]:
     """Compare all maps as they stand with the truth."""
     ground = ground_under(simulation)
-    mappers = simulation.computer.mappers
-    return {name: judged(mappers[name].hazard_map(), ground) for name in MAPS}
+    drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
+    found = {name: judged(one, ground) for name, one in drawn.items()}
+    found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], ground)
+    return found
+
+
+def joint(fused: HazardMap, second: HazardMap, ground: Ground) -> list[Any]:
+    """Return counts of sites by two maps' probabilities (safe or not, fused, second).
+
+    Between `ODDS`; the last of the second's columns is of sites that it has not seen. Sites that
+    the fused map has not seen are left out.
+    """
+    kept = _under(fused, fused.observed, ground.xy)
+    xy, safe = ground.xy[kept], ground.safe[kept]
+    place = [np.searchsorted(ODDS[1:-1], _log_odds(m.p_safe_at(xy))) for m in (fused, second)]
+    columns = len(ODDS) - 1
+    place[1] = np.where(_under(second, second.observed, xy), place[1], columns)
+    counts = np.zeros((2, columns, columns + 1), np.int64)
+    np.add.at(counts, (safe.astype(np.int64), *place), 1)
+    return list(counts.tolist())
+
+
+def _log_odds(p: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.asarray(logit(p.astype(np.float64)))
 
 
 def judged(drawn: HazardMap, ground: Ground) -> dict[str, Any]:

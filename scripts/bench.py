@@ -19,6 +19,7 @@ from bench_parts.closed_loop import flight, frames
 from bench_parts.cold_start import cold_start
 from bench_parts.common import median_ms
 from bench_parts.environments import envs
+from bench_parts.eyes import eyes
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
 from bench_parts.interrupts import interrupts
@@ -47,6 +48,7 @@ PARTS: dict[str, Callable[[], None]] = {
         guidance,
         optimal,
         seeking,
+        eyes,
         envs,
         campaign,
         interrupts,

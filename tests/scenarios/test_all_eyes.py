@@ -188,6 +188,49 @@ def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch)
     assert "is no file of flights" in " ".join(broken.output.split())
 
 
+def test_sites_are_counted_by_two_maps(flights):
+    """Each once, by both probabilities; those that the second has not seen by themselves."""
+    grid = Grid(0.0, 0.0, 1.0, 1, 4)
+    seen = np.ones((1, 4), bool)
+    p, q = np.float32([[0.9, 0.9, 0.1, 1.0]]), np.float32([[0.6, 0.6, 0.2, 0.0]])
+    fused, second = HazardMap(grid, p, seen), HazardMap(grid, q, seen & (q > 0.0))
+    xy, safe = grid.centres().reshape(-1, 2), np.array([True, False, False, True])
+    counts = np.array(flights.joint(fused, second, flights.Ground(xy, safe, ~safe, xy)))
+    assert counts.sum() == 4
+    row, col = (np.searchsorted(flights.ODDS, np.log(v / (1 - v))) - 1 for v in (0.9, 0.6))
+    assert counts[0, row, col] == counts[1, row, col] == 1
+    assert counts[1, -1, -1] == 1
+    assert counts[0, :, -1].sum() == 0
+
+
+def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
+    """Made flights whose quadtree knows what the fused map does not: it is given a weight."""
+    fit = script(".", "eyes_calibration")
+    p, q, seen = fit.kinds()
+    x, y = np.log(p / (1 - p)), np.where(seen, np.log(q / (1 - q)), 0.0)
+    chance = 1 / (1 + np.exp(-(0.9 * x + 0.4 * y)))
+    shape = 2, len(fit.ODDS) - 1, len(fit.ODDS)
+    counts = np.rint(200_000 * np.stack((1 - chance, chance))).reshape(shape)
+    made = {
+        row: {"row": row, "maps": {"100": {"fused": {"joint": counts.tolist()}}}}
+        for row in ("a", "b")
+    }
+    file = tmp_path / "fit.json"
+    file.write_text(json.dumps({"settings": {}, "flights": made}))
+    result = CliRunner().invoke(fit.main, [str(file), "--out", str(tmp_path / "c.json")])
+    assert result.exit_code == 0, result.output
+    told = json.loads((tmp_path / "c.json").read_text())
+    weights = told["intercept"], told["slope"], told["other"]
+    assert weights == pytest.approx((0.0, 0.9, 0.4), abs=0.02)
+    none, _, both = (fit.loss_of(c, counts)[0] for c in (
+        fit.FusedCalibration(), fit.fitted(counts, False, fit.Lander()),
+        fit.FusedCalibration(*weights)))  # fmt: skip
+    assert both < none
+    file.write_text(json.dumps({"settings": {}, "flights": {"a": made["a"]}}))
+    alone = CliRunner().invoke(fit.main, [str(file)])
+    assert alone.exit_code == 2 and "one row" in alone.output
+
+
 @pytest.mark.slow
 def test_a_flight_is_judged(study, tmp_path):
     file = tmp_path / "all.json"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+import pytest
+
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
@@ -13,3 +15,16 @@ def test_the_flight_with_two_eyes_is_one(monkeypatch):
     scenario = importlib.import_module("bench_parts.navigation").two_eyes()
     assert set(scenario.mappers) == {"rocks"}
     assert scenario.prior_map is not None
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_the_flight_with_all_eyes_looks_as_often_as_it_says(monkeypatch, both):
+    monkeypatch.syspath_prepend(SCRIPTS)
+    scenario = importlib.import_module("bench_parts.eyes").all_eyes(both)
+    looks = {name: part.make() for name, part in scenario.tasking.items()}
+    assert {name: part.rate for name, part in looks.items()} == {
+        "narrow": 10.0, "wide": 10.0, "flash": 2.0
+    }  # fmt: skip
+    assert (looks["narrow"].last_altitude == 0.0) == both
+    assert scenario.mappers["rocks"].make().sensors == ("narrow", "wide")
+    assert scenario.decisions.make().map == "fused"

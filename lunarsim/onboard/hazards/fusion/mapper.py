@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import NoneType
 from typing import Any, ClassVar
 
@@ -12,7 +13,9 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map
+from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
@@ -38,6 +41,10 @@ class FusedMapping:
         there are.
     relief_prior
         See `FusionTerms`.
+    calibration_path
+        Last stage of the probability, see `FusedCalibration.load`; None: it stays as it is.
+    feature
+        Name of a second mapper of elevations that the calibration looks at; empty: none.
     """
 
     of: tuple[str, ...] = quantity((), help="names of the mappers it is made of; left out: all")
@@ -45,11 +52,37 @@ class FusedMapping:
         0.9, ge=0, lt=1, help="probability that ground of which no elevation was measured is level"
     )
 
+    calibration_path: Path | None = quantity(
+        None, help="last stage of the probability, relative to the scenario file"
+    )
+    feature: str = quantity("", help="second mapper of elevations, a feature of the calibration")
+
     takes: ClassVar[type] = NoneType
     sensor: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         check_bounds(self, "mappers")
+        found = self.calibration()
+        if self.feature and found is None:
+            raise InputError(
+                "feature", self.feature, "left out, or calibration_path that gives its weight"
+            )
+        if found is not None and found.other > 0.0 and not self.feature:
+            raise InputError(
+                "calibration_path", str(self.calibration_path),
+                f"one without a weight of a second map ({found.other:g}), or its name as feature",
+            )  # fmt: skip
+
+    def calibration(self) -> FusedCalibration | None:
+        """Return what the file at `calibration_path` holds, None without one."""
+        if self.calibration_path is None:
+            return None
+        try:
+            return FusedCalibration.load(self.calibration_path)
+        except InputError as error:
+            raise InputError(
+                "calibration_path", str(self.calibration_path), f"a calibration ({error})"
+            ) from None
 
     def chosen(self, parts: Mapping[str, Any]) -> dict[str, type]:
         """Return the mappers that it is made of, by name, and what they publish.
@@ -66,7 +99,7 @@ class FusedMapping:
             twice, two publish the same kind, or there is none at all.
         """
         others = {n: p for n, p in parts.items() if not isinstance(p, FusedMapping)}
-        names = self.of or tuple(others)
+        names = self.of or tuple(n for n in others if n != self.feature)
         if not names:
             raise InputError("of", self.of, "at least one other mapper, under [mappers.NAME]")
         found: dict[str, type] = {}
@@ -85,7 +118,22 @@ class FusedMapping:
                     "more than either",
                 )  # fmt: skip
             found[name] = published
+        self._check_feature(parts, found)
         return found
+
+    def _check_feature(self, parts: Mapping[str, Any], of: Mapping[str, type]) -> None:
+        """Refuse a feature that is no second mapper of elevations."""
+        if not self.feature:
+            return
+        if self.feature not in parts:
+            others = {n: p for n, p in parts.items() if n not in of}
+            raise InputError("feature", self.feature, suggestion(self.feature, others))
+        published = getattr(parts[self.feature], "publishes", None)
+        if self.feature in of or published is not ReliefEvidence:
+            raise InputError(
+                "feature", self.feature,
+                "a mapper of elevations beside those that the map is made of",
+            )  # fmt: skip
 
     def build(
         self,
@@ -105,7 +153,10 @@ class FusedMapping:
         chosen = self.chosen(briefing.software.mappers)
         terms = FusionTerms(briefing.lander, briefing.rocks, self.relief_prior)
         built = mappers or {}
-        return FusedMapper({name: built[name] for name in chosen}, terms)
+        return FusedMapper(
+            {name: built[name] for name in chosen}, terms, self.calibration(),
+            {self.feature: built[self.feature]} if self.feature else None,
+        )  # fmt: skip
 
 
 class FusedMapper(HazardMapper):
@@ -117,6 +168,10 @@ class FusedMapper(HazardMapper):
         The others, by name; they are fed by whoever built them.
     terms
         What is known beforehand.
+    calibration
+        Last stage of the probability; left out: it stays as it is.
+    feature
+        By its name, a second mapper that the calibration looks at.
 
     Raises
     ------
@@ -124,18 +179,26 @@ class FusedMapper(HazardMapper):
         If there are none.
     """
 
-    def __init__(self, mappers: Mapping[str, HazardMapper], terms: FusionTerms) -> None:
+    def __init__(
+        self,
+        mappers: Mapping[str, HazardMapper],
+        terms: FusionTerms,
+        calibration: FusedCalibration | None = None,
+        feature: Mapping[str, HazardMapper] | None = None,
+    ) -> None:
         if not mappers:
             raise InputError("of", (), "at least one other mapper")
         self._mappers = dict(mappers)
+        self._feature = dict(feature or {})
         self.terms = terms
+        self.calibration = calibration
         self._drawn: HazardMap | None = None
         self._from: tuple[HazardMap, ...] = ()
 
     @property
     def sources(self) -> frozenset[str]:
         """Names of the mappers that it is made of."""
-        return frozenset(self._mappers)
+        return frozenset((*self._mappers, *self._feature))
 
     @property
     def grid(self) -> Any:
@@ -154,7 +217,8 @@ class FusedMapper(HazardMapper):
 
     def hazard_map(self) -> HazardMap:
         """Return the map of what the others know as they have last drawn it."""
-        maps = tuple(mapper.hazard_map() for mapper in self._mappers.values())
+        asked = (*self._mappers.values(), *self._feature.values())
+        maps = tuple(mapper.hazard_map() for mapper in asked)
         same = len(maps) == len(self._from) and all(
             new.p_safe is old.p_safe for new, old in zip(maps, self._from, strict=True)
         )
@@ -169,7 +233,19 @@ class FusedMapper(HazardMapper):
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
         if relief is None and rocks is None:
             return HazardMap.unobserved(maps[0].grid)
-        return fused_map(relief, rocks, self.terms)
+        drawn = fused_map(relief, rocks, self.terms)
+        if self.calibration is None:
+            return drawn
+        return self._calibrated(drawn, maps[-1] if self._feature else None)
+
+    def _calibrated(self, drawn: HazardMap, second: HazardMap | None) -> HazardMap:
+        """Return the map through C, which looks at a second map's probability."""
+        assert self.calibration is not None
+        other, seen = np.zeros_like(drawn.p_safe), np.zeros_like(drawn.observed)
+        if second is not None:
+            other = on_grid(second.p_safe, second.grid, drawn.grid, np.float32(0.0), "least")
+            seen = on_grid(second.observed, second.grid, drawn.grid, False, "least")
+        return replace(drawn, p_safe=self.calibration.probability(drawn.p_safe, other, seen))
 
     def ground_height(self, xy: Array) -> float | None:
         """Return the local height of the ground at a point (2,), m; None where none knows it.

@@ -236,8 +236,10 @@ class ClearEvidence:
     def ratios(self) -> NDArray[np.float32]:
         """Return rocks that may be there and are not tracked over those expected unseen.
 
-        Below 1 where the ground was seen lit, above where it is dark and no rock that is tracked
-        throws the shadow, and 1 where there was no look, or a tracked rock's shadow may hide one.
+        Below 1 where the ground was seen lit, and 1 where there was no look, or a tracked rock's
+        shadow may hide one. Where it is dark and no rock that is tracked throws the shadow, the
+        rocks stand crowded that are not tracked: of all that are expected, the share that so sharp
+        a look misses; never below 1.
 
         Returns
         -------
@@ -249,7 +251,18 @@ class ClearEvidence:
             looked = (self.lit[s] > 0.0) | (self.dark[s] > 0.0)
             number = np.float32(self._number[self._class == s].sum())
             out[s][looked] = self._density(s)[looked] / number
+            crowded = self._possible(s) & ~self.explained[s]
+            out[s][crowded] = np.maximum(out[s] * self._untracked(s), np.float32(1.0))[crowded]
         return out
+
+    def _untracked(self, test: int) -> NDArray[np.float32]:
+        """Return the share of rocks that the sharpest look at dark ground misses (rows, cols)."""
+        mine = self._class == test
+        dark = self.dark[test]
+        table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
+        missed = self.rates.false_negative(self._radius[mine][:, None] * table)
+        share = np.maximum(self._number[mine] @ missed / self._number[mine].sum(), self.model.bare)
+        return np.asarray(np.interp(dark, table, share), np.float32)
 
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return how many rocks that are not tracked reach into a disc about each place.

@@ -1,0 +1,118 @@
+"""The last stage of the fused map, fitted to flights of the study of all eyes.
+
+The quadtree maps the same returns as the Gaussian DEM: it is a feature of that stage, never a
+factor. Fields are fitted to that no map is judged on: each row's own fields are judged by a fit to
+the other rows.
+
+python scenarios/all_eyes.py --fields 3 --seed 11 --json out/fit.json
+python scenarios/eyes_calibration.py out/fit.json --out out/fused.json
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from eyes_flights import ODDS, POSTING
+from rich.console import Console
+from rich.table import Table
+from scipy.special import expit
+
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
+
+Array = np.ndarray[Any, Any]
+
+# Fits without a second map, and with it.
+FITS = ("none", "without the quadtree", "with the quadtree")
+
+
+def counts_of(flights: list[dict[str, Any]]) -> Array:
+    """Return counts of sites, pooled (safe or not, fused, quadtree), see `eyes_flights.joint`."""
+    shape = (2, len(ODDS) - 1, len(ODDS))
+    pooled = np.zeros(shape)
+    for flight in flights:
+        for maps in flight["maps"].values():
+            pooled += np.array(maps["fused"]["joint"])
+    return pooled
+
+
+def kinds() -> tuple[Array, Array, Array]:
+    """Return the fused map's probability, the quadtree's, and whether it saw them (kinds,)."""
+    middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
+    p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
+    seen = np.ones(p.shape, np.bool_)
+    seen[:, -1] = False
+    return p.ravel(), q.ravel(), seen.ravel()
+
+
+def fitted(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
+    """Return C fitted to counts; sites whose footprints overlap count as one."""
+    p, q, seen = kinds()
+    unsafe, safe = counts.reshape(2, -1)
+    footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
+    return FusedCalibration.fit(
+        p, q, seen & with_quadtree, safe, unsafe, worth=min(POSTING**2 / footprint, 1.0)
+    )
+
+
+def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
+    """Return the mean squared error of C over sites, and how far it is off on the mean."""
+    p, q, seen = kinds()
+    unsafe, safe = counts.reshape(2, -1)
+    c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)
+    n = max(counts.sum(), 1.0)
+    return (
+        float((safe * (1.0 - c) ** 2 + unsafe * c**2).sum() / n),
+        float((safe * (c - 1.0) + unsafe * c).sum() / n),
+    )
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="File for the fit to all rows.")  # fmt: skip
+def main(file: Path, out: Path | None) -> None:
+    """Fit C to the flights in FILE and print what it is worth on rows left out."""
+    try:
+        flights = list(json.loads(file.read_text(encoding="utf-8"))["flights"].values())
+        rows = {row: [f for f in flights if f["row"] == row] for row in (f["row"] for f in flights)}
+        all_counts = {row: counts_of(mine) for row, mine in rows.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise click.BadParameter(
+            f"{file} is no file of flights ({error!r})", param_hint="FILE"
+        ) from None
+    if len(all_counts) < 2:
+        raise click.BadParameter(
+            f"{file} holds flights of one row: each is judged by a fit to others", param_hint="FILE"
+        )
+    console, lander = Console(width=140), Lander()
+    table = Table(title="Squared error, and mean of C less what is safe, each row by the others")
+    table.add_column("row")
+    for name in FITS:
+        table.add_column(name, justify="right")
+    try:
+        for row, mine in all_counts.items():
+            rest = np.sum([c for other, c in all_counts.items() if other != row], axis=0)
+            fits = [FusedCalibration(), *(fitted(rest, second, lander) for second in (False, True))]
+            words = (loss_of(c, mine) for c in fits)
+            table.add_row(row, *(f"{square:.4f}, {off:+.4f}" for square, off in words))
+        whole = fitted(np.sum(list(all_counts.values()), axis=0), True, lander)
+    except InputError as error:
+        raise click.ClickException(str(error)) from None
+    console.print(table)
+    console.print(
+        f"all rows: logit C = {whole.intercept:+.3f} + {whole.slope:.3f} logit p + "
+        f"{whole.other:.3f} logit q"
+    )
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        whole.save(out)
+
+
+if __name__ == "__main__":
+    main()
