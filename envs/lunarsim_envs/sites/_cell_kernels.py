@@ -13,11 +13,18 @@ NOWHERE = np.float32(-1e30)
 
 
 @kernel(finite=True)
-def scored(aim, dy, corner, posting, site, score):
+def offsets(corner, posting, site, out):
+    """Write how far columns lie from a site (cols,), m."""
+    for c in range(len(out)):
+        out[c] = np.float32(corner + c * posting - site)
+
+
+@kernel(finite=True)
+def scored(aim, dy, offset, score):
     """Write how good each cell of a row is (cols,), and return the best of them and of its aim."""
     best, most = np.float32(NOWHERE), np.float32(0.0)
     for c in range(len(aim)):
-        dx = np.float32(corner + c * posting - site)
+        dx = offset[c]
         far = np.sqrt(dx * dx + dy * dy)
         good = aim[c] - _PRICE * far if aim[c] > 0.0 else np.float32(NOWHERE)
         score[c] = good
@@ -35,6 +42,27 @@ def greatest(score):
     return best
 
 
+@kernel(inner=True)
+def halves_of(separation, posting, out):
+    """Write how many cells to a side are too near, of rows that are so many apart (m,)."""
+    for apart in range(len(out)):
+        out[apart] = 0
+        while np.hypot(apart, out[apart]) * posting < separation:
+            out[apart] += 1
+
+
+@kernel(inner=True)
+def clear(score, most, row, col, halves):
+    """Take the cells about one out of the choice; see `halves_of`."""
+    rows, cols = score.shape
+    wide = len(halves) - 1
+    for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
+        half = halves[abs(r - row)]
+        for c in range(max(col - half + 1, 0), min(col + half, cols)):
+            score[r, c] = NOWHERE
+        most[r] = greatest(score[r])
+
+
 @kernel()
 def best_cells(aim, corner, posting, site, count, separation, score, highest, cells):
     """Write up to `count` cells (m, 2) of greatest aim and return how many.
@@ -42,11 +70,13 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
     See `candidates.best_cells`. `highest` (rows,) takes the greatest aim of each row.
     """
     rows, cols = aim.shape
-    most = np.empty(rows, np.float32)
+    most, offset = np.empty(rows, np.float32), np.empty(cols, np.float32)
+    offsets(corner[0], posting, site[0], offset)
     for r in range(rows):
         dy = np.float32(corner[1] + r * posting - site[1])
-        most[r], highest[r] = scored(aim[r], dy, corner[0], posting, site[0], score[r])
-    wide = int(np.ceil(separation / posting))
+        most[r], highest[r] = scored(aim[r], dy, offset, score[r])
+    halves = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
+    halves_of(separation, posting, halves)
     for n in range(count):
         row = 0
         for r in range(1, rows):
@@ -58,11 +88,7 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
         while score[row, col] != most[row]:
             col += 1
         cells[n, 0], cells[n, 1] = row, col
-        for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
-            for c in range(max(col - wide, 0), min(col + wide + 1, cols)):
-                if np.hypot(r - row, c - col) * posting < separation:
-                    score[r, c] = NOWHERE
-            most[r] = greatest(score[r])
+        clear(score, most, row, col, halves)
     return count
 
 
