@@ -271,10 +271,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self, invalid: bool, verdict: tuple[bool, tuple[str, ...]] | None
     ) -> dict[str, float]:
         """Return the terms of the decision that has been carried out, by name."""
-        one = np.ones(1, np.bool_)
+        over, safe = verdict is not None, verdict is not None and verdict[0]
+        touch = self.flight.touch if over else np.full((1, 3), np.nan)
         terms = self.rewards.terms(
-            one, one & invalid, one & (verdict is not None), one & (verdict or (False,))[0],
-            self.flight.touch, one, *self.standing(),
+            *np.array([[True], [invalid], [over], [safe]]), touch, np.ones(1, np.bool_),
+            *self.standing(),
         )  # fmt: skip
         return {name: float(term[0]) for name, term in terms.items()}
 

@@ -13,7 +13,16 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.guidance._kernels import GLIDE, GRAVITY, HIGH, LOW, MASS, MOST, SHARE, TAN_TILT
+from lunarsim.onboard.guidance._kernels import (
+    GLIDE,
+    GRAVITY,
+    HIGH,
+    LOW,
+    MASS,
+    MOST,
+    SHARE,
+    TAN_TILT,
+)
 
 # Room for rounding: a share, m^2/s^4, m, m/s.
 _SHARE, _SQUARE, _LENGTH, _SPEED = 1e-3, 1e-3, 0.05, 1e-3
@@ -137,7 +146,7 @@ def _quartics(ways, gap, wide, tall, figures, out):
     one[0] -= _SQUARE
 
 
-@kernel(inner=True)
+@kernel()
 def beyond(ways, state, low, high, speed, most, law, figures):
     """Tell whether no target in a box (3,), (3,) has an admissible time-to-go, for certain.
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim._lanes import LANES, larger, load, store
 
 # Of `candidates.best_cells`.
 _PRICE = np.float32(1e-3 / 100.0)
 # Stands for cells that are no site.
 NOWHERE = np.float32(-1e30)
+_NOUGHT = np.float32(0.0)
 
 
 @kernel(finite=True)
@@ -20,26 +22,44 @@ def offsets(corner, posting, site, out):
 
 
 @kernel(finite=True)
-def scored(aim, dy, offset, score):
-    """Write how good each cell of a row is (cols,), and return the best of them and of its aim."""
-    best, most = np.float32(NOWHERE), np.float32(0.0)
+def _scored(aim, dy, offset, score):
+    """Write how good each cell of a row is (cols,)."""
     for c in range(len(aim)):
         dx = offset[c]
-        far = np.sqrt(dx * dx + dy * dy)
-        good = aim[c] - _PRICE * far if aim[c] > 0.0 else np.float32(NOWHERE)
-        score[c] = good
-        best = max(best, good)
-        most = max(most, aim[c])
-    return best, most
+        good = aim[c] - _PRICE * np.sqrt(dx * dx + dy * dy)
+        score[c] = good if aim[c] > _NOUGHT else NOWHERE
 
 
-@kernel(finite=True)
-def greatest(score):
-    """Return the greatest of a row."""
-    best = np.float32(NOWHERE)
-    for c in range(len(score)):
-        best = max(best, score[c])
+@kernel()
+def greatest(cells, row):
+    """Return the greatest of a row of cells (rows, cols) without NaN."""
+    cols = cells.shape[1]
+    best = cells[row, 0]
+    if cols < LANES:
+        for c in range(cols):
+            best = max(best, cells[row, c])
+        return best
+    flat, first = cells.reshape(-1), row * cols
+    # The last sixteen overlap those before them.
+    sixteen, each = load(flat, first + cols - LANES), np.empty(LANES, np.float32)
+    for c in range(0, cols - LANES, LANES):
+        sixteen = larger(load(flat, first + c), sixteen)
+    store(each, 0, sixteen)
+    for k in range(LANES):
+        best = max(best, each[k])
     return best
+
+
+@kernel()
+def score_all(aim, corner, posting, site, score, most, highest):
+    """Write how good each cell is (rows, cols), the best of each row and of its aim (rows,)."""
+    rows, cols = aim.shape
+    offset = np.empty(cols, np.float32)
+    offsets(corner[0], posting, site[0], offset)
+    for r in range(rows):
+        dy = np.float32(corner[1] + r * posting - site[1])
+        _scored(aim[r], dy, offset, score[r])
+        most[r], highest[r] = greatest(score, r), greatest(aim, r)
 
 
 @kernel(inner=True)
@@ -60,7 +80,7 @@ def clear(score, most, row, col, halves):
         half = halves[abs(r - row)]
         for c in range(max(col - half + 1, 0), min(col + half, cols)):
             score[r, c] = NOWHERE
-        most[r] = greatest(score[r])
+        most[r] = greatest(score, r)
 
 
 @kernel()
@@ -69,12 +89,9 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
 
     See `candidates.best_cells`. `highest` (rows,) takes the greatest aim of each row.
     """
-    rows, cols = aim.shape
-    most, offset = np.empty(rows, np.float32), np.empty(cols, np.float32)
-    offsets(corner[0], posting, site[0], offset)
-    for r in range(rows):
-        dy = np.float32(corner[1] + r * posting - site[1])
-        most[r], highest[r] = scored(aim[r], dy, offset, score[r])
+    rows = len(aim)
+    most = np.empty(rows, np.float32)
+    score_all(aim, corner, posting, site, score, most, highest)
     halves = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
     halves_of(separation, posting, halves)
     for n in range(count):
