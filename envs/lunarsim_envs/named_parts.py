@@ -18,8 +18,9 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
     InputError
         If a name is unknown or comes twice, or there is none; `field` names what was given.
     """
-    if isinstance(names, str) or not len(names):
-        raise InputError(field, names, "a list of at least one part")
+    listed = isinstance(names, Sequence) and not isinstance(names, (str, bytes))
+    if not listed or not len(names) or not all(isinstance(name, str) for name in names):
+        raise InputError(field, names, "a list of the names of at least one part")
     for name in names:
         if name not in known:
             raise InputError(field, name, suggestion(name, known))

@@ -43,7 +43,11 @@ def lane_seeds(
         return [None] * len(lanes)
     if isinstance(seed, (int, np.integer)):
         return [int(seed) + int(lane) for lane in lanes]
+    if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, (str, bytes)):
+        raise ValueError(f"seed = {seed!r}: must be a whole number, one for each lane, or None")
     if len(seed) != len(mask):
         raise ValueError(f"seed of length {len(seed)}: must be one for each of {len(mask)}")
     each = [seed[int(lane)] for lane in lanes]
+    if not all(one is None or isinstance(one, (int, np.integer)) for one in each):
+        raise ValueError(f"seed = {seed!r}: must be whole numbers or None")
     return [None if one is None else int(one) for one in each]

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, suggestion
 from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.changes import with_values
-from lunarsim.scenario.shipped import found
 from lunarsim.simulation import Simulation
+from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_of, whole
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, SiteRewards
+from lunarsim_envs.screen import Screen
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
@@ -51,13 +51,7 @@ def retarget_scenario(
     InputError
         If it has nothing to decide on.
     """
-    if given is None:
-        scenario = default_scenario()
-    elif isinstance(given, Scenario):
-        scenario = given
-    else:
-        scenario = Scenario.load(found(Path(given)))
-    scenario = with_values(scenario, changes or {}, "changes")
+    scenario = scenario_of(given, changes, default_scenario())
     if not scenario.mappers:
         raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
     return scenario
@@ -144,7 +138,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
       [site_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
       every half second of the flight since the last call, down to the ground (not of flights by
-      kernels); or None. ``lunarsim_envs.video.save_video`` makes a film of such frames.
+      kernels); ``"human"``, the same frames in a window (extra ``screen``); or None.
+      ``lunarsim_envs.video`` makes films of them.
     - ``views``: whether frames show a chase view of the lander over the rendered ground, what its
       camera sees, and gauges as well (needs OpenGL; not of flights by kernels).
 
@@ -159,7 +154,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array", "rgb_array_list"],
+        "render_modes": ["rgb_array", "rgb_array_list", "human"],
         "render_fps": 2,
     }
 
@@ -177,21 +172,26 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         surrogate: Any = None,
         views: bool = False,
     ) -> None:
-        if perception not in PERCEPTIONS:
+        if not isinstance(perception, str) or perception not in PERCEPTIONS:
             raise InputError("perception", perception, suggestion(str(perception), PERCEPTIONS))
         if perception not in WHOLE:
-            self.metadata = self.metadata | {"render_modes": ["rgb_array"], "render_fps": 1}
+            self.metadata = self.metadata | {
+                "render_modes": ["rgb_array", "human"],
+                "render_fps": 1,
+            }
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode = {render_mode!r}: must be {named} or None")
+        views = truth_of("views", views)
+        worlds, world_seed = whole("worlds", worlds, 1), whole("world_seed", world_seed, 0)
         if views and (render_mode is None or perception not in WHOLE):
             named = ", ".join(map(repr, WHOLE))
             raise InputError("views", views, f"False without a render_mode or a perception {named}")
         self.scenario = retarget_scenario(scenario, changes)
         if perception in WHOLE:
             self.scenario = perceiving(self.scenario, perception)
-        self.weights = weights or RewardWeights.of(self.scenario)
+        self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
         lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
@@ -210,6 +210,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
         self._last: tuple[int | None, float | None] = (None, None)
+        self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
 
     @property
     def simulation(self) -> Simulation | None:
@@ -222,7 +223,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Draw a new flight and run it to the first decision."""
         super().reset(seed=seed)
         self.frames, self._last, self._film = None, (None, None), []
-        self.flight.begin(self.np_random, options or {})
+        self.flight.begin(self.np_random, options_of(options))
         self._begun = True
         self.rewards.begin(np.ones(1, np.bool_), *self.standing())
         if self._picture is not None:
@@ -271,10 +272,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self, invalid: bool, verdict: tuple[bool, tuple[str, ...]] | None
     ) -> dict[str, float]:
         """Return the terms of the decision that has been carried out, by name."""
-        one = np.ones(1, np.bool_)
+        over, safe = verdict is not None, verdict is not None and verdict[0]
+        touch = self.flight.touch if over else np.full((1, 3), np.nan)
         terms = self.rewards.terms(
-            one, one & invalid, one & (verdict is not None), one & (verdict or (False,))[0],
-            self.flight.touch, one, *self.standing(),
+            *np.array([[True], [invalid], [over], [safe]]), touch, np.ones(1, np.bool_),
+            *self.standing(),
         )  # fmt: skip
         return {name: float(term[0]) for name, term in terms.items()}
 
@@ -282,6 +284,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Return the descent, its last 60 m and the map as an image (360, 800, 3).
 
         With `views` a chase view, the onboard camera and gauges stand above it (720, 800, 3).
+        In the mode ``"human"`` it returns nothing: a window shows every frame as the flight goes.
         Axes stay as the first frame of a flight has them. In the mode of lists it returns the
         images since the last call.
         """
@@ -292,7 +295,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if self.render_mode == "rgb_array_list":
             film, self._film = self._film, []
             return film
-        return self._frame()
+        return None if self._screen is not None else self._frame()
 
     @property
     def seen(self) -> Observation | None:
@@ -325,12 +328,16 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Let go of the flight, its pictures, and what they hold on the graphics device."""
         self.frames, self.views, self._film = None, None, []
         self._begun = False
+        if self._screen is not None:
+            self._screen.close()
         self.flight.close()
 
     def _take_frame(self) -> None:
-        """Keep an image for the mode of lists."""
+        """Keep an image for the mode of lists, or show it."""
         if self.render_mode == "rgb_array_list":
             self._film.append(self._frame())
+        elif self._screen is not None:
+            self._screen.show(self._frame())
 
     def _each(self) -> None:
         """Note where the lander is, and keep an image where one is due."""

@@ -13,6 +13,7 @@ from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.scenario import Scenario
+from lunarsim_envs.arguments import no_pictures, options_of, weights_of, whole
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import lane_seeds, reset_mask
@@ -47,10 +48,14 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         worlds: int = 16,
         world_seed: int = 0,
         surrogate: Any = None,
+        render_mode: None = None,
     ) -> None:
+        no_pictures(render_mode)
+        num_envs, worlds = whole("num_envs", num_envs, 1), whole("worlds", worlds, 1)
+        world_seed = whole("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)
         self.lanes = lanes_of(num_envs, perception, self.scenario, worlds, world_seed, surrogate)
-        self.weights = weights or RewardWeights.of(self.scenario)
+        self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
         self._lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, self._lander.propellant_mass, num_envs)
         self.shown = ShownSites(observation)
@@ -74,7 +79,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
         """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
-        left = dict(options or {})
+        left = options_of(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         for lane, one in zip(np.flatnonzero(mask), lane_seeds(seed, mask), strict=True):
             if one is not None or self._rngs[lane] is None:

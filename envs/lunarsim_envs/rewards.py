@@ -160,22 +160,29 @@ class SiteRewards:
         """
         w = self.weights
         ended, landed = moved & over, moved & over & safe
-        near = np.where(landed[:, None], np.clip(touch, 0.0, 1.0), 0.0)
-        after = np.where(over, 0.0, self._hope(p_here))
-        known = self._sure(p, seen, moved & drawn)
         counts = moved & invalid & (self._invalid < MOST_INVALID)
-        told = {
-            "touchdown": np.where(ended, np.where(safe, w.safe, w.unsafe), 0.0),
-            "propellant": -w.propellant * (self._mass - mass) / self._tanks,
-            "invalid": np.where(counts, -w.invalid, 0.0),
-            "speed": -w.speed * near[:, 0],
-            "tilt": -w.tilt * near[:, 1],
-            "hazard": -w.hazard * near[:, 2],
-            "information": w.information * (known - self._known),
-            "shaping": w.discount * after - self._potential,
-        }
+        told = {name: np.zeros(len(moved)) for name in self.names}
+        # What is nought in all flights is not reckoned.
+        spent = -w.propellant * (self._mass - mass) / self._tanks
+        told["propellant"] = np.where(moved, spent, 0.0)
+        if ended.any():
+            told["touchdown"] = np.where(ended, np.where(safe, w.safe, w.unsafe), 0.0)
+        if counts.any():
+            told["invalid"] = np.where(counts, -w.invalid, 0.0)
+        if landed.any():
+            near = np.where(landed[:, None], np.clip(touch, 0.0, 1.0), 0.0)
+            for k, (name, weight) in enumerate(
+                (("speed", w.speed), ("tilt", w.tilt), ("hazard", w.hazard))
+            ):
+                told[name] = -weight * near[:, k]
+        if w.information > 0.0:
+            known = self._sure(p, seen, moved & drawn)
+            told["information"] = np.where(moved, w.information * (known - self._known), 0.0)
+            self._known = known
+        if w.shaping != 0.0:
+            after = np.where(over, 0.0, self._hope(p_here))
+            told["shaping"] = np.where(moved, w.discount * after - self._potential, 0.0)
+            self._potential = np.where(moved, after, self._potential)
         self._invalid += counts
         self._mass = np.where(moved, mass, self._mass)
-        self._potential = np.where(moved, after, self._potential)
-        self._known = known
-        return {name: np.where(moved, term, 0.0) for name, term in told.items()}
+        return told

@@ -1,17 +1,103 @@
-"""Frames of an environment as a film."""
+"""Frames of an environment as a film.
+
+Gymnasium's own RecordVideo needs MoviePy, which wants an older Pillow than this package;
+`RecordFilm` writes such films by OpenCV.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from lunarsim.errors import InputError
 from lunarsim.whole_files import write_whole
+
+
+class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Writes flights of an environment as films, ``PREFIX-episode-N.mp4``.
+
+    A film holds what the environment renders from the reset on: a frame after every step, or in the
+    mode of lists all that it has kept. One that is not flown to its end is written at the next
+    reset or at `close`.
+
+    Parameters
+    ----------
+    env
+        With render mode ``"rgb_array"`` or ``"rgb_array_list"``.
+    folder
+        Where films are written; it is made.
+    wanted
+        Says of a flight's number, from 0, whether it is filmed; left out, all are.
+    prefix
+        Of the names of files.
+    fps
+        Frames a second; left out, those of the environment, which show a flight at its pace.
+
+    Raises
+    ------
+    InputError
+        If the environment renders no frames.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        folder: str | Path,
+        wanted: Callable[[int], bool] | None = None,
+        prefix: str = "film",
+        fps: float | None = None,
+    ) -> None:
+        super().__init__(env)
+        if env.render_mode not in ("rgb_array", "rgb_array_list"):
+            raise InputError("render_mode", env.render_mode, "'rgb_array' or 'rgb_array_list'")
+        self.folder, self.prefix = Path(folder), prefix
+        self._wanted = wanted if wanted is not None else lambda _: True
+        self._fps = fps if fps is not None else float(env.metadata["render_fps"])
+        self._frames: list[NDArray[np.uint8]] = []
+        self._flight, self._filming = -1, False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Write what has been filmed, and begin a new flight."""
+        self._write()
+        shown = super().reset(seed=seed, options=options)
+        self._flight += 1
+        self._filming = self._wanted(self._flight)
+        self._take()
+        return shown
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and write the film if that was the end."""
+        told = super().step(action)
+        self._take()
+        if told[2] or told[3]:
+            self._write()
+        return told
+
+    def _take(self) -> None:
+        if self._filming:
+            frames: Any = self.env.render()
+            self._frames += frames if isinstance(frames, list) else [frames]
+
+    def _write(self) -> None:
+        frames, self._frames, self._filming = self._frames, [], False
+        if frames:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path = self.folder / f"{self.prefix}-episode-{self._flight}.mp4"
+            save_video(frames, path, self._fps)
+
+    def close(self) -> None:
+        """Write what has been filmed, and close the environment."""
+        self._write()
+        super().close()
 
 
 def save_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float = 2.0) -> None:

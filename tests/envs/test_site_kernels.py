@@ -237,9 +237,9 @@ def test_a_spread_map_is_that_of_the_computer():
     seen = rng.random(p.shape) < 0.9
     p[~seen] = 0.0
     held = HazardMap(Grid(0.0, 0.0, 0.4, 60, 50), p, seen)
-    for miss in (0.1, 0.3, 0.9, 3.0):
-        out, work = np.empty_like(p), np.empty_like(p)
-        choice.spread(p, seen, miss / 0.4, out, work, np.empty(200, np.float32))
+    for miss in (0.1, 0.3, 0.9, 3.0, 12.0):
+        out, line = np.empty_like(p), np.full(300, np.nan, np.float32)
+        choice.spread(p, seen, miss / 0.4, out, line, np.empty(200, np.float32))
         assert out == pytest.approx(held.dispersed(miss), abs=2e-6)
         cells = rng.integers((60, 50), size=(40, 2))
         xy = held.grid.centre_of(cells[:, 0], cells[:, 1])

@@ -11,9 +11,9 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.scenario import Scenario, shipped
-from lunarsim.scenario.changes import with_values
+from lunarsim.scenario import Scenario
 from lunarsim.vehicle.variation import DRAWN
+from lunarsim_envs.arguments import scenario_of, truth_of, weights_of, whole
 from lunarsim_envs.descent.actions import Actions
 from lunarsim_envs.descent.lanes import FLYING, LATE, Craft, Lanes
 from lunarsim_envs.descent.observations import DEFAULT, Shown
@@ -36,24 +36,6 @@ def level() -> Scenario:
             "simulation": {"max_time_s": 120.0},
         }
     )
-
-
-def scenario_of(given: Scenario | str | Path | None, changes: Mapping[str, Any] | None) -> Scenario:
-    """Return a scenario from itself, a path, a name or nothing, with other values of some keys."""
-    if given is None:
-        scenario = level()
-    elif isinstance(given, Scenario):
-        scenario = given
-    else:
-        scenario = Scenario.load(shipped.found(Path(given)))
-    return with_values(scenario, changes or {}, "changes")
-
-
-def _whole(field: str, value: Any, least: int) -> int:
-    """Return a whole number, at least so much."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InputError(field, value, f"a whole number, at least {least}")
-    return int(value)
 
 
 class Settings(TypedDict, total=False):
@@ -97,13 +79,15 @@ class Descents:
         privileged: bool = False,
     ) -> None:
         self.many = count is not None
-        count = _whole("num_envs", 1 if count is None else count, 1)
-        worlds, world_seed = _whole("worlds", worlds, 1), _whole("world_seed", world_seed, 0)
+        count = whole("num_envs", 1 if count is None else count, 1)
+        worlds, world_seed = whole("worlds", worlds, 1), whole("world_seed", world_seed, 0)
+        privileged, weights = (
+            truth_of("privileged", privileged),
+            weights_of(weights, DescentWeights),
+        )
         if not isinstance(rate_hz, (int, float)) or isinstance(rate_hz, bool) or not rate_hz > 0:
             raise InputError("rate_hz", rate_hz, "a number above 0")
-        if not isinstance(weights, DescentWeights | None):
-            raise InputError("weights", weights, "DescentWeights, of lunarsim_envs.descent.rewards")
-        self.scenario = scenario_of(scenario, changes)
+        self.scenario = scenario_of(scenario, changes, level())
         craft = Craft.of(self.scenario)
         self.shown = Shown(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)

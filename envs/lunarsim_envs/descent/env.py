@@ -9,10 +9,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim_envs.arguments import no_pictures, options_of
 from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.resets import lane_seeds, reset_mask
+from lunarsim_envs.screen import Screen
 
 Shown = NDArray[np.float32]
 
@@ -20,13 +22,13 @@ Shown = NDArray[np.float32]
 class DescentEnv(gymnasium.Env[Any, Any]):
     """One descent; see `GuidanceEnv` and `ControlEnv` for what differs."""
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012
     guided: ClassVar[bool]
     rate: ClassVar[float]
 
     def __init__(self, render_mode: str | None = None, **settings: Unpack[Settings]) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
+        if render_mode not in (None, "rgb_array", "human"):
+            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array', 'human' or None")
         self.render_mode = render_mode
         settings.setdefault("rate_hz", self.rate)
         self.descents = Descents(None, guided=self.guided, **settings)
@@ -35,6 +37,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self.metadata = self.metadata | {"render_fps": max(round(1.0 / self.descents.period), 1)}
         self._one = np.ones(1, np.bool_)
         self._picture = Picture(self.descents.lanes) if render_mode is not None else None
+        self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -46,6 +49,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self.descents.begin(self._one, options)
         if self._picture is not None:
             self._picture.begin()
+        self._show()
         return self.descents.observe()[0], self._hidden()
 
     def _hidden(self) -> dict[str, Any]:
@@ -65,6 +69,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         named = {name: float(term[0]) for name, term in terms.items()}
         if self._picture is not None:
             self._picture.note()
+        self._show()
         crash = bool(terminated[0]) and not d.lanes.safe[0]
         info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)} | self._hidden()
         if terminated[0] or truncated[0]:
@@ -73,9 +78,21 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         ends = bool(terminated[0]), bool(truncated[0])
         return d.observe()[0], sum(named.values()), *ends, info
 
+    def _show(self) -> None:
+        if self._screen is not None and self._picture is not None:
+            self._screen.show(self._picture.draw())
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._screen is not None:
+            self._screen.close()
+
     def render(self) -> Any:
-        """Return the plane of the descent and gauges as an image (440, 640, 3), or None."""
-        if self._picture is None:
+        """Return the plane of the descent and gauges as an image (440, 640, 3), or None.
+
+        In the mode ``"human"`` a window shows every frame as the flight goes.
+        """
+        if self._picture is None or self._screen is not None:
             return None
         if not self.descents.lanes.has_key[0]:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
@@ -96,8 +113,10 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self,
         num_envs: int = 1,
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
+        render_mode: None = None,
         **settings: Unpack[Settings],
     ) -> None:
+        no_pictures(render_mode)
         self.descents = Descents(
             num_envs, guided=self.guided, **({"rate_hz": self.rate} | settings)
         )
@@ -119,7 +138,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
         """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
-        left = dict(options or {})
+        left = options_of(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         self.descents.seed(mask, lane_seeds(seed, mask))
         self.descents.begin(mask, left)
@@ -233,8 +252,8 @@ class GuidanceEnv(DescentEnv):
     - ``observation``: names of its parts.
     - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`; by default those of the table
       [descent_reward] of the scenario.
-    - ``render_mode``: ``"rgb_array"``, the plane of the descent with gauges beside it, or None; a
-      batch draws nothing.
+    - ``render_mode``: ``"rgb_array"``, the plane of the descent with gauges beside it;
+      ``"human"``, the same in a window (extra ``screen``); or None. A batch draws nothing.
     - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
       meets one of them. Ground is a raster of 0.1 m about the targets.
     - ``privileged``: ``info["privileged"]`` (28,) for asymmetric critics: the true state as the

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim_envs.arguments import options_of
 from lunarsim_envs.descent.lanes import Lanes
 
 # Where each stands in `Lanes.starts`.
@@ -16,6 +17,9 @@ _PLACES = {
     "position_m": slice(0, 3), "velocity_m_s": slice(3, 6), "position_sigma_m": slice(6, 7),
     "velocity_sigma_m_s": slice(7, 8),
 }  # fmt: skip
+
+# No start is farther off, m, or faster, m/s.
+MOST = 5000.0
 
 
 def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_]) -> None:
@@ -35,7 +39,7 @@ def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_
         If a key is unknown or a value will not do.
     """
     starts = lanes.craft.start.copy()
-    for key, value in (options or {}).items():
+    for key, value in options_of(options).items():
         if key not in _PLACES:
             raise InputError(f"options.{key}", value, suggestion(key, _PLACES))
         room = starts[_PLACES[key]]
@@ -47,6 +51,8 @@ def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_
         if numbers.shape != room.shape or not np.isfinite(numbers).all():
             what = "a finite number" if len(room) == 1 else f"{len(room)} finite numbers"
             raise InputError(f"options.{key}", value, what)
+        if np.abs(numbers).max() > MOST:
+            raise InputError(f"options.{key}", value, f"at most {MOST:g} in size")
         if key.endswith(("_sigma_m", "_sigma_m_s")) and numbers[0] < 0.0:
             raise InputError(f"options.{key}", value, "0 or more")
         starts[_PLACES[key]] = numbers

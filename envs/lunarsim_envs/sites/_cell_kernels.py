@@ -5,34 +5,82 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim._lanes import LANES, larger, load, store
 
 # Of `candidates.best_cells`.
 _PRICE = np.float32(1e-3 / 100.0)
 # Stands for cells that are no site.
 NOWHERE = np.float32(-1e30)
+_NOUGHT = np.float32(0.0)
 
 
 @kernel(finite=True)
-def scored(aim, dy, corner, posting, site, score):
-    """Write how good each cell of a row is (cols,), and return the best of them and of its aim."""
-    best, most = np.float32(NOWHERE), np.float32(0.0)
+def offsets(corner, posting, site, out):
+    """Write how far columns lie from a site (cols,), m."""
+    for c in range(len(out)):
+        out[c] = np.float32(corner + c * posting - site)
+
+
+@kernel(finite=True)
+def _scored(aim, dy, offset, score):
+    """Write how good each cell of a row is (cols,)."""
     for c in range(len(aim)):
-        dx = np.float32(corner + c * posting - site)
-        far = np.sqrt(dx * dx + dy * dy)
-        good = aim[c] - _PRICE * far if aim[c] > 0.0 else np.float32(NOWHERE)
-        score[c] = good
-        best = max(best, good)
-        most = max(most, aim[c])
-    return best, most
+        dx = offset[c]
+        good = aim[c] - _PRICE * np.sqrt(dx * dx + dy * dy)
+        score[c] = good if aim[c] > _NOUGHT else NOWHERE
 
 
-@kernel(finite=True)
-def greatest(score):
-    """Return the greatest of a row."""
-    best = np.float32(NOWHERE)
-    for c in range(len(score)):
-        best = max(best, score[c])
+@kernel()
+def greatest(cells, row):
+    """Return the greatest of a row of cells (rows, cols) without NaN."""
+    cols = cells.shape[1]
+    best = cells[row, 0]
+    if cols < LANES:
+        for c in range(cols):
+            best = max(best, cells[row, c])
+        return best
+    flat, first = cells.reshape(-1), row * cols
+    # The last sixteen overlap those before them.
+    sixteen, each = load(flat, first + cols - LANES), np.empty(LANES, np.float32)
+    for c in range(0, cols - LANES, LANES):
+        sixteen = larger(load(flat, first + c), sixteen)
+    store(each, 0, sixteen)
+    for k in range(LANES):
+        best = max(best, each[k])
     return best
+
+
+@kernel()
+def score_all(aim, corner, posting, site, score, most, highest):
+    """Write how good each cell is (rows, cols), the best of each row and of its aim (rows,)."""
+    rows, cols = aim.shape
+    offset = np.empty(cols, np.float32)
+    offsets(corner[0], posting, site[0], offset)
+    for r in range(rows):
+        dy = np.float32(corner[1] + r * posting - site[1])
+        _scored(aim[r], dy, offset, score[r])
+        most[r], highest[r] = greatest(score, r), greatest(aim, r)
+
+
+@kernel(inner=True)
+def halves_of(separation, posting, out):
+    """Write how many cells to a side are too near, of rows that are so many apart (m,)."""
+    for apart in range(len(out)):
+        out[apart] = 0
+        while np.hypot(apart, out[apart]) * posting < separation:
+            out[apart] += 1
+
+
+@kernel(inner=True)
+def clear(score, most, row, col, halves):
+    """Take the cells about one out of the choice; see `halves_of`."""
+    rows, cols = score.shape
+    wide = len(halves) - 1
+    for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
+        half = halves[abs(r - row)]
+        for c in range(max(col - half + 1, 0), min(col + half, cols)):
+            score[r, c] = NOWHERE
+        most[r] = greatest(score, r)
 
 
 @kernel()
@@ -41,12 +89,11 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
 
     See `candidates.best_cells`. `highest` (rows,) takes the greatest aim of each row.
     """
-    rows, cols = aim.shape
+    rows = len(aim)
     most = np.empty(rows, np.float32)
-    for r in range(rows):
-        dy = np.float32(corner[1] + r * posting - site[1])
-        most[r], highest[r] = scored(aim[r], dy, corner[0], posting, site[0], score[r])
-    wide = int(np.ceil(separation / posting))
+    score_all(aim, corner, posting, site, score, most, highest)
+    halves = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
+    halves_of(separation, posting, halves)
     for n in range(count):
         row = 0
         for r in range(1, rows):
@@ -58,11 +105,7 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
         while score[row, col] != most[row]:
             col += 1
         cells[n, 0], cells[n, 1] = row, col
-        for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
-            for c in range(max(col - wide, 0), min(col + wide + 1, cols)):
-                if np.hypot(r - row, c - col) * posting < separation:
-                    score[r, c] = NOWHERE
-            most[r] = greatest(score[r])
+        clear(score, most, row, col, halves)
     return count
 
 

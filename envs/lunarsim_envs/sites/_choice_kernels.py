@@ -41,9 +41,26 @@ def miss_at(time, left, mapped, stated):
     return min(np.hypot(stated[0], stated[1] * seconds), max(_MOST, stated[0]))
 
 
-@kernel()
-def spread(p, seen, sigma, out, work, weight):
-    """Write p_safe (rows, cols) spread by a miss of so many cells; see `HazardMap.dispersed`."""
+@kernel(exact=True)
+def one(out, a, w):
+    """Add a share of a line to another."""
+    for c in range(len(out)):
+        out[c] += w * a[c]
+
+
+@kernel(exact=True)
+def two(out, a, v, b, w):
+    """Add a share of a line to another, and then one of a second."""
+    for c in range(len(out)):
+        out[c] = (out[c] + v * a[c]) + w * b[c]
+
+
+@kernel(allocates=False)
+def spread(p, seen, sigma, out, line, weight):
+    """Write p_safe (rows, cols) spread by a miss of so many cells; see `HazardMap.dispersed`.
+
+    `line` has room for a row, and for as much to either side of it as a miss reaches.
+    """
     rows, cols = p.shape
     reach_ = int(3.0 * sigma + 0.5)
     total = 0.0
@@ -51,26 +68,22 @@ def spread(p, seen, sigma, out, work, weight):
         total += np.exp(-0.5 * (k / sigma) ** 2)
     for k in range(-reach_, reach_ + 1):
         weight[k + reach_] = np.exp(-0.5 * (k / sigma) ** 2) / total
+    line[: cols + 2 * reach_] = 0.0
+    middle = line[reach_ : reach_ + cols]
     for r in range(rows):
+        low, high = max(r - reach_, 0), min(r + reach_ + 1, rows)
+        middle[:] = 0.0
+        for k in range(low, high - 1, 2):
+            two(middle, p[k], weight[k - r + reach_], p[k + 1], weight[k + 1 - r + reach_])
+        if (high - low) % 2 == 1:
+            one(middle, p[high - 1], weight[high - 1 - r + reach_])
+        out[r] = 0.0
+        for k in range(0, 2 * reach_, 2):
+            two(out[r], line[k:], weight[k], line[k + 1 :], weight[k + 1])
+        one(out[r], line[2 * reach_ :], weight[2 * reach_])
         for c in range(cols):
-            work[r, c] = 0.0
-        for k in range(-reach_, reach_ + 1):
-            if 0 <= r + k < rows:
-                w = weight[k + reach_]
-                for c in range(cols):
-                    work[r, c] += w * p[r + k, c]
-    for r in range(rows):
-        for c in range(cols):
-            out[r, c] = 0.0
-        for k in range(-reach_, reach_ + 1):
-            w = weight[k + reach_]
-            for c in range(max(-k, 0), min(cols - k, cols)):
-                out[r, c] += w * work[r, c + k]
-        for c in range(cols):
-            if not seen[r, c]:
-                out[r, c] = 0.0
-            elif out[r, c] > 1.0:
-                out[r, c] = 1.0
+            told = min(out[r, c], np.float32(1.0))
+            out[r, c] = told if seen[r, c] else np.float32(0.0)
 
 
 @kernel()
@@ -95,12 +108,12 @@ def spread_at(p, seen, row, col, sigma):
 
 
 @kernel()
-def _aimed(i, time, left, maps, work, weight):
+def _aimed(i, time, left, maps, line, weight):
     """Spread a lane's map by the miss of its site, and return that miss, m."""
     miss = miss_at(time, left, maps.mapped[i], maps.stated)
     if not abs(miss / maps.aimed[i] - 1.0) <= _ALIKE:
         maps.aimed[i] = miss
-        spread(maps.p[i], maps.seen[i], miss / maps.posting, maps.aim[i], work, weight)
+        spread(maps.p[i], maps.seen[i], miss / maps.posting, maps.aim[i], line, weight)
     return miss
 
 
@@ -152,7 +165,10 @@ def look(share, mask, y, time, course, law, maps, count, separation, levels, fou
     rows, cols = maps.p.shape[1], maps.p.shape[2]
     most = 2 * (count + len(levels))
     work, score = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
-    weight, cells = np.empty(2 * max(rows, cols) + 3, np.float32), np.empty((most, 2), np.int64)
+    # As far as the greatest miss reaches, see `spread`.
+    far = 2 * int(3.0 * max(_MOST, maps.stated[0]) / maps.posting + 0.5) + 1
+    weight, line = np.empty(far, np.float32), np.empty(cols + far, np.float32)
+    cells = np.empty((most, 2), np.int64)
     highest, more = np.empty(rows, np.float32), np.empty((most, 2), np.int64)
     state, sites, cost = np.empty((2, 3)), np.empty((most + 1, 3)), np.empty((most + 1, 4))
     p, order = np.empty(most), np.empty(most, np.int64)
@@ -161,7 +177,7 @@ def look(share, mask, y, time, course, law, maps, count, separation, levels, fou
             continue
         site, left, mass = course.site[i], course.arrival[i] - time[i], y[i, 13]
         aim, corner = maps.aim[i], maps.corner[i]
-        miss = _aimed(i, time[i], left, maps, work, weight)
+        miss = _aimed(i, time[i], left, maps, line, weight)
         n = best_cells(aim, corner, maps.posting, site, count, separation, score, highest, cells)
         n = nearest_cells(aim, corner, maps.posting, site, levels, n, highest, cells)
         believed(y[i], course.slip[i], time[i], state)

@@ -2,19 +2,31 @@
 
 See `candidates.candidate_sites` and `Reach`: where the safest sites are out of reach, all that are
 give way to sites proposed within it. What can be reached is told cell by cell of a grid of at most
-a hundred a side; here sixteen of its cells are surveyed at a time, and only where a site would lie.
+a hundred a side; here sixteen of its cells are surveyed at a time, only where a site would lie, and
+only where they are not proven to be out of reach together (see `_beyond_kernels`).
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim_envs.sites._cell_kernels import NOWHERE, greatest, nearest, scored
-from lunarsim_envs.sites._flight_kernels import reach
+from lunarsim.onboard.guidance._kernels import GRAVITY, MASS
+from lunarsim_envs.sites._beyond_kernels import beyond, ways_of
+from lunarsim_envs.sites._cell_kernels import (
+    NOWHERE,
+    clear,
+    greatest,
+    halves_of,
+    nearest,
+    score_all,
+)
+from lunarsim_envs.sites._flight_kernels import Law, reach
 
-# Of `reach.Reach`: cells a side at most; a tile has so many a side.
-_SIDE, _TILE = 100, 4
+# Of `reach.Reach`: cells a side at most; a tile has so many a side, and a block so many tiles.
+_SIDE, _TILE, _BLOCK = 100, 4, 4
 
 
 @kernel()
@@ -46,54 +58,136 @@ def _grid(rows, cols, corner, posting, out):
         out[axis] = 0.5 * (low + high) - 0.5 * (out[4 - axis] - 1.0) * side
 
 
+class Place(NamedTuple):
+    """A map and its grid of reach: see `_grid`; of the map corner, posting and heights; the site.
+
+    `row` (rows,), `col` (cols,): of the grid of reach, in which those of the map lie.
+    """
+
+    grid: np.ndarray
+    corner: np.ndarray
+    posting: float
+    height: np.ndarray
+    site: np.ndarray
+    row: np.ndarray
+    col: np.ndarray
+
+
+class Flying(NamedTuple):
+    """How a lander flies: state (2, 3), mass, law, and what paths hang on, see `ways_of`.
+
+    `speed`, m/s, and `most`, m/s^2, as `beyond` takes them; `figures`, with its mass.
+    """
+
+    state: np.ndarray
+    mass: float
+    law: Law
+    ways: np.ndarray
+    figures: np.ndarray
+    speed: float
+    most: float
+
+
 @kernel()
-def _survey(row, col, grid, corner, posting, height, site, state, mass, law, out):
-    """Write what it takes to land in the cells of a tile (16, 4)."""
-    rows, cols = height.shape
-    sites = np.empty((_TILE * _TILE, 3))
+def flying(state, mass, law):
+    """Return how a lander flies."""
+    ways, figures = np.zeros((len(law.rough), 9)), law.figures.copy()
+    ways_of(state, law, ways)
+    figures[MASS] = mass
+    speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
+    return Flying(state, mass, law, ways, figures, speed, law.bounds[0] + figures[GRAVITY])
+
+
+@kernel(inner=True)
+def _at(k, row, col, side, place, site):
+    """Write where cell k of a square of the grid of reach lies (3,), a cell within the grid."""
+    grid, corner, posting = place.grid, place.corner, place.posting
+    rows, cols = place.height.shape
+    x = grid[0] + min(col + k % side, int(grid[4]) - 1) * grid[2]
+    y = grid[1] + min(row + k // side, int(grid[3]) - 1) * grid[2]
+    r = int(np.floor((y - corner[1]) / posting + 0.5))
+    c = int(np.floor((x - corner[0]) / posting + 0.5))
+    site[0], site[1], site[2] = x, y, place.site[2]
+    if 0 <= r < rows and 0 <= c < cols and np.isfinite(place.height[r, c]):
+        site[2] = place.height[r, c]
+
+
+@kernel(inner=True)
+def _lost(row, col, side, place, lander):
+    """Tell whether a square of the grid of reach is out of reach for certain; see `beyond`."""
+    low, high, site = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
+    for k in range(side * side):
+        _at(k, row, col, side, place, site)
+        for axis in range(3):
+            low[axis] = min(low[axis], site[axis] + lander.law.above[axis])
+            high[axis] = max(high[axis], site[axis] + lander.law.above[axis])
+    ways, state, law = lander.ways, lander.state, lander.law
+    return beyond(ways, state, low, high, lander.speed, lander.most, law, lander.figures)
+
+
+@kernel()
+def _survey(row, col, place, lander, out):
+    """Write which cells of a tile can be reached (16,), whose first cell is given."""
+    sites, cost = np.empty((_TILE * _TILE, 3)), np.empty((_TILE * _TILE, 4))
     for k in range(_TILE * _TILE):
-        x = grid[0] + min(col + k % _TILE, int(grid[4]) - 1) * grid[2]
-        y = grid[1] + min(row + k // _TILE, int(grid[3]) - 1) * grid[2]
-        r = int(np.floor((y - corner[1]) / posting + 0.5))
-        c = int(np.floor((x - corner[0]) / posting + 0.5))
-        sites[k, 0], sites[k, 1], sites[k, 2] = x, y, site[2]
-        if 0 <= r < rows and 0 <= c < cols and np.isfinite(height[r, c]):
-            sites[k, 2] = height[r, c]
-    reach(state, mass, sites, law, out)
+        _at(k, row, col, _TILE, place, sites[k])
+    reach(lander.state, lander.mass, sites, lander.law, cost)
+    for k in range(_TILE * _TILE):
+        out[k] = np.isfinite(cost[k, 0])
+
+
+@kernel(inner=True)
+def _columns(count, corner, posting, low, side, out):
+    """Write in which cell along the grid of reach each cell along the map lies (count,)."""
+    for c in range(count):
+        out[c] = int(np.floor((corner + c * posting - low) / side + 0.5))
 
 
 @kernel()
-def _open(row, col, grid, corner, posting, score, masked, most, cost):
-    """Take the cells out of reach in a tile, whose first cell is given, out of a masked aim."""
+def _open(row, col, side, place, score, masked, most, reached):
+    """Take the cells out of reach in a square of the grid of reach out of a masked aim.
+
+    `reached` tells which of its cells are not, row by row; all are where it has none.
+    """
     rows, cols = masked.shape
-    ratio = grid[2] / posting
-    for r in range(max(int(row * ratio) - 2, 0), min(int((row + _TILE) * ratio) + 3, rows)):
-        far = int(np.floor((corner[1] + r * posting - grid[1]) / grid[2] + 0.5)) - row
-        if not 0 <= far < _TILE:
+    ratio = place.grid[2] / place.posting
+    for r in range(max(int(row * ratio) - 2, 0), min(int((row + side) * ratio) + 3, rows)):
+        far = place.row[r] - row
+        if not 0 <= far < side:
             continue
-        for c in range(max(int(col * ratio) - 2, 0), min(int((col + _TILE) * ratio) + 3, cols)):
-            wide = int(np.floor((corner[0] + c * posting - grid[0]) / grid[2] + 0.5)) - col
-            if 0 <= wide < _TILE and not np.isfinite(cost[far * _TILE + wide, 0]):
+        for c in range(max(int(col * ratio) - 2, 0), min(int((col + side) * ratio) + 3, cols)):
+            wide = place.col[c] - col
+            if 0 <= wide < side and (len(reached) == 0 or not reached[far * side + wide]):
                 masked[r, c], score[r, c] = 0.0, NOWHERE
-        most[r] = greatest(score[r])
+        most[r] = greatest(score, r)
 
 
 @kernel()
-def _looked(r, c, place, tiles, state, mass, law, masked, score, most):
+def _looked(r, c, place, tiles, blocks, lander, masked, score, most):
     """Survey the tile of a cell if nobody has; tell whether it had not been.
 
-    `place`: grid of reach, corner and posting of the map, its heights and the site.
+    First of a block of tiles: whether it is out of reach as a whole.
     """
-    grid, corner, posting, height, site = place
-    row = int(np.floor((corner[1] + r * posting - grid[1]) / grid[2] + 0.5)) // _TILE
-    col = int(np.floor((corner[0] + c * posting - grid[0]) / grid[2] + 0.5)) // _TILE
+    row, col = place.row[r] // _TILE, place.col[c] // _TILE
     if tiles[row, col]:
         return False
+    up, right = row // _BLOCK, col // _BLOCK
+    none = np.empty(0, np.bool_)
+    if not blocks[up, right]:
+        blocks[up, right] = True
+        side = _BLOCK * _TILE
+        if _lost(up * side, right * side, side, place, lander):
+            south, west = up * _BLOCK, right * _BLOCK
+            tiles[south : south + _BLOCK, west : west + _BLOCK] = True
+            _open(up * side, right * side, side, place, score, masked, most, none)
+            return True
     tiles[row, col] = True
-    cost = np.empty((_TILE * _TILE, 4))
-    first, left = row * _TILE, col * _TILE
-    _survey(first, left, grid, corner, posting, height, site, state, mass, law, cost)
-    _open(first, left, grid, corner, posting, score, masked, most, cost)
+    if _lost(row * _TILE, col * _TILE, _TILE, place, lander):
+        _open(row * _TILE, col * _TILE, _TILE, place, score, masked, most, none)
+        return True
+    reached = np.empty(_TILE * _TILE, np.bool_)
+    _survey(row * _TILE, col * _TILE, place, lander, reached)
+    _open(row * _TILE, col * _TILE, _TILE, place, score, masked, most, reached)
     return True
 
 
@@ -109,14 +203,19 @@ def within(
     rows, cols = aim.shape
     grid, most, highest = np.empty(5), np.empty(rows, np.float32), np.empty(rows, np.float32)
     _grid(rows, cols, corner, posting, grid)
-    place = grid, corner, posting, height, site
+    row_of, col_of = np.empty(rows, np.int64), np.empty(cols, np.int64)
+    _columns(rows, corner[1], posting, grid[1], grid[2], row_of)
+    _columns(cols, corner[0], posting, grid[0], grid[2], col_of)
+    place = Place(grid, corner, posting, height, site, row_of, col_of)
+    lander = flying(state, mass, law)
     tiles = np.zeros((_SIDE // _TILE + 1, _SIDE // _TILE + 1), np.bool_)
+    blocks = np.zeros((len(tiles) // _BLOCK + 1, len(tiles) // _BLOCK + 1), np.bool_)
     for r in range(rows):
         for c in range(cols):
             masked[r, c] = aim[r, c]
-        dy = np.float32(corner[1] + r * posting - site[1])
-        most[r], highest[r] = scored(masked[r], dy, corner[0], posting, site[0], score[r])
-    wide = int(np.ceil(separation / posting))
+    score_all(aim, corner, posting, site, score, most, highest)
+    halves = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
+    halves_of(separation, posting, halves)
     n = 0
     while n < count:
         row = 0
@@ -128,19 +227,15 @@ def within(
         col = 0
         while score[row, col] != most[row]:
             col += 1
-        if _looked(row, col, place, tiles, state, mass, law, masked, score, most):
+        if _looked(row, col, place, tiles, blocks, lander, masked, score, most):
             continue
         cells[n, 0], cells[n, 1] = row, col
         n += 1
-        for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
-            for c in range(max(col - wide, 0), min(col + wide + 1, cols)):
-                if np.hypot(r - row, c - col) * posting < separation:
-                    score[r, c] = NOWHERE
-            most[r] = greatest(score[r])
+        clear(score, most, row, col, halves)
     at = np.empty(2, np.int64)
     for k in range(len(levels)):
         there = nearest(masked, corner, posting, site, levels[k], highest, at)
-        while there and _looked(at[0], at[1], place, tiles, state, mass, law, masked, score, most):
+        while there and _looked(at[0], at[1], place, tiles, blocks, lander, masked, score, most):
             there = nearest(masked, corner, posting, site, levels[k], highest, at)
         for m in range(n):
             there = there and not (cells[m, 0] == at[0] and cells[m, 1] == at[1])

@@ -192,5 +192,7 @@ class ShownSites:
         told = {}
         for part in self.parts:
             value = np.array(part.of(sights), dtype=np.float32)
-            told[part.name] = np.clip(value, *self._bounds[part.name], out=value)
+            low, high = self._bounds[part.name]
+            np.maximum(value, low, out=value)
+            told[part.name] = np.minimum(value, high, out=value)
         return told

@@ -61,13 +61,15 @@ def lanes_of(
     InputError
         If it cannot be had.
     """
-    if perception not in KERNELS:
+    if not isinstance(perception, str) or perception not in KERNELS:
         near = suggestion(str(perception), PERCEPTIONS)
         if perception in WHOLE:
             near = "truth, surrogate or gaussian-dem: the whole computer flies one at a time"
         raise InputError("perception", perception, near)
     if isinstance(surrogate, Surrogate):
         model = surrogate
+    elif not isinstance(surrogate, str | Path | None):
+        raise InputError("surrogate", surrogate, "a Surrogate or the path of its file")
     else:
         model = Surrogate.load(SHIPPED if surrogate is None else Path(surrogate))
     view = view_of(scenario)

@@ -1,0 +1,111 @@
+"""Which cells of a map are picked, against NumPy; and what is proven to be out of reach."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards import HazardMap
+from lunarsim.onboard.policies import candidates
+from lunarsim_envs.sites import _beyond_kernels as b
+from lunarsim_envs.sites import _cell_kernels as cells
+from lunarsim_envs.sites import _flight_kernels as f
+from lunarsim_envs.sites import _stead_kernels as stead
+from lunarsim_envs.sites.flights import seen_by
+from tests.envs.site_scene import SMALL, lanes
+from tests.reference.divert import reachable
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(40, 61), (30, 9), (17, 16), (9, 33)])
+@pytest.mark.parametrize("separation", [0.3, 2.0, 3.7])
+def test_picked_cells_are_those_that_numpy_picks(rows, cols, separation):
+    rng = np.random.default_rng(rows + cols)
+    aim = rng.random((rows, cols)).astype(np.float32)
+    aim[rng.random(aim.shape) < 0.3] = 0.0
+    corner, site = np.array([-3.0, 2.0]), np.array([1.3, 4.1, 0.0])
+    x, y = corner[0] + 0.4 * np.arange(cols), corner[1] + 0.4 * np.arange(rows)
+    distance = np.hypot(x[None, :] - site[0], y[:, None] - site[1])
+    plain = candidates.best_cells(aim, distance, 0.4, 16, separation)
+    found, highest = np.zeros((16, 2), np.int64), np.empty(rows, np.float32)
+    n = cells.best_cells(aim, corner, 0.4, site, 16, separation, np.empty_like(aim), highest, found)
+    assert n == len(plain) > 1
+    assert np.array_equal(found[:n], plain)
+    assert np.array_equal(highest, aim.max(axis=1))
+
+
+def test_a_miss_wider_than_the_map_is_spread_all_the_same():
+    wide = SMALL.changed(decisions={"touchdown_sigma_m": 40.0}, mappers={"dem": {"size_m": 14.0}})
+    many = lanes(1, scenario=wide)
+    while not many.maps.seen.any():
+        many.decide(np.full((1, 3), np.nan), np.ones(1, bool))
+    seen = seen_by(many, 0)
+    assert seen.expected_miss == 40.0
+    held = HazardMap(
+        Grid(*map(float, many.maps.corner[0]), 0.4, *many.maps.p.shape[1:]), many.maps.p[0],
+        many.maps.seen[0],
+    )  # fmt: skip
+    assert many.maps.aim[0] == pytest.approx(held.dispersed(40.0), abs=1e-5)
+    assert many.maps.aim[0].max() > 0.0
+
+
+@pytest.fixture(scope="module")
+def boxes():
+    """Return boxes of targets about landers in flight: lander, box, and whether it is proven lost.
+
+    The last is what `reach` says of targets all over it.
+    """
+    many, rng, told = lanes(3), np.random.default_rng(7), []
+    law, lander = many.law, many.craft.dynamics.lander
+    for _ in range(5):
+        for i in range(3):
+            state = np.empty((2, 3))
+            f.believed(many.y[i], many.course.slip[i], many.time[i], state)
+            state[1, :2] += rng.normal(0.0, 8.0, 2)
+            state[1, 2] = -rng.uniform(1.0, 25.0)
+            how = stead.flying(state, float(rng.uniform(1150.0, 1500.0)), law)
+            for _ in range(40):
+                side = rng.choice([1.0, 4.0, 16.0]) * np.array([1.0, 1.0, 0.2])
+                low = state[0] * [1, 1, 0] + rng.normal(0.0, 200.0, 3) * [1, 1, 0.02]
+                proven = b.beyond(
+                    how.ways, state, low, low + side, how.speed, how.most, law, how.figures
+                )
+                sites = low + side * rng.random((64, 3)) - law.above
+                out = np.empty((64, 4))
+                f.reach(state, how.mass, sites, law, out)
+                told.append((state, how.mass, sites, proven, np.isfinite(out[:, 0]).any()))
+        many.decide(np.full((3, 3), np.nan), np.ones(3, bool))
+    return law, lander, told
+
+
+def test_nothing_in_reach_is_proven_to_be_out_of_it(boxes):
+    law, lander, told = boxes
+    proven = np.array([one[3] for one in told])
+    reached = np.array([one[4] for one in told])
+    assert proven.sum() > 100 and reached.sum() > 100
+    assert not (proven & reached).any()
+    # And most of what is out of reach is proven to be, else it were no use.
+    assert proven[~reached].mean() > 0.8
+    some = [one for one in told if one[3]][::5]
+    g, _, exhaust, least, most, tilt, glide = law.figures
+    for state, mass, sites, _, _ in some:
+        for site in sites[:3]:
+            burnt = reachable(
+                state[0], state[1], site + law.above, law.asked[0], law.asked[1], g, mass, exhaust,
+                least, most, tilt, glide, lander.dry_mass, times=300, samples=32,
+            )  # fmt: skip
+            assert burnt == np.inf
+
+
+def test_nothing_is_proven_of_paths_that_end_in_an_acceleration_or_without_a_cone(boxes):
+    law, _, told = boxes
+    state, mass, sites, _, _ = next(one for one in told if one[3])
+    low, high = sites.min(axis=0), sites.max(axis=0)
+    for other in (
+        law._replace(asked=law.asked + [[0.0], [0.1]]),
+        law._replace(figures=np.append(law.figures[:6], 0.0)),
+    ):
+        how = stead.flying(state, mass, other)
+        assert not b.beyond(
+            how.ways, state, low, high, how.speed, how.most, other, how.figures
+        )  # fmt: skip
