@@ -78,7 +78,7 @@ class DetectorSettings:
     least_fill: float = 0.3
     pixel_sigma: float = 0.4
     look_sigma: tuple[float, float] = (0.26, 0.095)
-    look_small: tuple[float, float] = (0.70, 0.25)
+    look_small: tuple[float, float] = (0.62, 0.22)
 
     def __post_init__(self) -> None:
         if not self.least_pixels >= 1:
