@@ -387,8 +387,8 @@ def test_a_picture_shows_where_the_lander_is_and_how_it_ended():
     flame = (255, 170, 60)
     assert (first == flame).all(axis=2).sum() > 20 and not (last == flame).all(axis=2).any()
     assert GuidanceEnv(changes=LOW).render() is None
-    with pytest.raises(ValueError, match="must be 'rgb_array' or None"):
-        GuidanceEnv(changes=LOW, render_mode="human")
+    with pytest.raises(ValueError, match="must be 'rgb_array', 'human' or None"):
+        GuidanceEnv(changes=LOW, render_mode="ansi")
 
 
 def test_a_crash_costs_and_the_end_is_told():

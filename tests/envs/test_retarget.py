@@ -288,7 +288,7 @@ def test_misuse_is_explained(small_scenario):
     with pytest.raises(ValueError, match="action = 99"):
         fresh.step(99)
     with pytest.raises(ValueError, match="render_mode"):
-        RetargetEnv(small_scenario, render_mode="human")
+        RetargetEnv(small_scenario, render_mode="ansi")
     blind = small_scenario.to_dict() | {"mappers": {}, "tasking": {}}
     blind["sensors"] = {k: v for k, v in blind["sensors"].items() if k != "flash"}
     with pytest.raises(InputError, match="mappers"):
