@@ -28,9 +28,9 @@ observation, reward, terminated, truncated, info = env.step(0)
 ![A flight of Retarget-v0: chase view, camera, gauges, path, hazard map](images/retarget.gif)
 
 `views=True` draws such frames (`python scripts/environment_film.py docs/images/retarget.gif` makes
-this film); the ground ends where the world that was drawn does. `render_mode="human"` shows frames in
-a window (`pip install "lunarsim[screen]"`), and `RecordFilm` writes flights as films (Gymnasium's own
-`RecordVideo` needs MoviePy, which wants an older Pillow):
+this film); the ground ends where the world that was drawn does. `render_mode="human"` shows frames
+in a window (`pip install "lunarsim[screen]"`), and `RecordFilm` writes flights as films
+(Gymnasium's own `RecordVideo` needs MoviePy, which wants an older Pillow):
 
 ```python
 import gymnasium
@@ -44,8 +44,8 @@ while not ended:
     observation, reward, ended, truncated, info = env.step(0)
 ```
 
-The films are coded as MPEG-4 Part 2, which OpenCV writes without further libraries; players play it,
-many browsers do not.
+The films are coded as MPEG-4 Part 2, which OpenCV writes without further libraries; players play
+it, many browsers do not.
 
 Thousands of descents fly in one kernel:
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import sys
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -10,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+
+# Any of them tells of a screen, beside those of Windows and macOS.
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
 
 
 def _pygame() -> ModuleType:
@@ -20,6 +27,13 @@ def _pygame() -> ModuleType:
             "render_mode 'human' needs pygame: pip install \"lunarsim[screen]\""
         ) from None
     return pygame
+
+
+def modes_here(modes: Sequence[str]) -> list[str]:
+    """Return modes of rendering without "human" where there is no pygame, or no screen."""
+    screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
+    there = screen and importlib.util.find_spec("pygame") is not None
+    return [mode for mode in modes if there or mode != "human"]
 
 
 class Screen:
