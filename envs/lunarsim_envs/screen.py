@@ -6,7 +6,6 @@ import importlib.util
 import os
 import sys
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Any
 
 import gymnasium
@@ -19,7 +18,7 @@ from lunarsim.errors import InputError
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
 
 
-def _pygame() -> ModuleType:
+def _pygame() -> Any:
     try:
         import pygame  # noqa: PLC0415 - an extra
     except ImportError:
