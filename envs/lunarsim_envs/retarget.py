@@ -20,7 +20,7 @@ from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_o
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, SiteRewards
-from lunarsim_envs.screen import Screen
+from lunarsim_envs.screen import Screen, modes_here
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
@@ -138,7 +138,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
       [site_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
       every half second of the flight since the last call, down to the ground (not of flights by
-      kernels); ``"human"``, the same frames in a window (extra ``screen``); or None.
+      kernels); ``"human"``, the same frames in a window; or None.
       ``lunarsim_envs.video`` makes films of them.
     - ``views``: whether frames show a chase view of the lander over the rendered ground, what its
       camera sees, and gauges as well (needs OpenGL; not of flights by kernels).
@@ -188,6 +188,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if views and (render_mode is None or perception not in WHOLE):
             named = ", ".join(map(repr, WHOLE))
             raise InputError("views", views, f"False without a render_mode or a perception {named}")
+        # Those of the class have "human" everywhere: else Gymnasium would not ask for it here.
+        self.metadata = self.metadata | {"render_modes": modes_here(modes)}
         self.scenario = retarget_scenario(scenario, changes)
         if perception in WHOLE:
             self.scenario = perceiving(self.scenario, perception)

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from types import ModuleType
+import os
+import sys
+import time
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 
+# Any of them tells of a screen, beside those of Windows and macOS.
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+# Pixels a length by which figures are measured; any will do.
+_DPI = 100
 
-def _pygame() -> ModuleType:
-    try:
-        import pygame  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise gymnasium.error.DependencyNotInstalled(
-            "render_mode 'human' needs pygame: pip install \"lunarsim[screen]\""
-        ) from None
-    return pygame
+
+def _windows() -> bool:
+    """Return whether Matplotlib opens windows here."""
+    # It looks for a toolkit when it is imported, which takes half a second.
+    import matplotlib.pyplot as plt  # noqa: PLC0415
+    from matplotlib.backends import BackendFilter, backend_registry  # noqa: PLC0415
+
+    return plt.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE)
+
+
+def modes_here(modes: Sequence[str]) -> list[str]:
+    """Return modes of rendering without "human" where no window can be opened."""
+    screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
+    return [mode for mode in modes if mode != "human" or (screen and _windows())]
 
 
 class Screen:
@@ -32,40 +44,42 @@ class Screen:
 
     Raises
     ------
-    gymnasium.error.DependencyNotInstalled
-        If pygame is not there.
     InputError
-        If there is no screen.
+        If no window can be opened.
     """
 
     def __init__(self, fps: float) -> None:
-        self._fps = fps
-        self._window: Any = None
-        pygame = _pygame()
-        try:
-            pygame.display.init()
-        except pygame.error as error:
+        if not _windows():
             raise InputError(
-                "render_mode", "human", f"'rgb_array': there is no screen here ({error})"
-            ) from None
-        self._clock = pygame.time.Clock()
+                "render_mode", "human",
+                "'rgb_array': there is no screen here, or no toolkit of windows that Matplotlib "
+                "knows (on Debian: apt install python3-tk)",
+            )  # fmt: skip
+        self._seconds = 1.0 / fps
+        self._figure: Any = None
+        self._image: Any = None
+        self._due = 0.0
 
     def show(self, frame: NDArray[np.uint8]) -> None:
         """Show a frame, once the one before has been shown for its time."""
-        pygame = _pygame()
-        if not pygame.display.get_init():
-            pygame.display.init()
-        if self._window is None:
-            self._window = pygame.display.set_mode((frame.shape[1], frame.shape[0]))
-            pygame.display.set_caption("lunarsim")
-        self._clock.tick(self._fps)
-        self._window.blit(pygame.surfarray.make_surface(frame.transpose(1, 0, 2)), (0, 0))
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        if self._figure is None:
+            rows, cols = frame.shape[:2]
+            self._figure = plt.figure("lunarsim", figsize=(cols / _DPI, rows / _DPI), dpi=_DPI)
+            self._image = self._figure.figimage(frame)
+            self._figure.show()
+        time.sleep(max(self._due - time.monotonic(), 0.0))
+        self._due = time.monotonic() + self._seconds
+        self._image.set_data(frame)
+        self._figure.canvas.draw()
         # Without it the system takes the window for one that hangs.
-        pygame.event.pump()
-        pygame.display.flip()
+        self._figure.canvas.flush_events()
 
     def close(self) -> None:
         """Close the window."""
-        if self._window is not None:
-            self._window = None
-            _pygame().display.quit()
+        if self._figure is not None:
+            import matplotlib.pyplot as plt  # noqa: PLC0415
+
+            plt.close(self._figure)
+            self._figure = None

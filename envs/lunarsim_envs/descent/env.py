@@ -14,7 +14,7 @@ from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.resets import lane_seeds, reset_mask
-from lunarsim_envs.screen import Screen
+from lunarsim_envs.screen import Screen, modes_here
 
 Shown = NDArray[np.float32]
 
@@ -34,7 +34,10 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self.descents = Descents(None, guided=self.guided, **settings)
         self.action_space = self.descents.actions.space
         self.observation_space = self.descents.shown.space
-        self.metadata = self.metadata | {"render_fps": max(round(1.0 / self.descents.period), 1)}
+        # Those of the class have "human" everywhere: else Gymnasium would not ask for it here.
+        modes = modes_here(self.metadata["render_modes"])
+        fps = max(round(1.0 / self.descents.period), 1)
+        self.metadata = self.metadata | {"render_modes": modes, "render_fps": fps}
         self._one = np.ones(1, np.bool_)
         self._picture = Picture(self.descents.lanes) if render_mode is not None else None
         self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
@@ -253,7 +256,7 @@ class GuidanceEnv(DescentEnv):
     - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`; by default those of the table
       [descent_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, the plane of the descent with gauges beside it;
-      ``"human"``, the same in a window (extra ``screen``); or None. A batch draws nothing.
+      ``"human"``, the same in a window; or None. A batch draws nothing.
     - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
       meets one of them. Ground is a raster of 0.1 m about the targets.
     - ``privileged``: ``info["privileged"]`` (28,) for asymmetric critics: the true state as the
