@@ -276,10 +276,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Return the terms of the decision that has been carried out, by name."""
         over, safe = verdict is not None, verdict is not None and verdict[0]
         touch = self.flight.touch if over else np.full((1, 3), np.nan)
-        terms = self.rewards.terms(
-            *np.array([[True], [invalid], [over], [safe]]), touch, np.ones(1, np.bool_),
-            *self.standing(),
-        )  # fmt: skip
+        one, wrong, ended, well = np.array([[True], [invalid], [over], [safe]])
+        terms = self.rewards.terms(one, wrong, ended, well, touch, one, *self.standing())
         return {name: float(term[0]) for name, term in terms.items()}
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]

@@ -66,9 +66,10 @@ MODEST = {"places": 0.4, "scans": 0.2, "map": 0.0}
 BOLD = {"places": 1.7}
 # No error is so many of its deviations unless navigation is lost; so many flights may be, of 50.
 FAR, LOST = 5.0, 0.02
-# What is watched and corrects nothing is no measurement: how many rocks were found again, and
-# whether shadows fall where the Sun throws them, both against a tolerance.
-CHECKS = ("rocks' expected", "rocks' shadows")
+# What is watched and corrects nothing is no measurement, by the last word of its kind: how many
+# rocks were found again and whether shadows fall where the Sun throws them, both against a
+# tolerance, and whether scans that fit the map fit it where they are taken to lie.
+CHECKS = ("expected", "shadows", "fits")
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ def fly(task: Task) -> Flown:
         latest,
         [since(a, b) for a, b in pairwise(({}, *before))],
         totals(navigation),
-        {k: w.refused for k, w in navigation.watches.items() if k not in CHECKS},
+        {k: w.refused for k, w in navigation.watches.items() if corrects(k)},
         names.count("doubted"),
         (simulation.computer.estimate.lost, "lost" in names),
         start,
@@ -170,11 +171,16 @@ def fly(task: Task) -> Flown:
     )
 
 
+def corrects(kind: str) -> bool:
+    """Return whether what is watched under a name corrects the state."""
+    return kind.split()[-1] not in CHECKS
+
+
 def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
     """Return the normalised squares of all innovations so far, by kind of measurement."""
     return {
         kind: Consistency(w.total, w.degrees)
-        for kind, w in navigation.watches.items() if kind not in CHECKS
+        for kind, w in navigation.watches.items() if corrects(kind)
     }  # fmt: skip
 
 

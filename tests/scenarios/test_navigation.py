@@ -83,6 +83,13 @@ def test_what_errs_as_it_says_is_told_from_what_does_not(script):
         assert sum("NIS of beam range" in line for line in off) == len(study.EPOCHS)
 
 
+def test_what_is_only_watched_is_no_measurement(script):
+    study = script("navigation", "consistency")
+    kinds = ["rocks' places", "flash map", "flash scans", "stars attitude", "speed of beam 1"]
+    assert all(study.corrects(kind) for kind in kinds)
+    assert not any(study.corrects(k) for k in ("rocks' expected", "rocks' shadows", "flash fits"))
+
+
 def test_a_study_that_is_judged_ends_with_1_where_errors_are_not_what_is_said(script, monkeypatch):
     study, rng = script("navigation", "consistency"), np.random.default_rng(5)
     for scale, code in ((1.0, 0), (2.0, 1)):
