@@ -173,7 +173,7 @@ def fly(task: Task) -> Flown:
 
 def corrects(kind: str) -> bool:
     """Return whether what is watched under a name corrects the state."""
-    return kind.split()[-1] not in CHECKS
+    return kind.rsplit(maxsplit=1)[-1] not in CHECKS
 
 
 def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
