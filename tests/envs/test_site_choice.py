@@ -102,8 +102,8 @@ def test_nothing_is_proven_of_paths_that_end_in_an_acceleration_or_without_a_con
     state, mass, sites, _, _ = next(one for one in told if one[3])
     low, high = sites.min(axis=0), sites.max(axis=0)
     for other in (
-        law._replace(asked=law.asked + [[0.0], [0.1]]),
-        law._replace(figures=np.append(law.figures[:6], 0.0)),
+        type(law)(law.powers, law.asked + [[0.0], [0.1]], *law[2:]),
+        type(law)(*law[:3], np.append(law.figures[:6], 0.0), *law[4:]),
     ):
         how = stead.flying(state, mass, other)
         assert not b.beyond(

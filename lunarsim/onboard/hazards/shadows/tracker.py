@@ -94,6 +94,8 @@ class RockTracker:
         Probability that each rock is one (n,).
     hits
         Images in which each was found (n,).
+    corrected
+        When the place of each was last corrected (n,), s; -inf: never.
     tentative
         What was seen in the last image and is not tracked.
     explained
@@ -118,7 +120,7 @@ class RockTracker:
         self.tentative = Tentative.none()
         self.explained = np.zeros(0, np.bool_)
         self.renewals = 0
-        self._updated = np.empty(0)
+        self.corrected = np.empty(0)
         self._established = np.empty(0, bool)
         # Rocks that were seen once: by the look for which they were chosen.
         self._young = np.empty(0, bool)
@@ -146,7 +148,7 @@ class RockTracker:
         self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
-        self._updated = np.concatenate((self._updated, np.full(n, -np.inf)))
+        self.corrected = np.concatenate((self.corrected, np.full(n, -np.inf)))
         self._established = np.concatenate((self._established, np.zeros(n, bool)))
         self._young = np.concatenate((self._young, np.zeros(n, bool)))
         self._stood = np.concatenate((self._stood, np.full((n, 2), np.nan)))
@@ -181,13 +183,13 @@ class RockTracker:
         use = use[self._agreeing(seen, sight, d[use], rock[use])]
         young = self._young[rock[use]]
         second, use = use[young], use[~young]
-        order = use[np.argsort(self._updated[rock[use]], kind="stable")]
+        order = use[np.argsort(self.corrected[rock[use]], kind="stable")]
         turn, later = np.split(order, [s.most_updates // 2 if large else s.most_updates])
         self.filter.update_radii(
             rock[later], seen.radius[d[later]], radius_variance[d[later]], s.radius_floor
         )
         a, b = d[turn], rock[turn]
-        self._updated[b] = time
+        self.corrected[b] = time
         found = self.filter.update_rocks(
             b, sight, seen.pixel[a], seen.look_covariance[a], seen.radius[a], radius_variance[a],
             s.common_pixels, s.radius_floor, s.most_off,
@@ -405,7 +407,7 @@ class RockTracker:
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
         now = -np.inf if self._time is None else self._time
-        self._updated = np.concatenate((self._updated, np.full(new.size, now)))
+        self.corrected = np.concatenate((self.corrected, np.full(new.size, now)))
         self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
         self._young = np.concatenate((self._young, np.ones(new.size, bool)))
         self._stood = np.concatenate((self._stood, np.full((new.size, 2), np.nan)))
@@ -433,7 +435,7 @@ class RockTracker:
         )
         self._young[rock] = False
         self._stood[rock] = np.nan
-        self._updated[rock] = -np.inf if self._time is None else self._time
+        self.corrected[rock] = -np.inf if self._time is None else self._time
 
     def _merge(self) -> None:
         """Drop the less seen of two rocks of which one's centre lies in the other."""
@@ -485,7 +487,7 @@ class RockTracker:
             keep = self.filter.remove(index)
             self.existence = self.existence[keep]
             self.hits = self.hits[keep]
-            self._updated = self._updated[keep]
+            self.corrected = self.corrected[keep]
             self._established = self._established[keep]
             self._young = self._young[keep]
             self._stood = self._stood[keep]

@@ -13,7 +13,7 @@ from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
 from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapping
-from tests.onboard.hazards.fusion.test_mapper import TERMS, Made
+from tests.made_mapper import TERMS, Made
 
 
 def test_left_as_it_is_it_changes_no_bit():

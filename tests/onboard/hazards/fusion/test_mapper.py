@@ -8,42 +8,13 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping, FusionTerms
+from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
-from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.onboard.hazards.shadows.mapper import ShadowMapping
 from lunarsim.rocks.population import RockExpectation
-
-TERMS = FusionTerms(Lander(), RockExpectation())
-GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
-
-
-class Made(HazardMapper):
-    """A mapper whose map is set by hand."""
-
-    def __init__(self):
-        self.p, self.seen, self.asked = np.zeros(GRID.shape, np.float32), False, 0
-
-    def update(self, measurement, estimate):
-        self.p = np.full(GRID.shape, measurement, np.float32)
-        self.seen = True
-
-    def hazard_map(self):
-        level = np.full(GRID.shape, 3.0, np.float32)
-        return HazardMap(GRID, self.p, np.full(GRID.shape, self.seen), level)
-
-    def evidence(self):
-        self.asked += 1
-        return ReliefEvidence(self.hazard_map()) if self.seen else None
-
-    @property
-    def blank(self):
-        return not self.seen
+from tests.made_mapper import GRID, TERMS, Made
 
 
 def test_it_draws_when_another_has_drawn_and_only_then():

@@ -261,4 +261,4 @@ def test_rocks_that_have_waited_longest_are_corrected_first():
     # Some 30 rocks in turn, 12 a picture: nobody waits for more than three.
     seen = tracker.hits >= 6
     assert seen.sum() > 24
-    assert tracker._updated[seen].min() >= 0.3 - 1e-9
+    assert tracker.corrected[seen].min() >= 0.3 - 1e-9

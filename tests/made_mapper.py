@@ -1,0 +1,39 @@
+"""A mapper whose map is set by hand, for maps that are made of others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion import FusionTerms
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.rocks.population import RockExpectation
+
+TERMS = FusionTerms(Lander(), RockExpectation())
+GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
+
+
+class Made(HazardMapper):
+    """A mapper whose map is set by hand."""
+
+    def __init__(self):
+        self.p, self.seen, self.asked = np.zeros(GRID.shape, np.float32), False, 0
+
+    def update(self, measurement, estimate):
+        self.p = np.full(GRID.shape, measurement, np.float32)
+        self.seen = True
+
+    def hazard_map(self):
+        level = np.full(GRID.shape, 3.0, np.float32)
+        return HazardMap(GRID, self.p, np.full(GRID.shape, self.seen), level)
+
+    def evidence(self):
+        self.asked += 1
+        return ReliefEvidence(self.hazard_map()) if self.seen else None
+
+    @property
+    def blank(self):
+        return not self.seen
