@@ -32,8 +32,8 @@ def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
         along, across, over, over_across = (float(cell) for cell in row[2:])
         assert 0.1 < along < 1.5 and 0.05 < across < 0.5
         # Small patches are told to differ by more than the study, which pairs each with its rock.
-        assert 0.4 * along / 0.40 < over < 1.25 * along / 0.40
-        assert 0.5 * across / 0.14 < over_across < 1.1 * across / 0.14
+        assert 0.4 * along / 0.26 < over < 1.25 * along / 0.26
+        assert 0.4 * across / 0.095 < over_across < 1.1 * across / 0.095
     assert "nan" not in done.output
     left = re.search(r"radius ([\d.]+) of itself, centre ([\d.]+) radii", done.output)
     assert left is not None

@@ -211,8 +211,9 @@ def test_with_both_eyes_on_a_map_errors_are_no_larger_than_with_either(on_a_map)
             nees = nees.plus(normalised_square(error_of(s), s.estimate.covariance), 9)
     both = spread.pop(("camera", "flash"))
     for eyes, alone in spread.items():
-        # Place, velocity: what either tells is not lost in the other.
-        assert (both[:6] <= 1.1 * alone[:6]).all(), eyes
+        # Place, velocity: what either tells is not lost in the other, but for what the way flown
+        # makes of it.
+        assert (both[:6] <= 1.15 * alone[:6]).all(), eyes
     assert np.linalg.norm(both[3:6]) < 0.8 * np.linalg.norm(spread[("flash",)][3:6])
     assert np.linalg.norm(both[:3]) < 0.2 * np.linalg.norm(spread[("camera",)][:3])
     assert nees.ratio < nees.bounds(0.999)[1]
