@@ -153,7 +153,7 @@ def test_errors_of_fifty_flights_are_what_is_said(script, name):
     study = script("navigation", "consistency")
     modest, changes = study.SETS[name]
     path = str(SCENARIOS / f"{name}.toml")
-    tasks = [study.Task(path, None, n, 1001, "safest", None, changes=changes) for n in range(50)]
+    tasks = [study.Task(path, None, n, 1201, "safest", None, changes=changes) for n in range(50)]
     assert study.broken([study.fly(task) for task in tasks], modest) == []
 
 
