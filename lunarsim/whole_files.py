@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+from lunarsim.errors import InputError
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
@@ -37,6 +41,36 @@ def write_text_whole(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
     write_whole(path, write)
+
+
+def read_tagged(path: Path, field: str, tag: str, hint: str = "") -> dict[str, Any]:
+    """Return what a JSON file holds whose key `format` tells what it is.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    field
+        That an error names.
+    tag
+        What `format` must say.
+    hint
+        Added to errors, such as how the file is made.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no JSON, or is another one.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(field, str(path), f"an existing file ({error.strerror}){hint}") from None
+    except ValueError as error:
+        raise InputError(field, str(path), f"JSON ({error}){hint}") from None
+    if not isinstance(data, dict) or data.get("format") != tag:
+        raise InputError(field, str(path), f"a file with format = {tag!r}{hint}")
+    return data
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from lunarsim.parts.quantity import quantity_of
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.logistic import Logistic
-from lunarsim.whole_files import write_text_whole
+from lunarsim.whole_files import read_tagged, write_text_whole
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -217,18 +217,7 @@ class ScenarioCalibration:
         InputError
             If the file is missing, is another one, or a number in it will not do.
         """
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(
-                "calibration", str(path), f"an existing file ({error.strerror}); {_COMMAND}"
-            ) from None
-        except ValueError as error:
-            raise InputError("calibration", str(path), f"JSON ({error}); {_COMMAND}") from None
-        if not isinstance(data, dict) or data.get("format") != _FORMAT:
-            raise InputError(
-                "calibration", str(path), f"a file with format = {_FORMAT!r}; {_COMMAND}"
-            )
+        data = read_tagged(path, "calibration", _FORMAT, f"; {_COMMAND}")
         return cls._parsed(data)
 
     @classmethod

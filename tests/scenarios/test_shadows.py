@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import DetectorSettings
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.scenario import Scenario
@@ -26,14 +27,18 @@ def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
     done = CliRunner().invoke(study.main, ["--fields", "1"])
     assert done.exit_code == 0, done.output
     rows = [line.split("│")[1:-1] for line in done.output.splitlines() if line.startswith("│")]
-    looks = [row for row in rows if len(row) == 6]
+    looks, told = [row for row in rows if len(row) == 6], DetectorSettings()
     assert len(looks) >= 3
     for row in looks:
         along, across, over, over_across = (float(cell) for cell in row[2:])
         assert 0.1 < along < 1.5 and 0.05 < across < 0.5
-        # Small patches are told to differ by more than the study, which pairs each with its rock.
-        assert 0.4 * along / 0.26 < over < 1.25 * along / 0.26
-        assert 0.4 * across / 0.095 < over_across < 1.1 * across / 0.095
+        # What is told goes by pixels alone: that of large patches, and more the smaller they are.
+        edges = np.array([float(edge) for edge in row[0].split("-")])
+        for found, ratio, base, small in zip(
+            (along, across), (over, over_across), told.look_sigma, told.look_small, strict=True
+        ):
+            least, most = np.sort(np.hypot(base, small / edges))
+            assert least / 1.2 < found / ratio < 1.2 * most
     assert "nan" not in done.output
     left = re.search(r"radius ([\d.]+) of itself, centre ([\d.]+) radii", done.output)
     assert left is not None

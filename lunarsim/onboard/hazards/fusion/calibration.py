@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_text_whole
+from lunarsim.whole_files import read_tagged, write_text_whole
 
 Array = NDArray[np.float64]
 
@@ -144,16 +143,7 @@ class FusedCalibration:
         InputError
             If the file is missing, is another one, or a number in it will not do.
         """
-        try:
-            data: Any = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(
-                "calibration", str(path), f"an existing file ({error.strerror})"
-            ) from None
-        except ValueError as error:
-            raise InputError("calibration", str(path), f"JSON ({error})") from None
-        if not isinstance(data, dict) or data.get("format") != _FORMAT:
-            raise InputError("calibration", str(path), f"a file with format = {_FORMAT!r}")
+        data = read_tagged(path, "calibration", _FORMAT)
         missing = [key for key in _KEYS if key not in data]
         if missing:
             raise InputError("calibration", str(path), f"a file that gives {', '.join(missing)}")
