@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
@@ -12,6 +10,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
+from lunarsim.onboard.hazards.shadows.tentative import Tentative
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.picture_watch import Remedy
@@ -45,35 +44,6 @@ _ABOUT = 8
 _VAGUE = 4.0
 # Chi-squared with 2 degrees of freedom at 99.7 %.
 _AGREEMENT = 11.6
-
-
-@dataclass(frozen=True)
-class Tentative:
-    """Detections of the last image that belong to no rock and are too vague to begin one.
-
-    Attributes
-    ----------
-    xy
-        Centres (n, 2), m.
-    sigma
-        Of the centres, the root of the mean variance of the two axes (n,), m.
-    radius, radius_variance
-        m (n,), m^2.
-    existence
-        Probability that each is a rock (n,).
-    """
-
-    xy: Array
-    sigma: Array
-    radius: Array
-    radius_variance: Array
-    existence: Array
-
-    @classmethod
-    def none(cls) -> Tentative:
-        """Return no detections."""
-        empty = np.empty(0)
-        return cls(np.empty((0, 2)), empty, empty, empty, empty)
 
 
 class RockTracker:
