@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import pytest
 
 from lunarsim.errors import InputError
@@ -12,6 +14,10 @@ from tests.worlds import SCENARIOS
 def test_every_scenario_is_shipped_under_its_name():
     assert set(shipped.names()) == {path.stem for path in SCENARIOS.glob("*.toml")}
     assert shipped.description_of(shipped.path_of("hirise")).startswith("Measured Martian relief")
+    told = tomllib.loads((SCENARIOS.parent / "pyproject.toml").read_text())
+    held = told["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    for path in SCENARIOS.glob("*.toml"):
+        assert held[f"scenarios/{path.name}"] == f"lunarsim/shipped/{path.name}"
 
 
 @pytest.mark.parametrize("name", ["hirise", "golombek"])
