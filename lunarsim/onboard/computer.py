@@ -44,6 +44,7 @@ from lunarsim.onboard.policies.contract import (
 )
 from lunarsim.onboard.policies.expected_miss import Aim
 from lunarsim.onboard.policies.reach import Reach
+from lunarsim.onboard.tank_account import TankAccount
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -67,6 +68,8 @@ class OnboardComputer:
         Where it is flying to, local frame (3,), m.
     telemetry
         What happened: time (s), name, details.
+    tanks
+        What is left in them, by the computer's own account.
     diverts
         Decisions that changed the site: time (s), old site, decision.
     mapped
@@ -104,7 +107,7 @@ class OnboardComputer:
         self.site: Array = briefing.target.copy()
         self.phase = APPROACH if software.braking is None else BRAKING
         self.time = 0.0
-        self.mass = self.lander.wet_mass
+        self.tanks = TankAccount(self.lander, self.attitude_loop)
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
         self._place = SteadyPlace()
         self._strain = Strain()
@@ -115,9 +118,7 @@ class OnboardComputer:
         self.expected_miss = float("nan")
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
-        self._pulses = 0.0
         self._jets_out = 0
-        self._dry = self._jets_dry = False
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
@@ -129,6 +130,11 @@ class OnboardComputer:
         self._levelled = np.eye(3)
 
     # --- what is known --------------------------------------------------------------------
+
+    @property
+    def mass(self) -> float:
+        """Of the lander, by what has been asked of its engine and thrusters, kg."""
+        return self.tanks.mass
 
     @property
     def altitude(self) -> float:
@@ -292,24 +298,13 @@ class OnboardComputer:
         # The tanks are not gauged: what the engine was asked for has been burnt.
         if isinstance(self.navigation, ThrustAware):
             self.navigation.commanded(self._thrust, elapsed)
-        burnt = self._thrust * elapsed / self.lander.exhaust_velocity
-        least = self.lander.dry_mass
+        for name in self.tanks.burn(self._thrust, elapsed):
+            self._note(measurements.time, name, {"altitude": self.altitude})
         if isinstance(self.attitude_loop, JetLoop):
-            # Thrusters burn from tanks of their own, which the dry mass counts as full.
-            held = self.attitude_loop.vehicle.thrusters.propellant
-            pulses = min(self.attitude_loop.spent, held)
-            if pulses == held and not self._jets_dry:
-                self._jets_dry = True  # at once where they carry none
-                self._note(measurements.time, "thruster-tanks-empty", {"altitude": self.altitude})
-            burnt, least = burnt + pulses - self._pulses, least - pulses
-            self._pulses = pulses
-            for number in self.attitude_loop.watch.failed[self._jets_out :]:
+            failed = self.attitude_loop.watch.failed
+            for number in failed[self._jets_out :]:
                 self._note(measurements.time, "thruster-failed", {"thruster": number})
-            self._jets_out = len(self.attitude_loop.watch.failed)
-        self.mass = max(self.mass - burnt, least)
-        if self.mass == least and not self._dry:
-            self._dry = True  # by its own account: what is commanded from here on is not to be had
-            self._note(measurements.time, "tanks-empty", {"altitude": self.altitude})
+            self._jets_out = len(failed)
         self.time = measurements.time
         self.mapped = set()
         # The state is carried to now before anything corrects it, in whatever order things came.

@@ -91,7 +91,7 @@ def test_tanks_that_run_empty_in_flight_end_in_a_crash_that_is_recorded(law, tol
     y[13] = dry + 0.5
     simulation.plant.state = type(simulation.plant.state).from_vector(y)
     if told:
-        simulation.computer.mass = dry + 0.5
+        simulation.computer.tanks.mass = dry + 0.5
     flight = simulation.run()
     assert whole(flight)
     assert "vertical-speed" in flight.verdict.failed
@@ -190,12 +190,12 @@ def test_what_thrusters_burn_is_taken_from_the_dry_mass():
         simulation.step()
     computer = simulation.computer
     loop, dry = computer.attitude_loop, computer.lander.dry_mass
-    computer.mass = dry + 0.3
+    computer.tanks.mass = dry + 0.3
     loop.spent += 4.0
     simulation.step()
     assert dry - loop.spent < computer.mass < dry - 3.0
     assert "tanks-empty" not in [name for _, name, _ in computer.telemetry]
-    computer.mass = dry - loop.spent + 0.05
+    computer.tanks.mass = dry - loop.spent + 0.05
     for _ in range(4):
         simulation.step()
     assert computer.mass == pytest.approx(dry - loop.spent, abs=1e-2)
