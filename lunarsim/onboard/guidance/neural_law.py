@@ -158,8 +158,12 @@ class NeuralGuidance:
             return None
         self.asked += 1
         told = self.network(shown)
-        push = self._within_limits(axes.T @ told[:3], estimate.mass)
-        left = float(told[3])
+        wanted = axes.T @ told[:3]
+        push, left = self._within_limits(wanted, estimate.mass), float(told[3])
+        if push is None and self._followed and not np.isfinite(self._apollo_time(estimate, end)):
+            # Near the end an optimal descent is at its limits: no other law has a path from there.
+            push = self._cut_back(wanted, estimate.mass)
+            self.infeasible += 1
         if push is None or not left > 0.0:
             self.infeasible += 1
             self._fall_back(estimate, end, time, "infeasible")
@@ -194,21 +198,33 @@ class NeuralGuidance:
             return None
         if not tilt <= self.limits.max_tilt + self.settings.tilt_slack:
             return None
-        if tilt > self.limits.max_tilt:
-            aside = force / mass * np.sin(self.limits.max_tilt) / np.hypot(push[0], push[1])
-            push = np.array([*(aside * push[:2]), force / mass * np.cos(self.limits.max_tilt)])
+        return self._cut_back(push, mass)
+
+    def _cut_back(self, push: Array, mass: float) -> Array:
+        """Return a thrust over mass cut back to the limits, by however much it breaks them."""
+        lander, aside = self.lander, float(np.hypot(push[0], push[1]))
+        force = float(np.linalg.norm(push)) * mass
+        if float(np.arctan2(aside, push[2])) > self.limits.max_tilt:
+            way = push[:2] / aside
+            lean = self.limits.max_tilt
+            push = force / mass * np.array([*(np.sin(lean) * way), np.cos(lean)])
         wanted = min(max(force, lander.thrust_min), lander.thrust_max)
         return np.asarray(push * (wanted / force))
+
+    def _apollo_time(self, estimate: Estimate, end: PhaseEnd) -> float:
+        """Return the time-to-go of the cheapest path of the Apollo law, s; NaN: there is none."""
+        one = replace(end, position=end.position[None, :])
+        cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
+        return float(cost.time_to_go[0])
 
     def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, why: str) -> None:
         """Let the Apollo law fly on, with its own time-to-go where it has an admissible one."""
         self._next = time + self.settings.interval
         if not self._fallen:
             self.events.append((time, "guidance-fallback", {"reason": why}))
-            one = replace(end, position=end.position[None, :])
-            cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
-            if np.isfinite(cost.time_to_go[0]):
-                self.arrival = time + float(cost.time_to_go[0])
+            soonest = self._apollo_time(estimate, end)
+            if np.isfinite(soonest):
+                self.arrival = time + soonest
         self._fallen, self._followed = True, False
 
 

@@ -42,12 +42,12 @@ def estimate(position=R, velocity=V, mass=1500.0, time=0.0) -> Estimate:
     )  # fmt: skip
 
 
-def flown():
+def flown(position=R, velocity=V, mass=1500.0, left=34.0):
     """Fly a point mass with commands held for 0.1 s; return its state and the law."""
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
-    r, v, mass, t = R.copy(), V.copy(), 1500.0, 0.0
+    r, v, t = np.array(position), np.array(velocity), 0.0
     while t < 80.0:
-        wanted = flight.command(estimate(r, v, mass, t), END, t, 34.0 - t)
+        wanted = flight.command(estimate(r, v, mass, t), END, t, left - t)
         wanted = wanted * min(1.0, LANDER.thrust_max / mass / np.linalg.norm(wanted))
         step = min(0.1, flight.arrival - t)
         if step <= 0.0:
@@ -82,6 +82,24 @@ def test_it_spends_little_over_the_optimum_and_ends_where_it_should():
     assert flight.events == []
     assert flight.infeasible == 0 < flight.asked
     assert isinstance(flight, PlansArrival)
+
+
+@pytest.mark.parametrize(
+    "gap, velocity, left",
+    [
+        ((-249.4, 192.8, 117.6), (9.2, 2.6, -3.0), 25.7),
+        ((-16.1, 314.8, 185.5), (-8.5, -5.8, -11.9), 24.1),
+    ],
+)
+def test_near_the_end_it_is_followed_at_the_limits_where_apollo_has_no_path(gap, velocity, left):
+    """Apollo asked for eight times the thrust there is, and came down at 6 and 8 m/s too much."""
+    lander = Lander()
+    dry = lander.dry_mass + Approach().reserve
+    mass = dry + 0.65 * (lander.wet_mass - dry)
+    r, v, _, flight = flown(END.position + gap, velocity, mass, left)
+    assert flight.infeasible > 0  # and it is counted
+    assert np.linalg.norm(r - END.position) < 1.5
+    assert np.linalg.norm(v - END.velocity) < 1.2
 
 
 def test_a_descent_turned_or_mirrored_is_flown_alike():
