@@ -88,6 +88,7 @@ def test_a_lidar_misses_what_no_return_falls_on():
     ])  # fmt: skip
     assert np.exp(-np.pi * (0.25 * sharpness) ** 2) == pytest.approx(empty, abs=0.01)
     assert (eye.astray == 0.0).all()
+    assert eye.longest == LidarInstrument(np.pi).max_range < np.inf
     assert eye.open[0, 0] == 0.0
     assert eye.open[0, -1] == pytest.approx(1.0)
     # Rocks before it hide so much of the ground at 30 deg.

@@ -147,16 +147,18 @@ def test_looks_that_are_past_count_no_more(asked):
     assert known[100.0] == pytest.approx(nothing[np.isfinite(nothing[:, 1]), 0].max(), abs=1e-9)
 
 
-def test_ground_far_off_needs_time_to_be_flown_to(asked, computer):
-    _, problem, _ = asked
-    decisions, limits = computer.decisions, problem.limits
+@pytest.mark.parametrize("mass, by_tilt", [(None, False), (150.0, True)])
+def test_ground_far_off_needs_time_to_be_flown_to(asked, computer, mass, by_tilt):
+    law, first, _ = asked
+    here = replace(first.estimate, mass=mass or first.estimate.mass)
+    problem = law.problem(here, first.end, first.site)
+    decisions, limits, lander = computer.decisions, problem.limits, problem.lander
     away = np.hypot(*(problem.nodes[:, :2] - problem.site[:2]).T)
-    lander, mass = problem.lander, problem.estimate.mass
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
-    most = (lander.thrust_max - margin) / mass
-    aside = min(np.sqrt(most**2 - problem.gravity**2), problem.gravity * np.tan(limits.max_tilt))
-    assert aside < most
-    needs = np.sqrt(6.0 * away / aside) + 1.0 + decisions.interval
+    spare = np.sqrt(((lander.thrust_max - margin) / here.mass) ** 2 - problem.gravity**2)
+    leaning = problem.gravity * np.tan(limits.max_tilt)
+    assert (leaning < spare) == by_tilt
+    needs = np.sqrt(6.0 * away / min(spare, leaning)) + 1.0 + decisions.interval
     np.testing.assert_allclose(problem.nodes[:, 5], needs)
 
 
@@ -181,6 +183,7 @@ def test_what_was_passed_stays_passed_and_the_way_down_is_chosen_once(computer, 
     law.command(here, end, 0.0, 47.0)
     low = replace(here, position=here.position - [0.0, 0.0, 50.0])
     law.command(low, end, 0.1, 47.0)
+    law.command(here, end, 0.2, 47.0)  # up again
     passed = law.problem(here, end, problem.site).passed
     assert passed == pytest.approx(low.position[2] - problem.site[2] - problem.standing)
     near = replace(
