@@ -267,6 +267,28 @@ def test_where_flights_start_can_be_told():
     observation, _ = vector.reset(options=told | {"reset_mask": some})
     assert observation[1, 2] == pytest.approx(40.0)
     assert (observation[[0, 2], 2] < 36.0).all()
+    # The others' next flights start where theirs did.
+    assert (vector.descents.lanes.starts[[0, 2], 2] == 25.0).all()
+    assert vector.descents.lanes.starts[1, 2] == 40.0
+
+
+def test_a_lane_of_a_mask_is_seeded_by_its_place_in_the_batch():
+    vector = GuidanceVectorEnv(3, changes=LOW)
+    vector.reset(seed=1)
+    some = np.array([False, False, True])
+    observation, _ = vector.reset(seed=70, options={"reset_mask": some})
+    alone, _ = GuidanceEnv(changes=LOW).reset(seed=72)
+    assert np.array_equal(observation[2], alone)
+
+
+def test_running_out_of_time_is_no_crash():
+    env = GuidanceEnv(changes=LOW | {"simulation.max_time_s": 1.0})
+    env.reset(seed=1)
+    hover, truncated = np.zeros(3, np.float32), False
+    while not truncated:
+        _, _, terminated, truncated, info = env.step(hover)
+        assert not terminated
+    assert info["cost"] == 0.0
 
 
 BAD_OPTIONS = [
