@@ -125,13 +125,12 @@ class Descents:
         one[lane] = True
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
-    def begin(self, mask: Mask, options: Mapping[str, Any] | None = None) -> None:
-        """Begin new flights in the lanes of `mask`, from where the options say."""
+    def take(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
+        """Let flights in the lanes of `mask` start where the options say, from now on."""
         take(options, self.lanes, mask)
-        self.restart(mask)
 
     def restart(self, mask: Mask) -> None:
-        """Begin new flights in the lanes of `mask`, from where their last reset said."""
+        """Begin new flights in the lanes of `mask`, from where `take` was told."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
         if self.senses is not None:
