@@ -118,7 +118,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ## Episode End
 
     Terminated when the flight ends: touchdown, off the map, or the scenario's time limit. The
-    last decision is taken at 50 m; the step after it flies to the ground. Never truncated.
+    last decision is taken at 50 m; the step after it flies to the ground. Never truncated. A flight
+    that ends before there is anything to decide terminates with the first step, whatever it is.
 
     ## Arguments
 
