@@ -148,3 +148,8 @@ def test_a_reset_that_is_refused_changes_nothing():
     with pytest.raises(ValueError, match="options"):
         one.reset(seed=9, options={"start": 1})
     assert np.array_equal(one.reset()[0], another.reset()[0])
+
+
+def test_a_rate_may_be_any_kind_of_number():
+    for rate in (10, 10.0, np.int64(10), np.float32(10.0)):
+        assert GuidanceEnv(changes=LOW, rate_hz=rate).descents.period == pytest.approx(0.1)

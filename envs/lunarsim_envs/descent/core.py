@@ -38,6 +38,14 @@ def level() -> Scenario:
     )
 
 
+def _rate(given: Any) -> float:
+    """Return a number above 0."""
+    numbers = int, float, np.integer, np.floating
+    if isinstance(given, bool) or not isinstance(given, numbers) or not given > 0:
+        raise InputError("rate_hz", given, "a number above 0")
+    return float(given)
+
+
 class Settings(TypedDict, total=False):
     """What environments are told, for one descent and for many: see `env.GuidanceEnv`."""
 
@@ -85,8 +93,7 @@ class Descents:
             truth_of("privileged", privileged),
             weights_of(weights, DescentWeights),
         )
-        if not isinstance(rate_hz, (int, float)) or isinstance(rate_hz, bool) or not rate_hz > 0:
-            raise InputError("rate_hz", rate_hz, "a number above 0")
+        rate_hz = _rate(rate_hz)
         self.scenario = scenario_of(scenario, changes, level())
         craft = Craft.of(self.scenario)
         self.shown = Shown(observation)

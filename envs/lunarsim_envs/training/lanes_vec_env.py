@@ -15,7 +15,7 @@ from lunarsim.errors import InputError
 _SHARED = "a change of the batch itself: its lanes share all that they are"
 
 
-def _of(shown: Any, lane: int) -> Any:
+def _of(shown: Any, lane: Any) -> Any:
     """Return what one lane is shown."""
     if isinstance(shown, dict):
         return {name: part[lane] for name, part in shown.items()}
@@ -103,7 +103,7 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
     ) -> list[Any]:
         """Return the masks of actions of lanes; refuse others, with an `InputError`."""
         if method_name == "action_masks" and hasattr(self.batch, method_name):
-            masks = self.batch.action_masks()
+            masks = getattr(self.batch, method_name)()
             return [masks[lane] for lane in self._get_indices(indices)]
         raise InputError("env_method", method_name, _SHARED)
 
