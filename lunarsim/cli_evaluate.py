@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -38,6 +39,10 @@ from lunarsim.errors import InputError, check_folder
     help="Of Retarget-v0: onboard, truth, surrogate, gaussian-dem, shadows, quadtree or fused.",
 )  # fmt: skip
 @click.option(
+    "--observation", "parts", multiple=True, metavar="PART", show_default="the environment's own",
+    help="A part of the observation that agents were trained on; may be repeated.",
+)  # fmt: skip
+@click.option(
     "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent."
 )  # fmt: skip
 @SEED
@@ -54,7 +59,8 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 def evaluate(
     env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
-    perception: str | None, episodes: int, seed: int, jobs: int, within: float, out: Path | None,
+    perception: str | None, parts: tuple[str, ...], episodes: int, seed: int, jobs: int,
+    within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
 
@@ -84,7 +90,8 @@ def evaluate(
         raise InputError("--within", within, "a finite number of metres")
     if out is not None:
         check_folder(out)
-    given = {} if perception is None else {"perception": perception}
+    given: dict[str, Any] = {} if perception is None else {"perception": perception}
+    given |= {"observation": list(parts)} if parts else {}
     asked = study(env, scenario, values, seed, **given)
     check_agents(asked, agents)
     console = wide_console(170)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 
@@ -27,3 +29,15 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
     if len(set(names)) < len(names):
         raise InputError(field, list(names), "each part once")
     return [known[name] for name in names]
+
+
+def check_shape(name: str, value: Any, shape: tuple[int, ...]) -> None:
+    """Refuse what a part shows where it is not of its shape, all landers first.
+
+    Raises
+    ------
+    InputError
+        Naming the part.
+    """
+    if np.shape(value) != shape:
+        raise InputError(f"observation: {name}", np.shape(value), f"an array of shape {shape}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,21 @@ def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
             "at least one true"
         )
     return mask
+
+
+def check_begun(begun: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
+    """Refuse to begin some lanes of a batch (n,) while others have never begun.
+
+    Raises
+    ------
+    gymnasium.error.ResetNeeded
+        If there are any that have not, beside those of the mask.
+    """
+    if not (begun | mask).all():
+        lanes = np.flatnonzero(~(begun | mask)).tolist()
+        raise gymnasium.error.ResetNeeded(
+            f"options['reset_mask'] leaves out lanes that never began, {lanes}: first reset all"
+        )
 
 
 def lane_seeds(

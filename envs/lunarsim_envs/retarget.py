@@ -118,7 +118,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ## Episode End
 
     Terminated when the flight ends: touchdown, off the map, or the scenario's time limit. The
-    last decision is taken at 50 m; the step after it flies to the ground. Never truncated.
+    last decision is taken at 50 m; the step after it flies to the ground. Never truncated. A flight
+    that ends before there is anything to decide terminates with the first step, whatever it is.
 
     ## Arguments
 
@@ -208,7 +209,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if render_mode is not None and isinstance(self.flight, KernelFlight):
             self._picture = Picture(self.flight.lanes)
         self._with_views = views
-        self._begun = False
+        self._begun, self._over = False, False
         self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
         self._last: tuple[int | None, float | None] = (None, None)
@@ -226,7 +227,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         self.frames, self._last, self._film = None, (None, None), []
         self.flight.begin(self.np_random, options_of(options))
-        self._begun = True
+        self._begun, self._over = True, False
         self.rewards.begin(np.ones(1, np.bool_), *self.standing())
         if self._picture is not None:
             self._picture.begin()
@@ -244,7 +245,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         flight = self.flight
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        if flight.verdict is not None:
+        if self._over:
             raise gymnasium.error.ResetNeeded("the flight has ended: call reset()")
         if not self.action_space.contains(action):
             raise ValueError(f"action = {action!r}: must be an integer from 0 to {SITES}")
@@ -256,8 +257,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             site = None if invalid else sights.position_of[0, row].copy()
         self._last = (0 if invalid else int(action), None)
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
-        flight.decide(site, self._each)
+        # A flight may end before there is anything to decide: its first step tells so.
+        if flight.verdict is None:
+            flight.decide(site, self._each)
         verdict = flight.verdict
+        self._over = verdict is not None
         terms = self._terms(invalid, verdict)
         info = self._info() | {"reward_terms": terms}
         info["cost"] = float(verdict is not None and not verdict[0])

@@ -16,7 +16,7 @@ from lunarsim.scenario import Scenario
 from lunarsim_envs.arguments import no_pictures, options_of, weights_of, whole
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import take
-from lunarsim_envs.resets import lane_seeds, reset_mask
+from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, touch_shares
 from lunarsim_envs.sites.flights import sights_of
@@ -71,6 +71,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._small = np.zeros((num_envs, 2, MAP_CELLS, MAP_CELLS), np.float32)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._due = np.zeros(num_envs, np.bool_)
+        # Whose flights have begun and not been told to have ended: they may end before a decision.
+        self._open = np.zeros(num_envs, np.bool_)
 
     def reset(
         self,
@@ -81,10 +83,12 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
         left = options_of(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
-        for lane, one in zip(np.flatnonzero(mask), lane_seeds(seed, mask), strict=True):
+        check_begun(np.array([rng is not None for rng in self._rngs]), mask)
+        seeds = lane_seeds(seed, mask)
+        take(left, self.lanes, mask)
+        for lane, one in zip(np.flatnonzero(mask), seeds, strict=True):
             if one is not None or self._rngs[lane] is None:
                 self._rngs[lane] = seeding.np_random(one)[0]
-        take(left, self.lanes, mask)
         self._begin(mask)
         self._due[mask] = False
         return self._observe(), self._info()
@@ -97,6 +101,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             keys[lane] = rng.integers(2**64, size=1, dtype=np.uint64)[0]
         self.lanes.seed(mask, keys[mask])
         self.lanes.begin(mask)
+        self._open |= mask
         self._shrink(mask)
         self.rewards.begin(mask, *self.standing())
 
@@ -147,7 +152,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             )
         if chosen.min() < 0 or chosen.max() > SITES:
             raise ValueError(f"actions from {chosen.min()} to {chosen.max()}: must be 0 to {SITES}")
-        moved = lanes.ended == FLYING
+        moved = self._open.copy()
         if (~moved & ~self._due).any():
             raise gymnasium.error.ResetNeeded(
                 "a lane's flight is not in the air: call reset(), with its reset_mask"
@@ -160,6 +165,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         lanes.decide(sites, moved)
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
+        self._open &= ~over
         terms = self._terms(moved, over, invalid)
         rewards = np.sum(list(terms.values()), axis=0)
         info = self._told(terms, moved, over)
@@ -168,7 +174,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 self._begin(self._due)
             self._due = over
         elif self.autoreset_mode is _MODE.SAME_STEP and over.any():
-            info |= {"final_obs": self._observe(), "_final_obs": over}
+            info |= {"final_obs": self._observe(), "_final_obs": over} | self._info()
             left = ("_reward_terms", "_cost", "final_obs", "_final_obs")
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over

@@ -233,8 +233,9 @@ def write_dataset(files: list[Path], folder: Path, task: Task, console: Console)
 
     figures = {"descents": 0, "out_of_reach": 0, "failed": 0}
     spent, digest = [], hashlib.sha256()
+    # Minari does not find its own files again by a relative path.
     storage = MinariStorage.new(
-        folder, Box(-np.inf, np.inf, (OBSERVED,), np.float64),
+        folder.absolute(), Box(-np.inf, np.inf, (OBSERVED,), np.float64),
         Box(-np.inf, np.inf, (COMMANDED,), np.float64), data_format="hdf5",
     )  # fmt: skip
     with Progress(console=console) as progress:

@@ -81,8 +81,9 @@ def record(study: Study, agent: str, episodes: int, folder: Path) -> int:
     try:
         flies, safe = agent_of(agent, env), 0
         folder.parent.mkdir(parents=True, exist_ok=True)
+        # Minari does not find its own files again by a relative path.
         storage = MinariStorage.new(
-            folder, env.observation_space, env.action_space, data_format="hdf5"
+            folder.absolute(), env.observation_space, env.action_space, data_format="hdf5"
         )
         for number in range(episodes):
             flown = episode(env, flies, Streams(flight_seed(study.seed, number)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -225,6 +226,15 @@ class Whole:
 
 ready = Whole(None)
 number = 5
+
+
+class Alone:
+    def __init__(self):
+        pass
+
+
+def wants_more(observation, info, more):
+    return None
 """
 
 
@@ -247,6 +257,36 @@ def test_a_callable_of_ones_own_flies(env, tmp_path, monkeypatch):
         assert whole.act(None, {}) == np.random.default_rng(3).random()
     with pytest.raises(InputError, match="a function, a class, or an object"):
         named("number")
+    with pytest.raises(InputError, match="built with the environment alone"):
+        named("Alone")
+    with pytest.raises(InputError, match="takes observation and info"):
+        named("wants_more")
+
+
+def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
+    """Also where the shapes of a Dict or of discrete actions tell nothing."""
+
+    def box(size):
+        return gymnasium.spaces.Box(-1.0, 1.0, (size,))
+
+    def fly(mine, own):
+        model = SimpleNamespace(observation_space=mine[0], action_space=mine[1])
+        algorithm = SimpleNamespace(load=lambda path, device: model, __name__="PPO")
+        monkeypatch.setattr(stored, "_algorithm", lambda path: algorithm)
+        env = SimpleNamespace(observation_space=own[0], action_space=own[1])
+        return stored.StoredAgent(env, tmp_path / "m.zip")
+
+    one, two = (gymnasium.spaces.Dict(a=box(2), **more) for more in ({}, {"b": box(1)}))
+    five, six = gymnasium.spaces.Discrete(5), gymnasium.spaces.Discrete(6)
+    fly((two, five), (two, five))
+    for mine, own, says in (
+        ((one, five), (two, five), r"'b': 'Box\(1,\)'"),
+        ((box(2), five), (box(3), five), r"observation_space Box\(3,\), not Box\(2,\)"),
+        ((one, five), (one, six), r"action_space Discrete\(6\), not Discrete\(5\)"),
+        ((one, box(1)), (one, five), "action_space"),
+    ):
+        with pytest.raises(InputError, match=says):
+            fly(mine, own)
 
 
 def _saved(path, module):

@@ -167,6 +167,26 @@ def test_agents_are_flown_on_the_perception_that_is_asked_for():
     assert small.make().unwrapped.perception == "truth"
 
 
+def test_agents_are_shown_the_parts_that_are_asked_for():
+    given = study("lunarsim_envs:Guidance-v0", None, [], 1, observation=["velocity", "rate"])
+    assert given.make().observation_space.shape == (6,)
+    with pytest.raises(InputError, match="none of lunarsim's"):
+        study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
+    words = ["evaluate", "Guidance-v0", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]
+    done = CliRunner().invoke(main, [*words, "--observation", "velocity"])
+    assert done.exit_code == 2 and "observations with 'position'" in done.output
+    done = CliRunner().invoke(main, [*words, "--observation", "velocty"])
+    assert done.exit_code == 2 and "did you mean 'velocity'" in done.output
+
+
+def test_one_episode_has_a_difference_without_an_interval():
+    words = ["evaluate", "Guidance-v0", "--agent", "zero", "--agent", "polynomial"]
+    for value in SETS:
+        words += ["--set", value]
+    done = CliRunner().invoke(main, [*words, "--episodes", "1", "--jobs", "1"])
+    assert done.exit_code == 0 and "nan" not in done.output
+
+
 @pytest.mark.slow
 def test_any_number_of_processes_gives_the_same_rows():
     given = study("lunarsim_envs:Guidance-v0", None, SETS, 3)

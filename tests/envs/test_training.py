@@ -12,7 +12,9 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.descent.env import GuidanceEnv
+from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.training.settings import Training, scales
+from tests.envs import site_scene
 from tests.low_descents import IDS, batch
 
 SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
@@ -135,3 +137,27 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
         warnings.simplefilter("error")
         for name in IDS:
             check_env(gymnasium.make(f"lunarsim_envs:{name}").unwrapped)
+
+
+@pytest.mark.slow
+def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from():
+    contrib = pytest.importorskip("sb3_contrib", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+
+    settings = {"scenario": site_scene.SMALL, "perception": "truth", "worlds": 2, "world_seed": 5}
+    env = LanesVecEnv(RetargetVectorEnv(4, "SameStep", **settings))
+    seen, ends = env.reset(), 0
+    for _ in range(40):
+        masks = np.array(env.env_method("action_masks"))
+        assert np.array_equal(masks[:, 1:], seen["sites"][..., 5] > 0.0) and masks[:, 0].all()
+        env.step_async(np.array([np.flatnonzero(mask)[-1] for mask in masks]))
+        seen, _, over, told = env.step_wait()
+        for lane in np.flatnonzero(over):
+            ends += 1
+            last = told[lane]["terminal_observation"]
+            assert set(last) == set(seen) and last["to_go"][2] < seen["to_go"][lane, 2]
+    assert ends > 4
+    with pytest.raises(InputError, match="env_method"):
+        env.env_method("close")
+    model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=16, batch_size=32, n_epochs=1)
+    assert model.learn(64).num_timesteps == 64

@@ -35,8 +35,10 @@ def episodes(folder):
     return [data[k] for k in range(data.total_episodes)]
 
 
-def test_episodes_move_as_a_lander_that_burns(small, tmp_path):
-    output = written(small, tmp_path)
+def test_episodes_move_as_a_lander_that_burns(small, tmp_path, monkeypatch):
+    # Written from the folder that one works in, as documents tell it.
+    monkeypatch.chdir(tmp_path.parent)
+    output = written(small, tmp_path.name)
     scenario = Scenario.from_dict({"name": "check"})
     lander, gravity = scenario.vehicle.make(), scenario.gravity_m_s2
     all_of_them = episodes(tmp_path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import gymnasium
 import minari
 import numpy as np
@@ -33,8 +35,12 @@ def same(first, second):
         ("Retarget-v0", "random", ("--perception", "truth"), {"perception": "truth"}),
     ],
 )
-def test_what_was_recorded_is_flown_again(script, tmp_path, env, agent, more, settings):
-    out = tmp_path / "new" / "some"
+def test_what_was_recorded_is_flown_again(
+    script, tmp_path, monkeypatch, env, agent, more, settings
+):
+    # From the folder that one works in, as documents tell it.
+    monkeypatch.chdir(tmp_path)
+    out = Path("new/some")
     done = recorded(script, env, "--agent", agent, "--episodes", 2, "--out", out, *more)
     assert done.exit_code == 0, done.output
     data = minari.MinariDataset(out)

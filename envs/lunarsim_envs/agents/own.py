@@ -24,7 +24,7 @@ class CalledAgent:
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
-        self._informed = _takes_two(call)
+        self._informed = _takes(call, 2)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Tell the callable of a new flight, if it listens."""
@@ -37,12 +37,14 @@ class CalledAgent:
         return self._call(observation, info) if self._informed else self._call(observation)
 
 
-def _takes_two(call: Callable[..., Any]) -> bool:
-    """Tell whether a callable takes two positional arguments."""
+def _takes(call: Callable[..., Any], count: int) -> bool:
+    """Tell whether a callable takes so many positional arguments; if it does not say, it does."""
     try:
-        inspect.signature(call).bind(None, None)
+        inspect.signature(call).bind(*[None] * count)
     except TypeError:
         return False
+    except ValueError:  # of what is written in C
+        return True
     return True
 
 
@@ -55,7 +57,7 @@ def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     Raises
     ------
     InputError
-        If it cannot be imported, or is nothing that can be called.
+        If it cannot be imported, or is nothing that can be called so.
     """
     module, _, attribute = name.partition(":")
     try:
@@ -67,9 +69,13 @@ def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
             "module:Name that can be imported, from the working directory or an installed package "
             f"({type(error).__name__}: {said})",
         ) from error  # fmt: skip
+    if isinstance(found, type) and not _takes(found, 1):
+        raise InputError("--agent", name, "a class that is built with the environment alone")
     made = found(env) if isinstance(found, type) else found
     if hasattr(made, "act") and hasattr(made, "begin"):
         return made
     if not callable(made):
         raise InputError("--agent", name, "a function, a class, or an object that can be called")
+    if not (_takes(made, 1) or _takes(made, 2)):
+        raise InputError("--agent", name, "one that takes observation and info, or the former")
     return CalledAgent(made)

@@ -50,6 +50,15 @@ def _algorithm(path: Path) -> Any:
     raise InputError("--agent", str(path), f"one of {known}; its policy is of {policy}")
 
 
+def _sizes(space: gymnasium.Space[Any]) -> Any:
+    """Return what must be alike of a space for an agent of one to fly the other, for messages."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {name: _sizes(part) for name, part in sorted(space.items())}
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return f"{type(space).__name__}({space.n})"
+    return f"{type(space).__name__}{space.shape}"
+
+
 class StoredAgent:
     """An agent that Stable-Baselines3 has saved, without exploration.
 
@@ -72,8 +81,8 @@ class StoredAgent:
         algorithm = _algorithm(path)
         self._model = algorithm.load(path, device="cpu")
         for what in ("observation_space", "action_space"):
-            own, others = getattr(env, what), getattr(self._model, what)
-            if type(own) is not type(others) or own.shape != others.shape:
+            own, others = (_sizes(getattr(one, what)) for one in (env, self._model))
+            if own != others:
                 raise InputError("--agent", str(path), f"one trained on {what} {own}, not {others}")
         self._masked = algorithm.__name__ == "MaskablePPO"
         self._memory: Any = None

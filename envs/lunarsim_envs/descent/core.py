@@ -38,6 +38,14 @@ def level() -> Scenario:
     )
 
 
+def _rate(given: Any) -> float:
+    """Return a number above 0."""
+    numbers = int, float, np.integer, np.floating
+    if isinstance(given, bool) or not isinstance(given, numbers) or not given > 0:
+        raise InputError("rate_hz", given, "a number above 0")
+    return float(given)
+
+
 class Settings(TypedDict, total=False):
     """What environments are told, for one descent and for many: see `env.GuidanceEnv`."""
 
@@ -85,8 +93,7 @@ class Descents:
             truth_of("privileged", privileged),
             weights_of(weights, DescentWeights),
         )
-        if not isinstance(rate_hz, (int, float)) or isinstance(rate_hz, bool) or not rate_hz > 0:
-            raise InputError("rate_hz", rate_hz, "a number above 0")
+        rate_hz = _rate(rate_hz)
         self.scenario = scenario_of(scenario, changes, level())
         craft = Craft.of(self.scenario)
         self.shown = Shown(observation)
@@ -125,13 +132,12 @@ class Descents:
         one[lane] = True
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
-    def begin(self, mask: Mask, options: Mapping[str, Any] | None = None) -> None:
-        """Begin new flights in the lanes of `mask`, from where the options say."""
+    def take(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
+        """Let flights in the lanes of `mask` start where the options say, from now on."""
         take(options, self.lanes, mask)
-        self.restart(mask)
 
     def restart(self, mask: Mask) -> None:
-        """Begin new flights in the lanes of `mask`, from where their last reset said."""
+        """Begin new flights in the lanes of `mask`, from where `take` was told."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
         if self.senses is not None:

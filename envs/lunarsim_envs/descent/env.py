@@ -13,7 +13,7 @@ from lunarsim_envs.arguments import no_pictures, options_of
 from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.picture import Picture
-from lunarsim_envs.resets import lane_seeds, reset_mask
+from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.screen import Screen, modes_here
 
 Shown = NDArray[np.float32]
@@ -46,10 +46,11 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Shown, dict[str, Any]]:
         """Draw a new flight."""
+        self.descents.take(self._one, options)
         super().reset(seed=seed)
         if seed is not None or not self.descents.lanes.has_key[0]:
             self.descents.key(0, self.np_random)
-        self.descents.begin(self._one, options)
+        self.descents.restart(self._one)
         if self._picture is not None:
             self._picture.begin()
         self._show()
@@ -131,7 +132,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         batch = gymnasium.vector.utils.batch_space
         self.action_space = batch(self.single_action_space, num_envs)
         self.observation_space = batch(self.single_observation_space, num_envs)
-        self._due = np.zeros(num_envs, np.bool_)
+        self._due, self._begun = np.zeros((2, num_envs), np.bool_)
         self.render_mode = None
 
     def reset(
@@ -143,8 +144,12 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
         left = options_of(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
-        self.descents.seed(mask, lane_seeds(seed, mask))
-        self.descents.begin(mask, left)
+        check_begun(self._begun, mask)
+        seeds = lane_seeds(seed, mask)
+        self.descents.take(mask, left)
+        self.descents.seed(mask, seeds)
+        self.descents.restart(mask)
+        self._begun |= mask
         self._due[mask] = False
         return self.descents.observe(), self._hidden()
 

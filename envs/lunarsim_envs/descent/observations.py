@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.lanes import Lanes
-from lunarsim_envs.named_parts import named_parts
+from lunarsim_envs.named_parts import check_shape, named_parts
 
 Array = NDArray[np.float64]
 
@@ -128,6 +128,7 @@ class Shown:
 
     def __init__(self, names: Sequence[str]) -> None:
         self.parts = named_parts("observation", names, PARTS)
+        self._checked = False  # at the first look: it takes a share of a step
         sizes = [p.size for p in self.parts]
         ends = np.cumsum(sizes)
         self.places = {
@@ -137,6 +138,10 @@ class Shown:
         self._low = np.repeat([p.low for p in self.parts], sizes).astype(np.float32)
         self._high = np.repeat([p.high for p in self.parts], sizes).astype(np.float32)
 
+    def __reduce__(self) -> tuple[type[Shown], tuple[list[str]]]:
+        """Copy by names: what a part is computed by need not be copied itself."""
+        return Shown, ([part.name for part in self.parts],)
+
     @property
     def space(self) -> spaces.Box:
         """Of one lane."""
@@ -144,5 +149,9 @@ class Shown:
 
     def of(self, lanes: Lanes) -> NDArray[np.float32]:
         """Return the observation of every lane (n, size)."""
-        told = np.concatenate([p.of(lanes) for p in self.parts], axis=1).astype(np.float32)
+        each = [p.of(lanes) for p in self.parts]
+        for part, value in () if self._checked else zip(self.parts, each, strict=True):
+            check_shape(part.name, value, (lanes.count, part.size))
+        self._checked = True
+        told = np.concatenate(each, axis=1).astype(np.float32)
         return np.clip(told, self._low, self._high, out=told)

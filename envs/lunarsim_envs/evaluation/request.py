@@ -78,6 +78,9 @@ def study(
     """
     name = _environment(env)
     own = _DEFAULTS.get(name.rpartition(":")[2])
+    if "observation" in arguments and own is None:
+        given = ", ".join(arguments["observation"])
+        raise InputError("--observation", given, f"left out: {name} is none of lunarsim's")
     if "perception" in arguments:
         _check_perception(arguments["perception"], own)
     flown: Scenario | None = None

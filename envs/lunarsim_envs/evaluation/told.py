@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from lunarsim.evaluation.comparisons import Difference
 from lunarsim_envs.evaluation.results import AgentFigures
 
@@ -39,6 +41,12 @@ def agents_table(found: list[AgentFigures], within: float) -> Table:
     return table
 
 
+def _interval(d: Difference) -> str:
+    """Return a difference with its interval; without it where there is none, of one pair."""
+    told = f"{d.value:+.3f}"
+    return told if np.isnan(d.low) else f"{told} [{d.low:+.3f}, {d.high:+.3f}]"
+
+
 def differences_table(between: dict[str, list[Difference]]) -> Table:
     """Return a row a pair of agents and metric."""
     table = _table(
@@ -48,6 +56,6 @@ def differences_table(between: dict[str, list[Difference]]) -> Table:
         for d in many:
             table.add_row(
                 f"{d.second} - {d.first}", _UNITS[metric], str(d.pairs),
-                f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]", f"{d.corrected:.3g}",
+                _interval(d), "-" if np.isnan(d.corrected) else f"{d.corrected:.3g}",
             )  # fmt: skip
     return table

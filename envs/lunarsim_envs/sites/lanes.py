@@ -27,6 +27,8 @@ Mask = NDArray[np.bool_]
 
 # What a lane and cycle take, microseconds; what a map of a lane does.
 _CYCLE, _MAP = 6.0, 2000.0
+# Of the site flown to before anything is looked at: not seen, out of reach, no miss.
+_NOTHING = np.array([np.nan, np.inf, 0.0])
 
 
 def law_of(scenario: Scenario, craft: Craft) -> f.Law:
@@ -161,6 +163,8 @@ class SiteLanes(Lanes):
         maps.height[mask] = np.nan
         maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
         self.refused[mask] = False
+        # A flight that ends before its first decision is shown none of the one before.
+        self.found.number[mask], self.found.here[mask] = 0, _NOTHING
         self.mapped = mask.copy()
         self._on(mask)
 
@@ -246,5 +250,5 @@ def _maps(n: int, cells: int, posting: float, stated: Array) -> m.Maps:
 def _found(n: int, most: int) -> choice.Found:
     return choice.Found(
         np.zeros((n, most, 3)), np.zeros((n, most)), np.zeros((n, most)), np.zeros((n, most)),
-        np.zeros(n, np.int64), np.full((n, 3), np.nan),
+        np.zeros(n, np.int64), np.tile(_NOTHING, (n, 1)),
     )  # fmt: skip

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.named_parts import named_parts
+from lunarsim_envs.named_parts import check_shape, named_parts
 from lunarsim_envs.sites.sights import CROP_CELLS, MAP_CELLS, Sights
 
 Array = NDArray[Any]
@@ -122,6 +122,14 @@ def _site(s: Sights) -> Array:
     return np.stack((np.where(seen, p, 0.0), seen, np.minimum(cost, FAR), miss), axis=1)
 
 
+def _small(s: Sights) -> Array:
+    return s.small
+
+
+def _crop(s: Sights) -> Array:
+    return s.crop
+
+
 for _part in (
     Part(
         "estimate", (10,), (*["m"] * 3, *["m/s"] * 3, *[""] * 4),
@@ -132,7 +140,7 @@ for _part in (
     Part(
         "hazard_map", (2, MAP_CELLS, MAP_CELLS), ("",), 0.0, 1.0,
         "mean probability of safety and share seen in equal blocks of the hazard map; row 0 south, "
-        "column 0 west", lambda s: s.small,
+        "column 0 west", _small,
     ),
     Part(
         "sites", (SITES, 6), ("m", "m", "m", "", "kg", ""),
@@ -158,7 +166,7 @@ for _part in (
     Part(
         "hazard_crop", (2, CROP_CELLS, CROP_CELLS), ("",), 0.0, 1.0,
         "probability of safety and 1 where seen, a metre apart about the present site; row 0 "
-        "south, column 0 west", lambda s: s.crop,
+        "south, column 0 west", _crop,
     ),
 ):  # fmt: skip
     register(_part)
@@ -182,6 +190,10 @@ class ShownSites:
         self.parts = named_parts("observation", names, PARTS)
         self._bounds = {part.name: (part.space.low, part.space.high) for part in self.parts}
 
+    def __reduce__(self) -> tuple[type[ShownSites], tuple[list[str]]]:
+        """Copy by names: what a part is computed by need not be copied itself."""
+        return ShownSites, ([part.name for part in self.parts],)
+
     @property
     def space(self) -> spaces.Dict:
         """Of one lander."""
@@ -192,6 +204,7 @@ class ShownSites:
         told = {}
         for part in self.parts:
             value = np.array(part.of(sights), dtype=np.float32)
+            check_shape(part.name, value, (len(sights.site), *part.shape))
             low, high = self._bounds[part.name]
             np.maximum(value, low, out=value)
             told[part.name] = np.minimum(value, high, out=value)

@@ -15,13 +15,21 @@ from lunarsim.errors import InputError
 _SHARED = "a change of the batch itself: its lanes share all that they are"
 
 
+def _of(shown: Any, lane: Any) -> Any:
+    """Return what one lane is shown."""
+    if isinstance(shown, dict):
+        return {name: part[lane] for name, part in shown.items()}
+    return shown[lane]
+
+
 class LanesVecEnv(VecEnv):  # type: ignore[misc]
     """Lanes of a native batch; nothing here goes through lanes one by one.
 
     Parameters
     ----------
     batch
-        A ``Guidance-v0`` or ``Control-v0`` batch with ``autoreset_mode="SameStep"``.
+        Of any of the environments, with ``autoreset_mode="SameStep"``. One of ``Retarget-v0`` has
+        the masks that MaskablePPO asks for.
     starts
         Options of a reset, each for an equal share of the lanes, in their order; left out: all
         lanes start as the scenario says.
@@ -67,11 +75,12 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         told: list[dict[str, Any]] = [{}] * self.num_envs
         for lane in np.flatnonzero(over):
             told[lane] = {
-                "terminal_observation": info["final_obs"][lane],
+                "terminal_observation": _of(info["final_obs"], lane),
                 "TimeLimit.truncated": bool(truncated[lane]),
                 "safe": bool(info["safe"][lane]),
-                "miss_m": float(info["miss_m"][lane]),
             }
+            if "miss_m" in info:
+                told[lane]["miss_m"] = float(info["miss_m"][lane])
         return observation, reward.astype(np.float32), over, told
 
     def close(self) -> None:
@@ -92,7 +101,10 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Refuse, with an `InputError`: lanes have nothing of their own."""
+        """Return the masks of actions of lanes; refuse others, with an `InputError`."""
+        if method_name == "action_masks" and hasattr(self.batch, method_name):
+            masks = getattr(self.batch, method_name)()
+            return [masks[lane] for lane in self._get_indices(indices)]
         raise InputError("env_method", method_name, _SHARED)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
