@@ -7,7 +7,6 @@ whole control cycle; the loop calls its parts one by one where somebody outside 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,15 +34,13 @@ from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper, sensors_of
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
-from lunarsim.onboard.policies.candidates import candidate_sites
+from lunarsim.onboard.outlook import Course, Outlook
 from lunarsim.onboard.policies.contract import (
     Candidates,
     Decision,
     Observation,
     RetargetingPolicy,
 )
-from lunarsim.onboard.policies.expected_miss import Aim
-from lunarsim.onboard.policies.reach import Reach
 from lunarsim.onboard.tank_account import TankAccount
 from lunarsim.onboard.tasking.contract import Situation
 
@@ -68,6 +65,8 @@ class OnboardComputer:
         Where it is flying to, local frame (3,), m.
     telemetry
         What happened: time (s), name, details.
+    outlook
+        Where the lander could go, and what a policy is shown of it.
     tanks
         What is left in them, by the computer's own account.
     diverts
@@ -88,6 +87,7 @@ class OnboardComputer:
         with named_in("navigation"):
             self.navigation = software.navigation.build(briefing)
         self.mappers = built_mappers(briefing, self.navigation)
+        self.outlook = Outlook(briefing, self.navigation, self.mappers)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
@@ -122,8 +122,6 @@ class OnboardComputer:
         self._target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._decided = False
-        descent = self.approach.vertical_altitude / self.approach.rate
-        self._aim = Aim(self.decisions.touchdown_sigma, descent)
         self._events = self._told = 0
         self._arrivals = Arrivals.of(briefing, self._note)
         self._barred, self._mapped_lost = False, False
@@ -155,17 +153,13 @@ class OnboardComputer:
 
     @property
     def decisions_map(self) -> str:
-        """Name of the mapper whose map decides; empty for a lander without one.
-
-        If the scenario names none: the first that is made of others, else the first.
-        """
-        joined = (name for name, mapper in self.mappers.items() if mapper.sources)
-        return str(self.decisions.map or next(joined, next(iter(self.mappers), "")))
+        """Name of the mapper whose map decides; empty for a lander without one."""
+        return self.outlook.decisions_map
 
     @property
     def mapper(self) -> HazardMapper | None:
         """The mapper whose map decides; None for a lander without one."""
-        return self.mappers.get(self.decisions_map)
+        return self.outlook.mapper
 
     def _belief(self) -> HazardMap | None:
         """Return the map that decides as it stands; None for a lander without one."""
@@ -195,81 +189,18 @@ class OnboardComputer:
 
     def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
         """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
-        cost: DivertCost = self.briefing.software.guidance.cost(
-            estimate or self.estimate,
-            self.approach.end(sites, self.lander),
-            self.lander,
-            self.briefing.weight,
-            self.approach.limits,
-        )
-        return cost
+        return self.outlook.cost_of(sites, estimate or self.estimate)
 
     def _admissible_time(self, site: Array) -> float:
         """Return the best time-to-go to a site (3,) within all limits, s; NaN without any."""
         return float(self.cost_of(site[None, :]).time_to_go[0])
 
-    def _designable(self, sites: Array, estimate: Estimate) -> DivertCost:
-        """Return what sites cost (n, 3); those that are not seen through a window are out of reach.
-
-        A look angle is taken only where the scenario has a window.
-        """
-        cost, window = self.cost_of(sites, estimate), self.briefing.software.window
-        if window is None:
-            return cost
-        seen = window.sees(estimate, sites)
-        return replace(
-            cost,
-            propellant=np.where(seen, cost.propellant, np.inf),
-            time_to_go=np.where(seen, cost.time_to_go, np.nan),
-        )
-
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
-        mapper = self.mapper
-        if mapper is None:
-            raise RuntimeError("this lander has no mapper: there is nothing to decide on")
-        hazard_map = mapper.hazard_map()
-        self.expected_miss = miss = float(self._miss_of(np.array([self.time_to_go]))[0])
-        aim = self._aim.spread(hazard_map, miss)
-        scoreboard = mapper.scoreboard(self.site)
-        designable = partial(self._designable, estimate=self.estimate)
-        reach = Reach.under(hazard_map, self.site, designable)
-        self.candidates = candidate_sites(
-            hazard_map,
-            aim,
-            self.site,
-            designable,
-            count=self.decisions.candidates,
-            separation=self.decisions.separation,
-            miss_of=self._miss_of if self.navigation.adrift else None,
-            mapper=self.decisions_map,
-            scoreboard=scoreboard,
-            reach=reach,
-        )
-        row, col = (int(v) for v in hazard_map.grid.cell(self.site[:2]))
-        inside = bool(hazard_map.grid.contains(self.site[:2]))
-        seen = inside and bool(hazard_map.observed[row, col])
-        return Observation(
-            time=self.time,
-            estimate=self.estimate,
-            hazard_map=hazard_map,
-            candidates=self.candidates,
-            site=self.site,
-            site_p_safe=float(aim[row, col]) if seen else float("nan"),
-            site_propellant=float(self.cost_of(self.site[None, :]).propellant[0]),
-            time_to_go=self.time_to_go,
-            propellant=self.mass - self.lander.dry_mass,
-            site_eligible=bool(hazard_map.eligible_at(self.site[:2])),
-            site_value=float(hazard_map.value_at(self.site[:2])),
-            scoreboard=scoreboard,
-            expected_miss=miss,
-            reach=reach,
-        )
-
-    def _miss_of(self, time_to_go: Array) -> Array:
-        """Return the expected miss of sites that take so long to reach (n,), s, an axis, m."""
-        until = np.where(np.isfinite(time_to_go), time_to_go, self.time_to_go)
-        return self._aim.misses(self.estimate, self.navigation.adrift, until)
+        course = Course(self.time, self.mass, self.estimate, self.site, self.time_to_go)
+        shown = self.outlook.observe(course)
+        self.candidates, self.expected_miss = shown.candidates, shown.expected_miss
+        return shown
 
     # --- a cycle --------------------------------------------------------------------------
 
@@ -312,8 +243,7 @@ class OnboardComputer:
             measurements.items, key=lambda item: not isinstance(item[1], InertialSamples)
         ):
             self._take(sensor, measurement)
-        if self.decisions_map in self.mapped:
-            self._aim.mapped_at = self.time
+        self.outlook.mapped(self.mapped, self.time)
         self._carry_on()
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
@@ -441,8 +371,7 @@ class OnboardComputer:
         if not np.isfinite(time_to_go):
             self._refuse(site, "out of reach")
             return False
-        window = self.briefing.software.window
-        if window is not None and not window.sees(self.estimate, site):
+        if not self.outlook.in_sight(site, self.estimate):
             self._refuse(site, "out of sight")
             return False
         self.diverts.append((self.time, self.site, decision))

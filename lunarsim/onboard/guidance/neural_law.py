@@ -160,12 +160,12 @@ class NeuralGuidance:
         told = self.network(shown)
         wanted = axes.T @ told[:3]
         push, left = self._within_limits(wanted, estimate.mass), float(told[3])
+        if push is None or not left > 0.0:
+            self.infeasible += 1
         if push is None and self._followed and not np.isfinite(self._apollo_time(estimate, end)):
             # Near the end an optimal descent is at its limits: no other law has a path from there.
             push = self._cut_back(wanted, estimate.mass)
-            self.infeasible += 1
         if push is None or not left > 0.0:
-            self.infeasible += 1
             self._fall_back(estimate, end, time, "infeasible")
             return None
         if self._fallen:

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard import computer as computer_module
+from lunarsim.onboard import outlook
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.hazards import HazardMap
@@ -183,13 +183,13 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
 def test_the_computer_hands_its_reach_to_policy_and_candidates(monkeypatch, window):
     """What no window shows is out of reach, though law and engine could fly there."""
     asked = []
-    real = computer_module.candidate_sites
+    real = outlook.candidate_sites
 
     def spied(*given, **named):
         asked.append(named["reach"])
         return real(*given, **named)
 
-    monkeypatch.setattr(computer_module, "candidate_sites", spied)
+    monkeypatch.setattr(outlook, "candidate_sites", spied)
     tables = {} if window is None else {"window": window}
     simulation = Simulation(Scenario.from_dict(TINY_FLIGHT | tables), 4, "no-divert")
     while not simulation.computer.mapped:
