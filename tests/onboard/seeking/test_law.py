@@ -14,32 +14,13 @@ from lunarsim.onboard.tasking.contract import Looks
 from lunarsim.onboard.tasking.schedules import AtAltitudes, Periodic, Sweep
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from tests.worlds import SCENARIOS, SMALL_FLIGHT
-
-QUICK = {"kind": "information-seeking", "candidates": 600, "squares": 4}
+from tests.onboard.seeking.conftest import QUICK, at_start
+from tests.worlds import SMALL_FLIGHT
 
 
 def seeing(**tables) -> Scenario:
     small = Scenario.from_dict(SMALL_FLIGHT)
     return small.changed(guidance=QUICK, **tables)
-
-
-@pytest.fixture(scope="module")
-def paper():
-    """The computer of the shadow paper's direct descent, under this law, and its estimate."""
-    scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
-        guidance=QUICK, mappers={"rocks": {"size_m": 60.0}},
-        terrain={"size_m": 80.0}, rocks={"min_diameter_m": 0.6},
-    )  # fmt: skip
-    return Simulation(scenario, 3).computer
-
-
-def at_start(computer, **settings):
-    """Return a law of its own as the flight begins, and what it is asked with."""
-    law = computer.briefing.software.guidance
-    guidance = replace(law, **settings).build(computer.briefing, 0.3)
-    guidance.belief = computer.guidance.belief
-    return guidance, (computer.estimate, computer.approach.end(computer.site, computer.lander))
 
 
 def test_it_plans_over_the_site_and_pays_for_it(paper):

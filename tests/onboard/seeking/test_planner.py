@@ -10,32 +10,18 @@ from lunarsim.onboard.seeking.eyes import eyes_of, footprint_of
 from lunarsim.onboard.seeking.law import InformationSeekingLaw
 from lunarsim.onboard.seeking.planner import Plan, SeekingPlanner, vehicle_figures
 from lunarsim.onboard.tasking.contract import Looks
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
+from tests.onboard.seeking.conftest import at_start
 from tests.reference import seeking as plain
-from tests.worlds import SCENARIOS
 
-QUICK = {"kind": "information-seeking", "candidates": 600, "squares": 4}
 PRICE, MOST = 0.02, 20.0
 
 
 @pytest.fixture(scope="module")
-def computer():
-    scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
-        guidance=QUICK, mappers={"rocks": {"size_m": 60.0}},
-        terrain={"size_m": 80.0}, rocks={"min_diameter_m": 0.6},
-    )  # fmt: skip
-    return Simulation(scenario, 3).computer
-
-
-@pytest.fixture(scope="module")
-def asked(computer):
+def asked(paper):
     """A law as the flight begins, its problem, and its only eye."""
-    law = computer.briefing.software.guidance.build(computer.briefing, 0.3)
-    law.belief = computer.guidance.belief
-    end = computer.approach.end(computer.site, computer.lander)
-    (eye,) = eyes_of(computer.briefing, 0.5)
-    return law, law.problem(computer.estimate, end, computer.site), eye
+    law, (here, end) = at_start(paper)
+    (eye,) = eyes_of(paper.briefing, 0.5)
+    return law, law.problem(here, end, paper.site), eye
 
 
 def planner(eye, looks=None, candidates=600, end_tilt=0.9):
@@ -148,11 +134,11 @@ def test_looks_that_are_past_count_no_more(asked):
 
 
 @pytest.mark.parametrize("mass, by_tilt", [(None, False), (150.0, True)])
-def test_ground_far_off_needs_time_to_be_flown_to(asked, computer, mass, by_tilt):
+def test_ground_far_off_needs_time_to_be_flown_to(asked, paper, mass, by_tilt):
     law, first, _ = asked
     here = replace(first.estimate, mass=mass or first.estimate.mass)
     problem = law.problem(here, first.end, first.site)
-    decisions, limits, lander = computer.decisions, problem.limits, problem.lander
+    decisions, limits, lander = paper.decisions, problem.limits, problem.lander
     away = np.hypot(*(problem.nodes[:, :2] - problem.site[:2]).T)
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     spare = np.sqrt(((lander.thrust_max - margin) / here.mass) ** 2 - problem.gravity**2)
@@ -162,11 +148,9 @@ def test_ground_far_off_needs_time_to_be_flown_to(asked, computer, mass, by_tilt
     np.testing.assert_allclose(problem.nodes[:, 5], needs)
 
 
-def test_what_has_been_burnt_is_not_allowed_again(computer, asked):
+def test_what_has_been_burnt_is_not_allowed_again(paper, asked):
     """The first plan fixes the budget: what was spent since comes off it."""
-    settings = replace(computer.briefing.software.guidance, price=0.0, allowance=0.4)
-    law = settings.build(computer.briefing, 0.3)
-    law.belief = computer.guidance.belief
+    law, _ = at_start(paper, price=0.0, allowance=0.4)
     _, problem, _ = asked
     law.command(problem.estimate, problem.end, 0.0, 47.0)
     first = law.plan.propellant
@@ -175,9 +159,8 @@ def test_what_has_been_burnt_is_not_allowed_again(computer, asked):
     assert law.plan.propellant < first - 0.15
 
 
-def test_what_was_passed_stays_passed_and_the_way_down_is_chosen_once(computer, asked):
-    law = computer.briefing.software.guidance.build(computer.briefing, 0.3)
-    law.belief = computer.guidance.belief
+def test_what_was_passed_stays_passed_and_the_way_down_is_chosen_once(paper, asked):
+    law, _ = at_start(paper)
     _, problem, _ = asked
     here, end = problem.estimate, problem.end
     law.command(here, end, 0.0, 47.0)
@@ -200,9 +183,8 @@ def test_what_was_passed_stays_passed_and_the_way_down_is_chosen_once(computer, 
     assert over[0][2]["time_to_go"] > 1.2 * hasty
 
 
-def test_in_the_last_seconds_no_plan_is_made(computer, asked):
-    law = computer.briefing.software.guidance.build(computer.briefing, 0.3)
-    law.belief = computer.guidance.belief
+def test_in_the_last_seconds_no_plan_is_made(paper, asked):
+    law, _ = at_start(paper)
     _, problem, _ = asked
     law.command(problem.estimate, problem.end, 0.0, 47.0)
     told, late = len(law.events), law.arrival - 5.0
@@ -212,7 +194,7 @@ def test_in_the_last_seconds_no_plan_is_made(computer, asked):
     assert len(law.events) == told + 1
 
 
-def test_the_footprint_is_that_of_the_pads(computer):
-    lander = computer.lander
-    assert footprint_of(computer.briefing) == lander.leg_radius + 0.5 * lander.pad_diameter
+def test_the_footprint_is_that_of_the_pads(paper):
+    lander = paper.lander
+    assert footprint_of(paper.briefing) == lander.leg_radius + 0.5 * lander.pad_diameter
     assert InformationSeekingLaw().least_diameter == 0.5
