@@ -83,6 +83,8 @@ class Flown:
         Whether it came down safely, and why not.
     fallbacks, plans
         Of the optimal law.
+    asked, infeasible
+        Of a network: how often it was asked, and how often its answer broke the law's limits.
     """
 
     law: str
@@ -97,6 +99,8 @@ class Flown:
     failed: str
     fallbacks: int
     plans: int
+    asked: int
+    infeasible: int
 
     @property
     def over(self) -> float:
@@ -182,7 +186,7 @@ def _flown(law: str, number: int, flight: Simulation, optimum: float) -> Flown:
         float(np.linalg.norm(believed.position - end.position)),
         float(np.linalg.norm(at_end.velocity - end.velocity)),
         bool(verdict.safe), " ".join(verdict.failed), fell,
-        int(getattr(computer.guidance, "plans", 0)),
+        *(int(getattr(computer.guidance, name, 0)) for name in ("plans", "asked", "infeasible")),
     )  # fmt: skip
 
 
@@ -193,6 +197,7 @@ def table_of(rows: list[Flown]) -> Table:
         "law", "flights", "landed safe [95 %]", "over the optimum %\nmedian / 95 % / max",
         "to the ground %\nmedian / 95 % / max", "kg to the ground\nmedian / 95 %",
         "ends off m\nmedian / 95 %", "ends off m/s\nmedian / 95 %", "flights that\nfell back",
+        "answers that\nbroke limits",
     ):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "law" else "right")
     for law in dict.fromkeys(r.law for r in rows):
@@ -212,9 +217,15 @@ def table_of(rows: list[Flown]) -> Table:
             " / ".join(f"{v:.1f}" for v in spread("whole")[:2]),
             " / ".join(f"{v:.2f}" for v in spread("miss")[:2]),
             " / ".join(f"{v:.2f}" for v in spread("speed")[:2]),
-            str(sum(r.fallbacks > 0 for r in mine)),
+            str(sum(r.fallbacks > 0 for r in mine)), _answers(mine),
         )  # fmt: skip
     return table
+
+
+def _answers(rows: list[Flown]) -> str:
+    """Return how many answers of a network broke the limits; nothing of other laws."""
+    asked = sum(r.asked for r in rows)
+    return f"{sum(r.infeasible for r in rows)} of {asked:,}" if asked else ""
 
 
 @click.command()
@@ -240,7 +251,7 @@ def main(
     out: Path | None,
 ) -> None:
     """Fly every law from the same starts and print what each spends over the optimum."""
-    console = Console(width=160)
+    console = Console(width=178)
     chosen = laws or tuple(kinds("guidance"))
     tasks = [Task(chosen, n, seed, position_sigma, velocity_sigma) for n in range(flights)]
     try:

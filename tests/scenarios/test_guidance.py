@@ -14,18 +14,26 @@ from click.testing import CliRunner
 def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
     study = script("guidance", "propellant")
     out = tmp_path / "flown.json"
-    arguments = ["--flights", "1", "--laws", "apollo", "--laws", "optimal", "--json", str(out)]
+    laws = ("apollo", "optimal", "neural-optimal")
+    arguments = [
+        "--flights",
+        "1",
+        "--json",
+        str(out),
+        *(w for law in laws for w in ("--laws", law)),
+    ]
     done = CliRunner().invoke(study.main, arguments)
     assert done.exit_code == 0, done.output
     assert "over the optimum" in done.output
-    apollo, optimal = json.loads(out.read_text())
-    assert (apollo["law"], optimal["law"]) == ("apollo", "optimal")
+    apollo, optimal, neural = json.loads(out.read_text())
+    assert (apollo["law"], optimal["law"], neural["law"]) == laws
     assert apollo["optimum"] == optimal["optimum"]
     assert apollo["safe"]
     assert optimal["safe"]
     assert optimal["approach"] < 1.02 * optimal["optimum"] < 0.95 * apollo["approach"]
     assert optimal["plans"] > 15
-    assert optimal["fallbacks"] == apollo["plans"] == 0
+    assert optimal["fallbacks"] == apollo["plans"] == apollo["asked"] == 0
+    assert neural["asked"] > 100 and f"{neural['infeasible']} of {neural['asked']}" in done.output
 
 
 def test_starts_that_cannot_be_flown_from_and_files_that_cannot_be_are_told(
