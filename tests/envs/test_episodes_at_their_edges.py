@@ -88,6 +88,30 @@ def test_the_last_info_of_a_lane_is_that_of_one_environment():
         *_, ended, _, told = alone.step(0)
     assert info["final_info"]["time"][0] == told["time"] > info["time"][0]
     assert np.array_equal(info["final_info"]["action_mask"][0], told["action_mask"])
+    assert info["final_info"]["propellant_kg"][0] == told["propellant_kg"] > 1.0
+
+
+def test_a_lane_that_is_reset_by_hand_after_its_end_flies_on():
+    """In next-step mode the end of the flight before is not still due."""
+    many, alone = RetargetVectorEnv(1, **SITE), RetargetEnv(**SITE)
+    many.reset(seed=3)
+    while not many.step(np.zeros(1, int))[2][0]:
+        pass
+    seen, _ = many.reset(seed=3)
+    own, _ = alone.reset(seed=3)
+    for _ in range(2):
+        # The same seed again is the same flight.
+        assert all(np.array_equal(seen[name][0], own[name]) for name in own)
+        seen, own = many.step(np.ones(1, int))[0], alone.step(1)[0]
+
+
+def test_a_site_that_is_not_to_be_had_is_not_flown_to():
+    wrong, stays = (RetargetVectorEnv(1, observation=list(PARTS), **SITE) for _ in range(2))
+    for many in (wrong, stays):
+        _, info = many.reset(seed=3)
+    (none,) = np.flatnonzero(~info["action_mask"][0])[:1]
+    seen, own = wrong.step(np.array([none]))[0], stays.step(np.zeros(1, int))[0]
+    assert all(np.array_equal(seen[name], own[name]) for name in own)
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
