@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -51,6 +51,21 @@ def whole(field: str, value: Any, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InputError(field, value, f"a whole number, at least {least}")
     return int(value)
+
+
+def covers_of(given: Any) -> tuple[float, ...]:
+    """Return covers of rocks.
+
+    Raises
+    ------
+    InputError
+        If they are no numbers; whether they will do is the scenario's to say.
+    """
+    listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str | bytes)
+    kinds = int, float, np.integer, np.floating
+    if not listed or not all(isinstance(c, kinds) and not isinstance(c, bool) for c in given):
+        raise InputError("covers", given, "a list of fractions of the ground, such as [0.02, 0.1]")
+    return tuple(float(one) for one in given)
 
 
 def truth_of(field: str, value: Any) -> bool:

@@ -16,7 +16,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_of, whole
+from lunarsim_envs.arguments import covers_of, options_of, scenario_of, truth_of, weights_of, whole
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, SiteRewards
@@ -28,6 +28,8 @@ from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
 from lunarsim_envs.views import Views
 
 FloatArray = NDArray[np.float32]
+# What a flight failed that ran out of time.
+LATE = ("time-limit",)
 
 
 def default_scenario() -> Scenario:
@@ -99,27 +101,36 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ## Rewards
 
     The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 for a safe landing, -1
-    for any other end), ``propellant`` (-1 for full tanks, in proportion), ``invalid`` (-0.05, ten
-    times a flight at most); unless they are given weights nothing: ``speed``, ``tilt`` and
-    ``hazard`` (of a safe touchdown by how near its speeds, its tilt, and slope and roughness under
-    the pads are to the limits), ``information`` (of what the decision adds to what the map tells)
-    and ``shaping`` (of a potential, the probability of safety of the site flown to; its discounted
-    sum is the same for all flights from one first decision). Every crash returns less than any safe
-    landing, shaping aside; weights with which it may not are refused.
-    ``info["cost"]``, for constrained methods, is 1 at an end that is not safe and 0 else.
+    for any other end but that of the time), ``propellant`` (-1 for full tanks, in proportion),
+    ``invalid`` (-0.05, ten times a flight at most); unless they are given weights nothing:
+    ``speed``, ``tilt`` and ``hazard`` (of a safe touchdown by how near its speeds, its tilt, and
+    slope and roughness under the pads are to the limits), ``information`` (of what the decision
+    adds to what the map tells) and ``shaping`` (of a potential, the probability of safety of the
+    site flown to; its discounted sum is the same for all flights from one first decision). Every
+    crash returns less than any safe landing, shaping aside; weights with which it may not are
+    refused.
+    ``info["cost"]``, for constrained methods, is 1 where an episode terminates and is not safe, and
+    0 else.
 
     ## Starting State
 
     World, target, start, navigation errors and sensor noise are drawn from the seed; the flight
     runs to the first decision (400 m above the site by default). Flown by kernels, it takes one of
-    the pool's worlds, and ``reset(options=...)`` takes ``position_m``, ``velocity_m_s``,
-    ``position_sigma_m`` and ``velocity_sigma_m_s`` of the table [start].
+    the pool's worlds.
+
+    ``reset(options=...)``, for a curriculum, takes ``position_m``, ``velocity_m_s``,
+    ``position_sigma_m`` and ``velocity_sigma_m_s`` of the table [start], ``target_m`` and
+    ``target_scatter_m`` of [target], and ``cover`` of [rocks]; they hold until the next reset, also
+    through automatic ones. Flown by kernels, targets must lie where those of the scenario may, and
+    covers be named by ``covers``. The whole computer also takes ``sun_azimuth_deg`` and
+    ``sun_elevation_deg`` of [sun].
 
     ## Episode End
 
-    Terminated when the flight ends: touchdown, off the map, or the scenario's time limit. The
-    last decision is taken at 50 m; the step after it flies to the ground. Never truncated. A flight
-    that ends before there is anything to decide terminates with the first step, whatever it is.
+    Terminated when the flight ends: touchdown, or off the map. The last decision is taken at 50 m;
+    the step after it flies to the ground. Truncated by the scenario's time limit: the flight counts
+    as not safe then, but neither as a crash. A flight that ends before there is anything to decide
+    ends with the first step, whatever it is.
 
     ## Arguments
 
@@ -135,6 +146,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     - ``observation``: names of its parts.
     - ``worlds``, ``world_seed``: flown by kernels, how many worlds are drawn, once, and their root
       seed; the truth about them is kept in the cache of campaigns.
+    - ``covers``: further covers of rocks, of each of which as many worlds are drawn, for
+      ``reset(options={"cover": ...})``.
     - ``weights``: `lunarsim_envs.rewards.RewardWeights`; by default those of the table
       [site_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
@@ -170,6 +183,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         changes: Mapping[str, Any] | None = None,
         worlds: int = 16,
         world_seed: int = 0,
+        covers: Sequence[float] = (),
         surrogate: Any = None,
         views: bool = False,
     ) -> None:
@@ -199,7 +213,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
         self.perception = perception
-        self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate)
+        self.flight = flight_of(
+            perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
+        )
         self.shown = ShownSites(observation)
         self.action_space = spaces.Discrete(SITES + 1)
         self.observation_space = self.shown.space
@@ -224,9 +240,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Draw a new flight and run it to the first decision."""
+        self.flight.take(options_of(options))
         super().reset(seed=seed)
         self.frames, self._last, self._film = None, (None, None), []
-        self.flight.begin(self.np_random, options_of(options))
+        self.flight.begin(self.np_random)
         self._begun, self._over = True, False
         self.rewards.begin(np.ones(1, np.bool_), *self.standing())
         if self._picture is not None:
@@ -262,12 +279,15 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             flight.decide(site, self._each)
         verdict = flight.verdict
         self._over = verdict is not None
-        terms = self._terms(invalid, verdict)
+        # Time has run out: the flight was cut off, and nobody knows how it would have ended.
+        late = verdict is not None and verdict[1] == LATE
+        ended = self._over and not late
+        terms = self._terms(invalid, None if late else verdict)
         info = self._info() | {"reward_terms": terms}
-        info["cost"] = float(verdict is not None and not verdict[0])
+        info["cost"] = float(verdict is not None and ended and not verdict[0])
         self._last = (self._last[0], sum(terms.values()))
         self._take_frame()
-        return self._encode(), sum(terms.values()), verdict is not None, False, info
+        return self._encode(), sum(terms.values()), ended, late, info
 
     def standing(self) -> tuple[Any, ...]:
         """Return mass, p_safe of the site and the map of the one flight; see `SiteRewards`."""

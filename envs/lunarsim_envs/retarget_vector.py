@@ -13,8 +13,8 @@ from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.scenario import Scenario
-from lunarsim_envs.arguments import no_pictures, options_of, weights_of, whole
-from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.arguments import covers_of, no_pictures, options_of, weights_of, whole
+from lunarsim_envs.descent.lanes import FLYING, LATE
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
@@ -47,6 +47,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         changes: Mapping[str, Any] | None = None,
         worlds: int = 16,
         world_seed: int = 0,
+        covers: Sequence[float] = (),
         surrogate: Any = None,
         render_mode: None = None,
     ) -> None:
@@ -54,7 +55,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs, worlds = whole("num_envs", num_envs, 1), whole("worlds", worlds, 1)
         world_seed = whole("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)
-        self.lanes = lanes_of(num_envs, perception, self.scenario, worlds, world_seed, surrogate)
+        self.lanes = lanes_of(
+            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
+        )
         self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
         self._lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, self._lander.propellant_mass, num_envs)
@@ -166,9 +169,10 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
         self._open &= ~over
-        terms = self._terms(moved, over, invalid)
+        late = over & (lanes.ended == LATE)
+        terms = self._terms(moved, over & ~late, invalid)
         rewards = np.sum(list(terms.values()), axis=0)
-        info = self._told(terms, moved, over)
+        info = self._told(terms, moved, over, late)
         if self.autoreset_mode is _MODE.NEXT_STEP:
             if self._due.any():
                 self._begin(self._due)
@@ -179,7 +183,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             self._begin(over)
-        return self._observe(), rewards, over, np.zeros_like(over), info | self._info()
+        return self._observe(), rewards, over & ~late, late, info | self._info()
 
     def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
         lanes = self.lanes
@@ -188,9 +192,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.standing()
         )
 
-    def _told(self, terms: dict[str, Any], moved: Mask, over: Mask) -> dict[str, Any]:
+    def _told(self, terms: dict[str, Any], moved: Mask, over: Mask, late: Mask) -> dict[str, Any]:
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
-        info |= {"cost": np.where(over & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
+        info |= {"cost": np.where(over & ~late & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():
             info |= {"safe": self.lanes.safe & over, "_safe": over}
             info |= {"failed": np.where(over, self.lanes.failed, 0), "_failed": over}

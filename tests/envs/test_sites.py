@@ -207,9 +207,6 @@ def test_options_say_where_flights_start_and_others_are_refused():
         env.reset(options={"position": [1.0, 2.0, 3.0]})
     with pytest.raises(ValueError, match="action"):
         env.step(21)
-    onboard = gymnasium.make(ID, scenario=SMALL)
-    with pytest.raises(InputError, match="on board"):
-        onboard.reset(options={"position_m": [1.0, 2.0, 3.0]})
 
 
 def test_the_truth_is_told_as_it_is():

@@ -47,8 +47,8 @@ def normal(key, count):
 
 @kernel(shared=True)
 def begin(
-    share, mask, keys, begun, y, rate, target, world, time, ended, starts, aim, upright, weight,
-    reliefs, frame,
+    share, mask, keys, begun, y, rate, target, world, time, ended, starts, aims, spans, upright,
+    weight, reliefs, frame,
 ):  # fmt: skip
     """Draw and set a new flight in every lane of `mask`.
 
@@ -61,8 +61,10 @@ def begin(
         the world, s, how it stands.
     starts
         Planned position over the target and velocity, and their standard deviations (n, 8).
-    aim
-        Middle and half sides of the targets' scatter (4,), m.
+    aims
+        Middle and half sides of the targets' scatter (n, 4), m.
+    spans
+        First of the worlds that a lane may meet, and how many there are (n, 2).
     upright, weight
         Attitude at the start (4,); mass (kg) and thrust (N) (2,).
     reliefs, frame
@@ -74,7 +76,9 @@ def begin(
         first = begun[i] * _DRAWS
         begun[i] += 1
         key = keys[i]
-        world[i] = min(int(uniform(key, first) * len(reliefs)), len(reliefs) - 1)
+        worlds = spans[i, 1]
+        world[i] = spans[i, 0] + min(int(uniform(key, first) * worlds), worlds - 1)
+        aim = aims[i]
         for k in range(2):
             target[i, k] = aim[k] + aim[2 + k] * (2.0 * uniform(key, first + 1 + k) - 1.0)
         target[i, 2] = height_at(reliefs[world[i]], frame, target[i, 0], target[i, 1])

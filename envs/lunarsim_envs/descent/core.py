@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.variation import DRAWN
-from lunarsim_envs.arguments import scenario_of, truth_of, weights_of, whole
+from lunarsim_envs.arguments import covers_of, scenario_of, truth_of, weights_of, whole
 from lunarsim_envs.descent.actions import Actions
 from lunarsim_envs.descent.lanes import FLYING, LATE, Craft, Lanes
 from lunarsim_envs.descent.observations import DEFAULT, Shown
@@ -56,6 +56,7 @@ class Settings(TypedDict, total=False):
     weights: DescentWeights | None
     worlds: int
     world_seed: int
+    covers: Sequence[float]
     privileged: bool
 
 
@@ -68,7 +69,7 @@ class Descents:
         Of lanes; None: of one environment, whose actions are (size,).
     guided
         Whether actions are thrust accelerations.
-    scenario, changes, rate_hz, observation, weights, worlds, world_seed, privileged
+    scenario, changes, rate_hz, observation, weights, worlds, world_seed, covers, privileged
         `Settings`.
     """
 
@@ -84,6 +85,7 @@ class Descents:
         weights: DescentWeights | None = None,
         worlds: int = 1,
         world_seed: int = 0,
+        covers: Sequence[float] = (),
         privileged: bool = False,
     ) -> None:
         self.many = count is not None
@@ -98,7 +100,7 @@ class Descents:
         craft = Craft.of(self.scenario)
         self.shown = Shown(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
-        ground = Worlds.of(self.scenario, worlds, world_seed)
+        ground = Worlds.of(self.scenario, worlds, world_seed, covers_of(covers))
         self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
@@ -133,7 +135,7 @@ class Descents:
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
     def take(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
-        """Let flights in the lanes of `mask` start where the options say, from now on."""
+        """Let flights in the lanes of `mask` start and land as the options say, from now on."""
         take(options, self.lanes, mask)
 
     def restart(self, mask: Mask) -> None:

@@ -235,8 +235,11 @@ class GuidanceEnv(DescentEnv):
 
     About 600 m away and 500 m up, at 28 m/s towards the target and 18 m/s down, upright, with
     full tanks (the table [start] of the scenario; by default with 30 m and 3 m/s of dispersion).
-    ``reset(options=...)`` takes ``position_m``, ``velocity_m_s``, ``position_sigma_m`` and
-    ``velocity_sigma_m_s``.
+
+    ``reset(options=...)``, for a curriculum, takes ``position_m``, ``velocity_m_s``,
+    ``position_sigma_m`` and ``velocity_sigma_m_s`` of that table, ``target_m`` and
+    ``target_scatter_m`` of [target] (where the scenario's targets may lie), and ``cover``, one of
+    ``covers`` or the scenario's own. They hold until the next reset, also through automatic ones.
 
     The table [variation] of a scenario (``changes={"variation.load_kg": 50.0}``) lets every flight
     draw its lander anew: load, specific impulse, thrust, lag, the engine's line; failures of thrust
@@ -264,6 +267,8 @@ class GuidanceEnv(DescentEnv):
       ``"human"``, the same in a window; or None. A batch draws nothing.
     - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
       meets one of them. Ground is a raster of 0.1 m about the targets.
+    - ``covers``: further covers of rocks, of each of which as many worlds are drawn, for
+      ``reset(options={"cover": ...})``.
     - ``privileged``: ``info["privileged"]`` (28,) for asymmetric critics: the true state as the
       default observation has it, then all of ``info["drawn"]``.
     - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,

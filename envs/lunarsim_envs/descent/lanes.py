@@ -167,8 +167,10 @@ class Lanes:
     failed, told
         Limits that a landing failed, a bit each in the order of `LIMITS` (n,); its vertical and
         horizontal speed, tilt, rate, slope, roughness and tip margin (n, 7), SI.
-    starts
-        Of each lane, as `Craft.start` (n, 8).
+    starts, aims
+        Of each lane, as `Craft.start` (n, 8) and `Craft.aim` (n, 4).
+    spans
+        First of the worlds that each may meet, and how many there are (n, 2).
     has_key
         Whether each was given a key (n,).
     figures, drawn
@@ -185,7 +187,8 @@ class Lanes:
         self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
         self.time, self.told = np.zeros(count), np.full((count, 7), np.nan)
         self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
-        self.starts = np.tile(craft.start, (count, 1))
+        self.starts, self.aims = np.tile(craft.start, (count, 1)), np.tile(craft.aim, (count, 1))
+        self.spans = np.tile(worlds.span(None), (count, 1))
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
         self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
@@ -233,8 +236,8 @@ class Lanes:
         with threads_for(_STEP * self.count):
             k.begin(
                 mask, self._keys, self._begun, self.y, self._rate, self.target, self.world,
-                self.time, self.ended, self.starts, self.craft.aim, self._upright, self._weight,
-                w.reliefs, w.relief_frame,
+                self.time, self.ended, self.starts, self.aims, self.spans, self._upright,
+                self._weight, w.reliefs, w.relief_frame,
             )  # fmt: skip
             if self.craft.variation is not None:
                 k.vary(

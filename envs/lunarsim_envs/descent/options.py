@@ -1,4 +1,4 @@
-"""What `reset(options=...)` of a descent may say."""
+"""What `reset(options=...)` may say: where flights start and are to land, over which ground."""
 
 from __future__ import annotations
 
@@ -9,58 +9,123 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import with_values
 from lunarsim_envs.arguments import options_of
 from lunarsim_envs.descent.lanes import Lanes
 
-# Where each stands in `Lanes.starts`.
-_PLACES = {
+Array = NDArray[np.float64]
+
+# What of a scenario each stands for.
+KEYS = {
+    "position_m": "start.position_m", "velocity_m_s": "start.velocity_m_s",
+    "position_sigma_m": "start.position_sigma_m", "velocity_sigma_m_s": "start.velocity_sigma_m_s",
+    "target_m": "target.position_m", "target_scatter_m": "target.scatter_m",
+    "cover": "rocks.cover",
+    "sun_azimuth_deg": "sun.azimuth_deg", "sun_elevation_deg": "sun.elevation_deg",
+}  # fmt: skip
+# Where each stands in `Lanes.starts` and in `Lanes.aims`.
+_STARTS = {
     "position_m": slice(0, 3), "velocity_m_s": slice(3, 6), "position_sigma_m": slice(6, 7),
     "velocity_sigma_m_s": slice(7, 8),
 }  # fmt: skip
+_AIMS = {"target_m": slice(0, 2), "target_scatter_m": slice(2, 4)}
 
 # No start is farther off, m, or faster, m/s.
 MOST = 5000.0
 
 
 def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_]) -> None:
-    """Change where the flights of some lanes start, from now on.
+    """Change where the flights of some lanes start and land, and over what, from now on.
 
     Parameters
     ----------
     options
         ``position_m`` and ``velocity_m_s`` (3,), ``position_sigma_m``, ``velocity_sigma_m_s``:
-        see the table [start] of a scenario. None, or left out: as the scenario says.
+        see the table [start] of a scenario. ``target_m``, ``target_scatter_m`` (2,): see [target];
+        targets lie where those of the scenario may. ``cover``: one that worlds were drawn with.
+        None, or left out: as the scenario says.
     lanes, mask
         Which.
 
     Raises
     ------
     InputError
+        If a key is unknown or a value will not do; nothing is changed then.
+    """
+    starts, aims = lanes.craft.start.copy(), lanes.craft.aim.copy()
+    cover: float | None = None
+    for key, value in options_of(options).items():
+        if key in _STARTS:
+            starts[_STARTS[key]] = _numbers(key, value, starts[_STARTS[key]])
+        elif key in _AIMS:
+            aims[_AIMS[key]] = _numbers(key, value, aims[_AIMS[key]])
+        elif key == "cover":
+            cover = float(_numbers(key, value, np.zeros(1))[0])
+        elif key in KEYS:
+            raise InputError(
+                f"options.{key}", value,
+                "left out: nothing here sees by the Sun but perception on board",
+            )  # fmt: skip
+        else:
+            raise InputError(f"options.{key}", value, suggestion(key, KEYS))
+    span = lanes.worlds.span(cover)
+    check_height(starts, lanes)
+    _check_aims(aims, lanes)
+    lanes.starts[mask], lanes.aims[mask], lanes.spans[mask] = starts, aims, span
+
+
+def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
+    """Return a scenario as the options of a reset say; see `take`.
+
+    Also ``sun_azimuth_deg`` and ``sun_elevation_deg``: see the table [sun].
+
+    Raises
+    ------
+    InputError
         If a key is unknown or a value will not do.
     """
-    starts = lanes.craft.start.copy()
     for key, value in options_of(options).items():
-        if key not in _PLACES:
-            raise InputError(f"options.{key}", value, suggestion(key, _PLACES))
-        room = starts[_PLACES[key]]
-        given = np.atleast_1d(np.asarray(value, dtype=object))
+        if key not in KEYS:
+            raise InputError(f"options.{key}", value, suggestion(key, KEYS))
+        plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
         try:
-            numbers = given.astype(np.float64)
-        except (TypeError, ValueError):
-            numbers = np.full(1, np.nan)
-        if numbers.shape != room.shape or not np.isfinite(numbers).all():
-            what = "a finite number" if len(room) == 1 else f"{len(room)} finite numbers"
-            raise InputError(f"options.{key}", value, what)
-        if np.abs(numbers).max() > MOST:
-            raise InputError(f"options.{key}", value, f"at most {MOST:g} in size")
-        if key.endswith(("_sigma_m", "_sigma_m_s")) and numbers[0] < 0.0:
-            raise InputError(f"options.{key}", value, "0 or more")
-        starts[_PLACES[key]] = numbers
-    check_height(starts, lanes)
-    lanes.starts[mask] = starts
+            scenario = with_values(scenario, {KEYS[key]: plain}, "options")
+        except InputError as error:
+            raise InputError(f"options.{key}", value, error.expected) from error
+    return scenario
 
 
-def check_height(starts: NDArray[np.float64], lanes: Lanes) -> None:
+def _numbers(key: str, value: Any, room: Array) -> Array:
+    """Return the numbers of an option, as many as there is room for."""
+    try:
+        numbers = np.atleast_1d(np.asarray(value, dtype=object)).astype(np.float64)
+    except (TypeError, ValueError):
+        numbers = np.full(1, np.nan)
+    if numbers.shape != room.shape or not np.isfinite(numbers).all():
+        what = "a finite number" if len(room) == 1 else f"{len(room)} finite numbers"
+        raise InputError(f"options.{key}", value, what)
+    if np.abs(numbers).max() > MOST:
+        raise InputError(f"options.{key}", value, f"at most {MOST:g} in size")
+    if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) and numbers.min() < 0.0:
+        raise InputError(f"options.{key}", value, "0 or more")
+    return np.asarray(numbers)
+
+
+def _check_aims(aims: Array, lanes: Lanes) -> None:
+    """Refuse targets off the ground that worlds are kept of: where the scenario's may lie."""
+    middle, scatter = lanes.craft.aim[:2], lanes.craft.aim[2:]
+    low, high = middle - scatter, middle + scatter
+    if np.any(aims[:2] - aims[2:] < low - 1e-9) or np.any(aims[:2] + aims[2:] > high + 1e-9):
+        raise InputError(
+            "options.target_m", (*aims[:2].tolist(), *aims[2:].tolist()),
+            f"with target_scatter_m on either side within {low[0]:g} to {high[0]:g} m east and "
+            f"{low[1]:g} to {high[1]:g} m north, where the scenario's targets lie "
+            "(target.scatter_m)",
+        )  # fmt: skip
+
+
+def check_height(starts: Array, lanes: Lanes) -> None:
     """Refuse starts that may lie in the ground.
 
     Raises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,8 @@ class Worlds:
         The same without rocks, which is what a mission knows.
     levels
         Least and greatest height of each (k, 2), m.
+    covers
+        Of rocks, of equal shares of the worlds one after another; the scenario's own is the first.
     """
 
     grounds: NDArray[np.float32]
@@ -42,9 +44,10 @@ class Worlds:
     reliefs: NDArray[np.float32]
     relief_frame: NDArray[np.float64]
     levels: NDArray[np.float64]
+    covers: tuple[float, ...]
 
     @classmethod
-    def of(cls, scenario: Scenario, count: int, seed: int) -> Worlds:
+    def of(cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()) -> Worlds:
         """Draw worlds of a scenario.
 
         Parameters
@@ -53,25 +56,35 @@ class Worlds:
             Of which terrain, rocks and the scatter of targets count.
         count, seed
             How many, and their root seed: world k is that of flight k of a campaign with it.
+        covers
+            Of rocks, of each of which so many are drawn besides.
 
         Raises
         ------
         InputError
-            If there are none, they take more than 4 GiB, or targets may lie off the map.
+            If there are none, a cover will not do, they take more than 4 GiB, or targets may lie
+            off the map.
         """
         if count < 1:
             raise InputError("worlds", count, "at least 1")
-        drawn = (build_world(scenario, Streams(flight_seed(seed, k))) for k in range(count))
-        return cls.about(scenario, count, drawn)
+        drawn = (
+            build_world(one, Streams(flight_seed(seed, k)))
+            for one in with_covers(scenario, covers)
+            for k in range(count)
+        )
+        return cls.about(scenario, count, drawn, covers)
 
     @classmethod
-    def about(cls, scenario: Scenario, count: int, drawn: Iterable[World]) -> Worlds:
-        """Keep the ground about the targets of worlds that have been drawn, `count` of them."""
+    def about(
+        cls, scenario: Scenario, count: int, drawn: Iterable[World], covers: Sequence[float] = ()
+    ) -> Worlds:
+        """Keep the ground about the targets of worlds that have been drawn; see `of`."""
+        told = tuple(one.rocks.cover for one in with_covers(scenario, covers))
         grounds, reliefs, grids = [], [], None
         for world in drawn:
             if grids is None:
                 grids = _grids(scenario, world.terrain)
-                size = 4.0 * count * sum(g.rows * g.cols for g in grids)
+                size = 4.0 * count * len(told) * sum(g.rows * g.cols for g in grids)
                 if size > _MOST_BYTES:
                     raise InputError(
                         "worlds", count,
@@ -85,7 +98,43 @@ class Worlds:
             raise InputError("target.scatter_m", scenario.target.make().scatter, "measured ground")
         levels = np.stack((np.nanmin(ground, (1, 2)), np.nanmax(ground, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]
-        return cls(ground, frames[0], relief, frames[1], levels.astype(np.float64))
+        return cls(ground, frames[0], relief, frames[1], levels.astype(np.float64), told)
+
+    def span(self, cover: float | None) -> tuple[int, int]:
+        """Return the first world of a cover, and how many there are; None: the scenario's own.
+
+        Raises
+        ------
+        InputError
+            If there are no worlds of such a cover.
+        """
+        count = len(self.grounds) // len(self.covers)
+        if cover is None:
+            return 0, count
+        if cover not in self.covers:
+            known = ", ".join(f"{one:g}" for one in self.covers)
+            raise InputError(
+                "options.cover",
+                cover,
+                f"{known}; others are drawn if the argument covers names them",
+            )
+        return self.covers.index(cover) * count, count
+
+
+def with_covers(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:
+    """Return a scenario, and what it is with each of other covers of rocks.
+
+    Raises
+    ------
+    InputError
+        If a cover is named twice or will not do.
+    """
+    made = [scenario]
+    for cover in covers:
+        if cover in [one.rocks.cover for one in made]:
+            raise InputError("covers", cover, "other covers than the scenario's own, each once")
+        made.append(scenario.changed(rocks={"cover": cover}))
+    return made
 
 
 def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:

@@ -8,7 +8,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -17,7 +16,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs import forks
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.options import take
+from lunarsim_envs.descent.options import changed_by, take
 from lunarsim_envs.rewards import touch_shares
 from lunarsim_envs.sites.lanes import SiteLanes
 from lunarsim_envs.sites.sights import Sights, shrunk
@@ -30,7 +29,11 @@ class SiteFlight(Protocol):
 
     simulation: Simulation | None
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def take(self, options: Mapping[str, Any]) -> None:
+        """Let flights begin as the options of a reset say, from now on; see `options`."""
+        ...
+
+    def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
         ...
 
@@ -81,7 +84,7 @@ class OnboardFlight:
 
     def __init__(self, scenario: Scenario) -> None:
         forks.check()
-        self.scenario = scenario
+        self.scenario = self._told = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
         self._small: tuple[object, NDArray[np.float32]] | None = None
@@ -91,13 +94,13 @@ class OnboardFlight:
         assert self.simulation is not None
         return self.simulation
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def take(self, options: Mapping[str, Any]) -> None:
+        """Let flights begin as options say, from now on."""
+        self._told = changed_by(options, self.scenario)
+
+    def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
-        for key, value in options.items():
-            raise InputError(
-                f"options.{key}", value, "no option: with perception on board there are none"
-            )
-        self.simulation = Simulation(self.scenario, int(rng.integers(2**62)))
+        self.simulation = Simulation(self._told, int(rng.integers(2**62)))
         self._on(lambda: None)
 
     def decide(self, site: Array | None, each: Callable[[], None]) -> None:
@@ -170,10 +173,13 @@ class KernelFlight:
         self._small = shrunk(lanes.maps.p, lanes.maps.seen)
         self._sights: Sights | None = None
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def take(self, options: Mapping[str, Any]) -> None:
+        """Let flights begin as options say, from now on."""
+        take(options, self.lanes, self._one)
+
+    def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
         self._sights = None
-        take(options, self.lanes, self._one)
         self.lanes.seed(self._one, rng.integers(2**64, size=1, dtype=np.uint64))
         self.lanes.begin(self._one)
         self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
+from lunarsim_envs.descent.worlds import with_covers
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
 from lunarsim_envs.sites.lanes import SiteLanes
 from lunarsim_envs.sites.mapped import MappedLanes, gaussian_dem_of
@@ -26,8 +28,9 @@ _POSTING = 0.4
 
 
 def flight_of(
-    perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any
-) -> SiteFlight:
+    perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
+    covers: Sequence[float] = (),
+) -> SiteFlight:  # fmt: skip
     """Return what flies one descent.
 
     Raises
@@ -36,13 +39,16 @@ def flight_of(
         If there is no such perception, or it cannot be had with this scenario.
     """
     if perception in WHOLE:
+        # It draws each world anew, of any cover.
+        with_covers(scenario, covers)
         return OnboardFlight(scenario)
-    return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate))
+    return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate, covers))
 
 
 def lanes_of(
-    count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any
-) -> SiteLanes:
+    count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
+    covers: Sequence[float] = (),
+) -> SiteLanes:  # fmt: skip
     """Return landers side by side.
 
     Parameters
@@ -51,7 +57,7 @@ def lanes_of(
         Of lanes.
     perception
         One of `KERNELS`.
-    scenario, worlds, world_seed
+    scenario, worlds, world_seed, covers
         See `SitePool.of`.
     surrogate
         A `Surrogate` or the path of its file; None: the one that comes with the package.
@@ -77,7 +83,7 @@ def lanes_of(
         model.check(scenario)
     elif perception == "gaussian-dem":
         gaussian_dem_of(scenario)
-    pool = SitePool.of(scenario, worlds, world_seed)
+    pool = SitePool.of(scenario, worlds, world_seed, covers)
     if perception == "truth":
         return SiteLanes(
             count, scenario, pool, errors=exact(), view=view, drift=np.zeros(2), claimed=0.0,

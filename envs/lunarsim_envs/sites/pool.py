@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
 from lunarsim_envs import forks
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.worlds import Worlds, with_covers
 from lunarsim_envs.sites._map_kernels import Pool
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
 
@@ -47,7 +47,9 @@ class SitePool:
     shares: NDArray[np.float64]
 
     @classmethod
-    def of(cls, scenario: Scenario, count: int, seed: int) -> SitePool:
+    def of(
+        cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
+    ) -> SitePool:
         """Return a pool; one that this process has used of late is not made again.
 
         Parameters
@@ -56,6 +58,8 @@ class SitePool:
             Of which terrain, rocks, vehicle, Sun and the scatter of targets count.
         count, seed
             How many worlds, and their root seed: world k is that of flight k of a campaign with it.
+        covers
+            Of rocks, of each of which so many are drawn besides.
 
         Raises
         ------
@@ -66,30 +70,31 @@ class SitePool:
             raise InputError("worlds", count, "at least 1")
         tables = ("terrain", "rocks", "vehicle", "target", "sun", "gravity_m_s2")
         held = scenario.to_dict()
-        key = repr(([held.get(name) for name in tables], count, seed))
+        key = repr(([held.get(name) for name in tables], count, seed, tuple(covers)))
         if key not in _pools:
-            _pools[key] = _made(scenario, count, seed)
+            _pools[key] = _made(scenario, count, seed, covers)
             while len(_pools) > _REMEMBERED:
                 _pools.popitem(last=False)
         _pools.move_to_end(key)
         return _pools[key]
 
 
-def _made(scenario: Scenario, count: int, seed: int) -> SitePool:
+def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SitePool:
     forks.check()
     worlds: list[World] = []
     layers: list[TruthLayers] = []
     cache = opened(standard_folder())
 
     def drawn() -> Iterator[World]:
-        for k in range(count):
-            grounds = Grounds(flight_seed(seed, k), {}, cache)
-            world, truth = grounds.world_and_truth(scenario)
-            worlds.append(world)
-            layers.append(TruthLayers.of(truth))
-            yield world
+        for one in with_covers(scenario, covers):
+            for k in range(count):
+                grounds = Grounds(flight_seed(seed, k), {}, cache)
+                world, truth = grounds.world_and_truth(one)
+                worlds.append(world)
+                layers.append(TruthLayers.of(truth))
+                yield world
 
-    grounds = Worlds.about(scenario, count, drawn())
+    grounds = Worlds.about(scenario, count, drawn(), covers)
     grid = layers[0].grid
     frame = np.array([grid.x0, grid.y0, grid.posting])
     pool = Pool(
