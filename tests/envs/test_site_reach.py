@@ -8,8 +8,10 @@ import pytest
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.reach import Reach
 from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.retarget import RetargetEnv
+from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites.flights import seen_by
-from tests.envs.site_scene import SMALL, lanes
+from tests.envs.site_scene import SMALL, lanes, made_up
 
 # It may lean little: much of the ground is out of reach.
 SHORT = SMALL.changed(
@@ -87,3 +89,32 @@ def test_sites_in_reach_are_the_same_in_any_company():
             found.append((n, some.found.position[0].copy(), some.found.p_safe[0].copy()))
     for a, b in zip(found[:3], found[3:], strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_a_site_out_of_reach_is_masked_and_flying_there_keeps_the_site():
+    """In one environment and in a batch, also where nothing or only some of it can be reached."""
+    settings = {
+        "scenario": SHORT, "worlds": 2, "world_seed": 5, "surrogate": made_up(SHORT),
+        "perception": "surrogate",
+    }  # fmt: skip
+    many = RetargetVectorEnv(8, **settings)
+    _, info = many.reset(seed=1)
+    found, partly = many.lanes.found, 0
+    for _ in range(3):
+        n = found.number[:, None]
+        reached = np.isfinite(found.propellant[:, :20]) & (np.arange(20) < n)
+        assert np.array_equal(info["action_mask"][:, 1:], reached)
+        assert np.array_equal(many.action_masks()[:, 1:], reached)
+        assert info["action_mask"][:, 0].all()
+        shut = (np.arange(20) < n) & ~reached
+        partly += (shut.any(axis=1) & reached.any(axis=1)).sum()
+        before, chosen = many.lanes.course.site.copy(), np.where(shut.any(1), shut.argmax(1) + 1, 0)
+        _, _, _, _, info = many.step(chosen)
+        assert np.array_equal(many.lanes.course.site, before)
+        assert np.array_equal(info["reward_terms"]["invalid"] < 0.0, chosen > 0)
+    assert partly > 0
+    one = RetargetEnv(**settings)
+    _, info = one.reset(seed=1)  # as lane 0: all is out of reach
+    assert one.flight.sights.count[0] > 0 and info["action_mask"].tolist() == [1] + [0] * 20
+    *_, told = one.step(1)
+    assert told["reward_terms"]["invalid"] < 0.0
