@@ -26,9 +26,10 @@ def main() -> None:
     flies = agent_of("fuel-aware", env)
     flies.begin(np.random.default_rng(_SEED))
     observation, info = env.reset(seed=_SEED)
-    frames, ended = list(env.render()), False  # type: ignore[call-overload]
-    while not ended:
-        observation, _, ended, _, info = env.step(flies.act(observation, info))
+    frames, over = list(env.render()), False  # type: ignore[call-overload]
+    while not over:
+        observation, _, ended, late, info = env.step(flies.act(observation, info))
+        over = ended or late
         frames += env.render()  # type: ignore[arg-type]
     env.close()
     chosen = [*frames[:-1:4], *frames[-1:] * _HOLD]

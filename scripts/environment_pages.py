@@ -39,9 +39,10 @@ from lunarsim_envs.video import RecordFilm
 env = gymnasium.make("lunarsim/Retarget-v0", render_mode="rgb_array", perception="truth")
 env = RecordFilm(env, "out/films")
 observation, info = env.reset(seed=1)
-ended = False
-while not ended:
-    observation, reward, ended, truncated, info = env.step(0)
+over = False
+while not over:
+    observation, reward, terminated, truncated, info = env.step(0)
+    over = terminated or truncated
 ```
 
 The films are coded as MPEG-4 Part 2, which OpenCV writes without further libraries; players play

@@ -31,8 +31,9 @@ def flown(
     for k in range(flights):
         observation, info = env.reset(seed=seed + k)
         pilot.begin(np.random.default_rng(k))
-        ended = False
-        while not ended:
-            observation, _, ended, _, info = env.step(pilot.act(observation, info))
+        over = False
+        while not over:
+            observation, _, ended, late, info = env.step(pilot.act(observation, info))
+            over = ended or late
         safe[k], burnt[k] = info["safe"], info["propellant_kg"]
     return Flown(safe, burnt)

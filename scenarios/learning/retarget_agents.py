@@ -46,10 +46,10 @@ def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> 
         returns, safe = [], 0
         for episode in track(range(episodes), description=name):
             observation, info = env.reset(seed=seed + episode)
-            total, ended = 0.0, False
-            while not ended:
-                observation, reward, ended, _, info = env.step(agent(observation, info, rng))
-                total += float(reward)
+            total, over = 0.0, False
+            while not over:
+                observation, reward, ended, late, info = env.step(agent(observation, info, rng))
+                over, total = ended or late, total + float(reward)
             returns.append(total)
             film = env.render()
             safe += info["safe"]

@@ -83,6 +83,10 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="file of the network to write (.npz)")
     parser.add_argument("--compare", metavar="AGENT", help="train none: compare this one")
     parser.add_argument("--generations", type=int, default=25)
+    parser.add_argument(
+        "--price", type=float, default=SiteTraining.price,
+        help="of a kilogram, where a safe landing is worth 1 (%(default)s)",
+    )  # fmt: skip
     parser.add_argument("--worlds", type=int, default=24, help="of a pool")
     parser.add_argument("--flights", type=int, default=300, help="that are compared")
     parser.add_argument(
@@ -99,9 +103,11 @@ def main() -> int:
         for name in ("generations", "worlds", "flights"):
             if getattr(args, name) < 1:
                 raise InputError(f"--{name}", getattr(args, name), "at least 1")
+        if not 0.0 <= args.price < 1.0:
+            raise InputError("--price", args.price, "from 0 to less than 1")
         scenario = Scenario.load(found(Path(args.scenario)))
         if args.compare is None:
-            settings = SiteTraining(generations=args.generations)
+            settings = SiteTraining(generations=args.generations, price=args.price)
             trained(scenario, settings, args.worlds, args.out)
         agent = args.compare or str(args.out)
         for perception in args.perception or ("surrogate", "gaussian-dem"):

@@ -19,10 +19,11 @@ def frames() -> None:
     drawn, stepped = [], []
     for seed in range(1, 4):
         env.reset(seed=seed)
-        ended = False
-        while not ended:
+        over = False
+        while not over:
             began = time.perf_counter()
-            _, _, ended, _, _ = env.step(0)
+            _, _, ended, late, _ = env.step(0)
+            over = ended or late
             stepped.append(time.perf_counter() - began)
             began = time.perf_counter()
             env.render()
