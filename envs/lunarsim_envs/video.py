@@ -1,7 +1,7 @@
 """Frames of an environment as a film.
 
-Gymnasium's own RecordVideo needs MoviePy, which wants an older Pillow than this package;
-`RecordFilm` writes such films by OpenCV.
+Gymnasium's own RecordVideo needs MoviePy, which names an older Pillow than this package's;
+`RecordFilm` writes such films by OpenCV, with nothing else to install.
 """
 
 from __future__ import annotations
