@@ -111,10 +111,12 @@ def record(study: Study, agent: str, episodes: int, folder: Path) -> int:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
 @click.option("--scenario", help="File or name; left out: as the environment has it.")
 @click.option("--perception", help="Of Retarget-v0.")
+@click.option("--observation", metavar="PART", multiple=True,
+              help="Part of what is shown, again for more; left out: the usual ones.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
 def main(
     env: str, agent: str, episodes: int, seed: int, scenario: str | None, perception: str | None,
-    out: Path,
+    observation: tuple[str, ...], out: Path,
 ) -> None:  # fmt: skip
     """Record EPISODES of ENV, flown by AGENT."""
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
@@ -127,7 +129,9 @@ def main(
             raise InputError("--perception", perception, "left out: only Retarget-v0 has one")
         check(agent)
         given = None if scenario is None else Scenario.load(found(Path(scenario)))
-        arguments = {} if perception is None else {"perception": perception}
+        arguments: dict[str, Any] = {} if perception is None else {"perception": perception}
+        if observation:
+            arguments["observation"] = observation
         with filled_whole(out):
             safe = record(Study(f"lunarsim/{env}", given, arguments, seed), agent, episodes, out)
     except InputError as error:

@@ -33,8 +33,12 @@ def same(first, second):
     [
         ("Guidance-v0", "apollo", (), {}),
         ("Retarget-v0", "random", ("--perception", "truth"), {"perception": "truth"}),
+        (
+            "Guidance-v0", "random", ("--observation", "position", "--observation", "time_left"),
+            {"observation": ("position", "time_left")},
+        ),
     ],
-)
+)  # fmt: skip
 def test_what_was_recorded_is_flown_again(
     script, tmp_path, monkeypatch, env, agent, more, settings
 ):
