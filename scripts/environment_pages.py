@@ -62,15 +62,20 @@ observations, rewards, terminated, truncated, info = vector.step(vector.action_s
 ```
 
 `python scripts/bench.py envs`, two cores, random actions, new flights
-included, physics at 100 Hz; Gymnasium's LunarLander-v3 26,400 steps a second, PyFlyt's
-Rocket-Landing-v4 650:
+included, physics at 100 Hz; Gymnasium's LunarLander-v3 25,300 steps a second, PyFlyt's
+Rocket-Landing-v4 570:
 
 | | steps a second | simulated seconds a second |
 | --- | --- | --- |
-| `Guidance-v0`, one | 6,600, 10.1 of Rocket-Landing | 1,300 |
-| `Guidance-v0`, 4096 lanes | 1,050,000, 39.8 of LunarLander | 210,000 |
-| `Control-v0`, one | 7,000, 10.8 of Rocket-Landing | 140 |
-| `Control-v0`, 4096 lanes | 1,960,000, 74 of LunarLander | 39,000 |
+| `Guidance-v0`, one | 6,500, 11.3 of Rocket-Landing | 1,300 |
+| `Guidance-v0`, 4096 lanes | 1,130,000, 44.9 of LunarLander | 227,000 |
+| `Control-v0`, one | 7,100, 12.3 of Rocket-Landing | 140 |
+| `Control-v0`, 4096 lanes | 1,760,000, 69.8 of LunarLander | 35,000 |
+| `Retarget-v0`, truth, one | 1,840 a core | |
+| `Retarget-v0`, surrogate, one | 1,110 a core | |
+| `Retarget-v0`, surrogate, 64 lanes | 4,890 | |
+| `Retarget-v0`, gaussian-dem, two maps a flight | 14 a core, 36 with cells of 0.4 m | |
+| `Retarget-v0`, onboard | 4.5 a core | |
 
 A step of `Guidance-v0` is twenty of the integration, each with the attitude loop about it.
 
