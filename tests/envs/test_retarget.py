@@ -302,10 +302,12 @@ def test_scenario_objects_are_taken(small_scenario):
     assert gymnasium.make(ID, scenario=small_scenario).unwrapped.scenario is small_scenario
 
 
-def test_example_script_runs(tmp_path):
+def test_example_script_runs(tmp_path, small_scenario):
     (script,) = SCENARIOS.rglob("retarget_agents.py")
+    small_scenario.save(tmp_path / "small.toml")
     run = subprocess.run(
-        [sys.executable, str(script), "--episodes", "1", "--video", "film.gif"],
+        [sys.executable, str(script), "--episodes", "1", "--video", "film.gif",
+         "--scenario", "small.toml"],
         capture_output=True, text=True, check=True, cwd=tmp_path,
     )  # fmt: skip
     assert (tmp_path / "film.gif").is_file()
