@@ -128,7 +128,7 @@ def _slower(state, targets, first, likely, last, law, figures, out):
 
 @kernel(exact=True)
 def _fastest(state, gap, law):
-    """Return the time-to-go that no path over a gap (m) undercuts; see `divert.admissible_times`."""
+    """Return the time, s, that no path over a gap, m, undercuts: see `admissible_times`."""
     speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
     most = law.bounds[0] + law.figures[0]
     fastest = 2.0 * gap / (speed + np.sqrt(speed * speed + 2.0 * most * gap) + 1e-12)
