@@ -138,6 +138,14 @@ class Orders:
     lost: Mask
 
 
+def _array(given: Any) -> NDArray[Any]:
+    """Return actions as an array; of no type that they may have where rows are of many lengths."""
+    try:
+        return np.asarray(given)
+    except ValueError:
+        return np.array(None)
+
+
 class SiteActions:
     """Actions made of parts: ``Discrete`` of one, ``MultiDiscrete`` of several.
 
@@ -202,10 +210,7 @@ class SiteActions:
                     f"action = {action!r}: must be an integer from 0 to {self.counts[0] - 1}"
                 )
             return np.array([[int(action)]])
-        try:
-            given = np.asarray(action)
-        except ValueError:  # rows of several lengths
-            given = np.array(None)
+        given = _array(action)
         if given.shape != (len(self.parts),) or given.dtype.kind not in "iu" or self._out(given):
             raise ValueError(f"action = {action!r}: must be {self._bounds}")
         return given.astype(np.int64)[None]
@@ -220,7 +225,7 @@ class SiteActions:
         """
         one = len(self.parts) == 1
         shape = (count,) if one else (count, len(self.parts))
-        given = np.asarray(actions)
+        given = _array(actions)
         wanted = f"integers from 0 to {self.counts[0] - 1}" if one else f"times {self._bounds}"
         if given.shape != shape or given.dtype.kind not in "iu":
             raise ValueError(
