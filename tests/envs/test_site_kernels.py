@@ -171,6 +171,33 @@ def test_what_sites_cost_is_what_the_computer_says():
     assert out[good, 1] == pytest.approx(cost.time_to_go[good], rel=1e-9)
 
 
+def test_what_a_given_time_breaks_is_what_the_computer_says():
+    """Also of tanks that are nearly dry, and of a lander at its end already."""
+    many = lanes(1)
+    approach, guidance = SMALL.approach.make(), SMALL.guidance.make()
+    lander = many.craft.dynamics.lander
+    rng = np.random.default_rng(7)
+    told = []
+    for mass in (lander.wet_mass, lander.dry_mass + approach.reserve + 25.0):
+        state = np.array([[-150.0, 20.0, 160.0], [14.0, -2.0, -10.0]])
+        sites = np.column_stack((rng.uniform(-200, 200, (150, 2)), np.zeros(150)))
+        times = rng.uniform(5.0, 60.0, 150)
+        # The last is half a second off, at the speed that is wanted there.
+        for own, site, time in (
+            (state, sites, times),
+            (np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]]),
+             -approach.end(np.zeros((1, 3)), lander).position - [0.0, 0.0, 1.0], np.array([0.5])),
+        ):  # fmt: skip
+            e = Estimate(0.0, *own, np.zeros(4), np.zeros(3), mass, np.zeros((9, 9)))
+            end = approach.end(site, lander)
+            cost = guidance.cost(e, end, lander, 1.622, approach.limits, time)
+            mine = [f.holds(own, mass, *one, many.law) for one in zip(site, time, strict=True)]
+            assert np.array_equal(mine, cost.feasible)
+            told.append(cost.feasible.mean())
+    assert told[1] == told[3] == 0.0
+    assert 0.03 < told[2] < told[0] - 0.03 < 0.9
+
+
 # --- maps -----------------------------------------------------------------------------------
 
 
