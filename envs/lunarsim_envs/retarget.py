@@ -81,7 +81,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     the cheapest; ``info["stretch_refused"]`` tells that the last step asked for a stretch that is
     not flown. So it is, too, where the row is not available (all stays as it is then), where the
     site is refused, and where the mission sets the time-to-go (``approach.time_to_go_s``,
-    ``jerk_m_s3``) or the law does (``optimal``, ``information-seeking``).
+    ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
 
     ``info["action_mask"]`` and `action_masks` are (26,) then, the choices of one part after those
     of the other, as MaskablePPO takes them; ``tuple(numpy.split(mask, [21]))`` is what

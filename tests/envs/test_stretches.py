@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import warnings
-from dataclasses import replace
-
 import gymnasium
 import numpy as np
 import pytest
@@ -75,53 +73,37 @@ def drawn(seed, count):
 
 
 def test_kernels_stretch_as_the_whole_simulation_does():
-    """Over drawn decisions: the same is refused, the same time is left to go.
-
-    A tenth of a millimetre may decide which of two times that cost nearly the same is found to be
-    the cheapest, where the limits leave gaps: there flights part. From the kernels' own state the
-    computer finds what they find, everywhere.
-    """
+    """Over drawn decisions: the same is refused, and flown a second on they arrive alike."""
     kernels = SiteLanes(
         1, LEVEL, SitePool.of(LEVEL, 1, 3), errors=exact(), view=view_of(LEVEL), drift=np.zeros(2),
         claimed=0.0, posting=0.4,
     )  # fmt: skip
-    one, counts, parted = np.ones(1, bool), [0, 0, 0], 0
+    one, counts = np.ones(1, bool), [0, 0, 0]
     for seed in range(8):
         simulation = Simulation(LEVEL, seed, None)
+        computer = simulation.computer
         kernels.seed(one, np.array([seed], np.uint64))
         kernels.begin(one)
         for site, stretch in drawn(seed, 8):
+            before = len(computer.telemetry)
+            taken = simulation.apply(Decision(site, "drawn", stretch=stretch))
+            names = [name for _, name, _ in computer.telemetry[before:]]
+            goal = np.full((1, 3), np.nan) if site is None else site[None]
+            kernels.decide(goal, one, np.array([np.nan if stretch is None else stretch]))
+            refused = stretch is not None and (not taken or "stretch-refused" in names)
+            assert (taken, refused) == (not kernels.refused[0], bool(kernels.unstretched[0]))
+            counts[0] += stretch is not None and not refused
+            counts[1] += refused
+            counts[2] += site is not None and taken
+            simulation.move()
             while not (simulation.done or simulation.decision_due):
                 simulation.move()
             if simulation.done or kernels.ended[0]:
                 break
             assert simulation.time == pytest.approx(float(kernels.time[0]), abs=1e-6)
-            computer, before = simulation.computer, len(simulation.computer.telemetry)
-            taken = simulation.apply(Decision(site, "drawn", stretch=stretch))
-            names = [name for _, name, _ in computer.telemetry[before:]]
-            due = float(kernels.time[0])
-            here = replace(
-                computer.estimate, position=kernels.y[0, :3].copy(), mass=float(kernels.y[0, 13]),
-                velocity=kernels.y[0, 3:6].copy(),
-            )  # fmt: skip
-            there = kernels.course.site[0].copy() if site is None else site
-            wanted, why = computer.outlook.time_to(there, here, stretch)
-            goal = np.full((1, 3), np.nan) if site is None else site[None]
-            asked = np.array([np.nan if stretch is None else stretch])
-            kernels.decide(goal, one, asked)
-            if site is not None or stretch is not None:
-                assert kernels.course.arrival[0] - due == pytest.approx(wanted, rel=1e-9)
-                assert bool(why) == kernels.unstretched[0]
-            refused = stretch is not None and (not taken or "stretch-refused" in names)
-            assert (taken, refused) == (not kernels.refused[0], bool(kernels.unstretched[0]))
-            left = simulation.computer.time_to_go
-            if abs(float(kernels.course.arrival[0]) - due - left) > 2e-3:
-                parted += 1
-                break
-            counts[0] += stretch is not None and not refused
-            counts[1] += refused
-            counts[2] += site is not None and taken
-    assert min(counts) > 8 and parted <= 2
+            arrival = simulation.time + computer.time_to_go
+            assert float(kernels.course.arrival[0]) == pytest.approx(arrival, abs=5e-3)
+    assert min(counts) > 8
 
 
 # --- the environment -------------------------------------------------------------------------
