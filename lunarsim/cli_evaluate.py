@@ -43,6 +43,11 @@ from lunarsim.errors import InputError, check_folder
     help="A part of the observation that agents were trained on; may be repeated.",
 )  # fmt: skip
 @click.option(
+    "--action", "decided", multiple=True, metavar="PART", show_default="site",
+    help="Of Retarget-v0: a part of the action that agents decide on, site or stretch; may be "
+    "repeated.",
+)  # fmt: skip
+@click.option(
     "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent."
 )  # fmt: skip
 @SEED
@@ -59,8 +64,8 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 def evaluate(
     env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
-    perception: str | None, parts: tuple[str, ...], episodes: int, seed: int, jobs: int,
-    within: float, out: Path | None,
+    perception: str | None, parts: tuple[str, ...], decided: tuple[str, ...], episodes: int,
+    seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
 
@@ -92,6 +97,7 @@ def evaluate(
         check_folder(out)
     given: dict[str, Any] = {} if perception is None else {"perception": perception}
     given |= {"observation": list(parts)} if parts else {}
+    given |= {"action": list(decided)} if decided else {}
     asked = study(env, scenario, values, seed, **given)
     check_agents(asked, agents)
     console = wide_console(170)

@@ -118,6 +118,8 @@ OWN = {
         (["Guidance-v0", "--agent", "zero", "--set", "rocks.covr=1"], ["did you mean 'cover'"]),
         (["Retarget-v0", "--agent", "zero", "--perception", "fuse"], ["did you mean 'fused'"]),
         (["Guidance-v0", "--agent", "zero", "--perception", "truth"], ["of Retarget-v0 alone"]),
+        (["Guidance-v0", "--agent", "zero", "--action", "site"], ["of Retarget-v0 alone"]),
+        (["Retarget-v0", "--agent", "zero", "--action", "strech"], ["did you mean 'stretch'"]),
         (["Guidance-v0"], ["--agent", "evaluate --help"]),
     ],
     "parts": [(["polcy"], ["contract = 'polcy'", "did you mean 'policy'"])],

@@ -1,4 +1,4 @@
-"""Parts of an observation chosen by name from a registry."""
+"""Parts of an observation or an action chosen by name from a registry."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
     return [known[name] for name in names]
 
 
-def check_shape(name: str, value: Any, shape: tuple[int, ...]) -> None:
-    """Refuse what a part shows where it is not of its shape, all landers first.
+def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
+    """Refuse what a part gives where it is not of its shape, all landers first.
 
     Raises
     ------
     InputError
-        Naming the part.
+        Naming the part, as `field` does.
     """
     if np.shape(value) != shape:
-        raise InputError(f"observation: {name}", np.shape(value), f"an array of shape {shape}")
+        raise InputError(field, np.shape(value), f"an array of shape {shape}")

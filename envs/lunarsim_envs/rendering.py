@@ -98,16 +98,17 @@ class Frames:
         return float(np.asarray(away)[-1]), float(np.asarray(up)[-1])
 
     def draw(
-        self, observation: Observation, action: int | None, reward: float | None
-    ) -> NDArray[np.uint8]:
+        self, observation: Observation, action: int | None, reward: float | None,
+        stretch: float | None = None,
+    ) -> NDArray[np.uint8]:  # fmt: skip
         """Return a frame (360, 800, 3), estimated frame.
 
         Parameters
         ----------
         observation
             What the agent is shown now.
-        action, reward
-            The last ones; None before the first.
+        action, reward, stretch
+            The last ones; None before the first, and of a stretch where none was asked for.
         """
         away, up = self._profile(observation)
         for path, here in zip(self._paths, self._heres, strict=True):
@@ -121,17 +122,19 @@ class Frames:
         words = map_words(m)
         title = "hazard map" if words is None else f"map {words.partition(':')[0]}"
         self._map_title.set_text(title)
-        self._title.set_text(self._words(action, reward))
+        self._title.set_text(self._words(action, reward, stretch))
         self._canvas.restore_region(self._still)
         for artist in self._moving:
             self._figure.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _words(self, action: int | None, reward: float | None) -> str:
+    def _words(self, action: int | None, reward: float | None, stretch: float | None) -> str:
         """Return time, last action, its reward, and how the flight ended."""
         words = [f"t = {self.simulation.time:.1f} s"]
         if action is not None:
             words.append("keep the site" if action == 0 else f"divert to candidate {action}")
+        if stretch is not None:
+            words.append(f"stretch {stretch:g}")
         if reward is not None:
             words.append(f"reward {reward:+.3f}")
         verdict = self.simulation.verdict

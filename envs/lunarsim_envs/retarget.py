@@ -9,7 +9,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
@@ -21,9 +20,10 @@ from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, SiteRewards
 from lunarsim_envs.screen import Screen, modes_here
+from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
-from lunarsim_envs.sites.parts import DEFAULT, SITES, ShownSites
+from lunarsim_envs.sites.parts import DEFAULT, ShownSites
 from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
 from lunarsim_envs.views import Views
 
@@ -59,7 +59,7 @@ def retarget_scenario(
     return scenario
 
 
-class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
+class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     """Choose the landing site of a descending lander.
 
     One step is one decision, and the flight goes on until the next one is due. With perception
@@ -74,6 +74,21 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
     ``Discrete(21)``: 0 keeps the present site, i flies to row i - 1 of ``sites``. Choosing a row
     that is not available keeps the site and costs the ``invalid`` term;
     ``info["action_mask"]`` (21,) tells which actions are available.
+
+    ``action=("site", "stretch")`` makes it ``MultiDiscrete([21, 5])``: where to, and by which path,
+    that is in which time. By 0 the second number leaves the time-to-go as it is (a new site gets
+    the cheapest); by 1 to 4 it becomes 0.85, 1, 1.15 or 1.3 times that of the cheapest admissible
+    path from here to the site, be it new or the present one
+    (`lunarsim_envs.sites.actions.STRETCHES`). What would break a limit of the approach gives way to
+    the cheapest; ``info["stretch_refused"]`` tells that the last step asked for a stretch that is
+    not flown. So it is, too, where the row is not available (all stays as it is then), where the
+    site is refused, and where the mission sets the time-to-go (``approach.time_to_go_s``,
+    ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
+
+    ``info["action_mask"]`` and `action_masks` are (26,) then, the choices of one part after those
+    of the other, as MaskablePPO takes them; ``tuple(numpy.split(mask, [21]))`` is what
+    ``MultiDiscrete.sample(mask=...)`` takes. `lunarsim_envs.sites.actions.register` adds parts.
+    Agents that choose sites alone fly there too, and leave the time-to-go as it is.
 
     ## Observation Space
 
@@ -143,7 +158,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
       ``"quadtree"``, ``"fused"``, a mapper of that kind on board, whichever the scenario decides
       on: what it lacks for it is added (`lunarsim_envs.sites.onboard.perceiving`).
     - ``surrogate``: file of another surrogate, of ``scenarios/learning/fit_surrogate.py``.
-    - ``observation``: names of its parts.
+    - ``observation``, ``action``: names of their parts.
     - ``worlds``, ``world_seed``: flown by kernels, how many worlds are drawn, once, and their root
       seed; the truth about them is kept in the cache of campaigns.
     - ``covers``: further covers of rocks, of each of which as many worlds are drawn, for
@@ -180,6 +195,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         *,
         perception: str = "onboard",
         observation: Sequence[str] = DEFAULT,
+        action: Sequence[str] = DEFAULT_ACTION,
         changes: Mapping[str, Any] | None = None,
         worlds: int = 16,
         world_seed: int = 0,
@@ -217,7 +233,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
             perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
         )
         self.shown = ShownSites(observation)
-        self.action_space = spaces.Discrete(SITES + 1)
+        self.actions = SiteActions(action)
+        self.action_space = self.actions.space
         self.observation_space = self.shown.space
         self.frames: Frames | None = None
         self.views: Views | None = None
@@ -228,7 +245,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._begun, self._over = False, False
         self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
-        self._last: tuple[int | None, float | None] = (None, None)
+        # What frames say of the last step: row, reward, stretch.
+        self._last: tuple[int | None, float | None, float | None] = (None, None, None)
         self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
 
     @property
@@ -242,7 +260,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """Draw a new flight and run it to the first decision."""
         self.flight.take(options_of(options))
         super().reset(seed=seed)
-        self.frames, self._last, self._film = None, (None, None), []
+        self.frames, self._last, self._film = None, (None, None, None), []
         self.flight.begin(self.np_random)
         self._begun, self._over = True, False
         self.rewards.begin(np.ones(1, np.bool_), *self.standing())
@@ -255,28 +273,24 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._take_frame()
         return self._encode(), self._info()
 
-    def step(
-        self, action: np.int64 | int
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Carry out a decision and fly on to the next one."""
         flight = self.flight
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         if self._over:
             raise gymnasium.error.ResetNeeded("the flight has ended: call reset()")
-        if not self.action_space.contains(action):
-            raise ValueError(f"action = {action!r}: must be an integer from 0 to {SITES}")
-        row = int(action) - 1
-        sights = flight.sights
-        invalid, site = False, None
-        if action > 0:
-            invalid = row >= sights.count[0] or not bool(np.isfinite(sights.cost[0, row]))
-            site = None if invalid else sights.position_of[0, row].copy()
-        self._last = (0 if invalid else int(action), None)
+        chosen = self.actions.chosen(action)
+        orders = self.actions.orders(chosen, flight.sights)
+        invalid = bool(orders.invalid[0])
+        row = 0 if invalid else int(self.actions.choice("site", chosen)[0])
+        site = None if np.isnan(orders.site[0, 0]) else orders.site[0]
+        stretch = None if np.isnan(orders.stretch[0]) else float(orders.stretch[0])
+        self._last = (row, None, stretch)
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
         # A flight may end before there is anything to decide: its first step tells so.
         if flight.verdict is None:
-            flight.decide(site, self._each)
+            flight.decide(site, self._each, stretch)
         verdict = flight.verdict
         self._over = verdict is not None
         # Time has run out: the flight was cut off, and nobody knows how it would have ended.
@@ -285,7 +299,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         terms = self._terms(invalid, None if late else verdict)
         info = self._info() | {"reward_terms": terms}
         info["cost"] = float(verdict is not None and ended and not verdict[0])
-        self._last = (self._last[0], sum(terms.values()))
+        if self.actions.stretches:
+            info["stretch_refused"] = bool(orders.lost[0]) or flight.unstretched
+        self._last = (row, sum(terms.values()), stretch)
         self._take_frame()
         return self._encode(), sum(terms.values()), ended, late, info
 
@@ -327,18 +343,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
         return self.flight.seen if self._begun else None
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return which actions are available (21,), as sb3-contrib's MaskablePPO asks for it."""
+        """Return which choices can be had (21,), as sb3-contrib's MaskablePPO asks for it.
+
+        Of several parts those of one after those of the other.
+        """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
-        return self._mask().astype(np.bool_)
-
-    def _mask(self) -> NDArray[np.int8]:
-        sights = self.flight.sights
-        mask = np.zeros(SITES + 1, np.int8)
-        mask[0] = 1
-        n = min(int(sights.count[0]), SITES)
-        mask[1 : 1 + n] = np.isfinite(sights.cost[0, :n])
-        return mask
+        return np.asarray(self.actions.masks(self.flight.sights)[0])
 
     def _frame(self) -> NDArray[np.uint8]:
         """Return an image of the flight as it stands."""
@@ -376,7 +387,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], np.int64]):
 
     def _info(self) -> dict[str, Any]:
         flight = self.flight
-        info: dict[str, Any] = {"time": flight.time, "action_mask": self._mask()}
+        mask = self.actions.masks(flight.sights)[0].astype(np.int8)
+        info: dict[str, Any] = {"time": flight.time, "action_mask": mask}
         verdict = flight.verdict
         if verdict is not None:
             info["safe"], info["failed"] = verdict

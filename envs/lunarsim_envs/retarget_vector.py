@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,8 +18,9 @@ from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, touch_shares
+from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import sights_of
-from lunarsim_envs.sites.parts import DEFAULT, SITES, Shown, ShownSites
+from lunarsim_envs.sites.parts import DEFAULT, Shown, ShownSites
 from lunarsim_envs.sites.perception import lanes_of
 from lunarsim_envs.sites.sights import MAP_CELLS, Sights, shrunk
 
@@ -44,6 +44,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         *,
         perception: str = "surrogate",
         observation: Sequence[str] = DEFAULT,
+        action: Sequence[str] = DEFAULT_ACTION,
         changes: Mapping[str, Any] | None = None,
         worlds: int = 16,
         world_seed: int = 0,
@@ -65,7 +66,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.num_envs = num_envs
         self.autoreset_mode = _MODE(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.single_action_space = spaces.Discrete(SITES + 1)
+        self.actions = SiteActions(action)
+        self.single_action_space = self.actions.space
         self.single_observation_space = self.shown.space
         batch = gymnasium.vector.utils.batch_space
         self.action_space = batch(self.single_action_space, num_envs)
@@ -128,14 +130,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self.shown.of(self.sights)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return which actions are available (n, 21)."""
-        found = self.lanes.found
-        mask = np.zeros((self.num_envs, SITES + 1), np.bool_)
-        mask[:, 0] = True
-        n = min(SITES, found.p_safe.shape[1])
-        known = np.arange(n) < found.number[:, None]
-        mask[:, 1 : n + 1] = known & np.isfinite(found.propellant[:, :n])
-        return mask
+        """Return which choices can be had (n, 21), of several parts one after the other."""
+        return self.actions.masks(self.sights)
 
     def _info(self) -> dict[str, Any]:
         every = np.ones(self.num_envs, np.bool_)
@@ -147,39 +143,31 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
         """Carry out decisions in all lanes, and fly on to the next ones."""
         lanes = self.lanes
-        chosen = np.asarray(actions)
-        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
-            raise ValueError(
-                f"actions of shape {chosen.shape} and type {chosen.dtype}: must be "
-                f"{self.num_envs} integers from 0 to {SITES}"
-            )
-        if chosen.min() < 0 or chosen.max() > SITES:
-            raise ValueError(f"actions from {chosen.min()} to {chosen.max()}: must be 0 to {SITES}")
+        chosen = self.actions.all_chosen(actions, self.num_envs)
         moved = self._open.copy()
         if (~moved & ~self._due).any():
             raise gymnasium.error.ResetNeeded(
                 "a lane's flight is not in the air: call reset(), with its reset_mask"
             )
-        rows = np.arange(self.num_envs)
-        invalid = ~self.action_masks()[rows, chosen]
-        sites = np.full((self.num_envs, 3), np.nan)
-        flown = moved & ~invalid & (chosen > 0)
-        sites[flown] = lanes.found.position[rows[flown], chosen[flown] - 1]
-        lanes.decide(sites, moved)
+        orders = self.actions.orders(chosen, self.sights)
+        lanes.decide(orders.site, moved, orders.stretch)
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
         self._open &= ~over
         late = over & (lanes.ended == LATE)
-        terms = self._terms(moved, over & ~late, invalid)
+        terms = self._terms(moved, over & ~late, orders.invalid)
         rewards = np.sum(list(terms.values()), axis=0)
         info = self._told(terms, moved, over, late)
+        if self.actions.stretches:
+            info["stretch_refused"] = moved & (orders.lost | lanes.unstretched)
+            info["_stretch_refused"] = moved
         if self.autoreset_mode is _MODE.NEXT_STEP:
             if self._due.any():
                 self._begin(self._due)
             self._due = over
         elif self.autoreset_mode is _MODE.SAME_STEP and over.any():
             info |= {"final_obs": self._observe(), "_final_obs": over} | self._info()
-            left = ("_reward_terms", "_cost", "final_obs", "_final_obs")
+            left = ("_reward_terms", "_cost", "_stretch_refused", "final_obs", "_final_obs")
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             self._begin(over)

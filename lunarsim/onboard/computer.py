@@ -20,8 +20,9 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
+from lunarsim.onboard.divert_bar import DivertBar
 from lunarsim.onboard.guidance.apollo import followed_time
-from lunarsim.onboard.guidance.arrival import time_at_gate
+from lunarsim.onboard.guidance.arrival import set_by_others, time_at_gate
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival, SeesByMap
 from lunarsim.onboard.guidance.divert import DivertCost
@@ -30,7 +31,8 @@ from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import SURE_TILT, HazardMapper, sensors_of
+from lunarsim.onboard.hazards.levelling import Levelling
+from lunarsim.onboard.hazards.mapper import HazardMapper, sensors_of
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
@@ -124,8 +126,8 @@ class OnboardComputer:
         self._decided = False
         self._events = self._told = 0
         self._arrivals = Arrivals.of(briefing, self._note)
-        self._barred, self._mapped_lost = False, False
-        self._levelled = np.eye(3)
+        self._bar = DivertBar()
+        self._levelling = Levelling(self.mappers, self.navigation)
 
     # --- what is known --------------------------------------------------------------------
 
@@ -167,13 +169,8 @@ class OnboardComputer:
 
     @property
     def diverts_barred(self) -> bool:
-        """Whether the lander keeps its site, whatever a policy wants.
-
-        So it is while navigation is lost: the site decided on last is as far off as any other, and
-        a divert costs propellant and time besides. Once something was mapped while it was lost, so
-        it stays: part of the map then lies where nobody knows.
-        """
-        return self._barred
+        """Whether the lander keeps its site, whatever a policy wants; see `DivertBar`."""
+        return self._bar.barred
 
     @property
     def decision_due(self) -> bool:
@@ -181,7 +178,7 @@ class OnboardComputer:
         window = self.decisions
         return (
             self.phase == APPROACH
-            and not self._barred
+            and not self.diverts_barred
             and self.mapper is not None
             and window.last_altitude <= self.altitude <= window.first_altitude
             and self.time >= self._next_decision - 1e-9
@@ -190,10 +187,6 @@ class OnboardComputer:
     def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
         """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
         return self.outlook.cost_of(sites, estimate or self.estimate)
-
-    def _admissible_time(self, site: Array) -> float:
-        """Return the best time-to-go to a site (3,) within all limits, s; NaN without any."""
-        return float(self.cost_of(site[None, :]).time_to_go[0])
 
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
@@ -248,21 +241,14 @@ class OnboardComputer:
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
-        self._bar_diverts()
+        if self._bar.changes(self.estimate.lost, bool(self.mapped)):
+            name = "diverts-barred" if self.diverts_barred else "diverts-allowed"
+            self._note(self.time, name, {"site": self.site.copy()})
         self._level_site()
         begins = not self._decided and elapsed == 0.0 and self.phase == APPROACH
         if begins and self.approach.free:
             # The plan was made for the planned start: begin from where the lander is.
             self._retime()
-
-    def _bar_diverts(self) -> None:
-        """Note whether diverts are still to be trusted to navigation and map."""
-        lost = self.estimate.lost
-        self._mapped_lost |= lost and bool(self.mapped)
-        if self._barred != (lost or self._mapped_lost):
-            self._barred = not self._barred
-            name = "diverts-barred" if self._barred else "diverts-allowed"
-            self._note(self.time, name, {"site": self.site.copy()})
 
     def _carry_on(self) -> None:
         """Let navigation know of inertial samples that did not come in this cycle."""
@@ -303,7 +289,7 @@ class OnboardComputer:
                 self.site = target
                 for mapper in self.mappers.values():
                     mapper.recentre(target)
-        self._level_maps()
+        self._levelling.follow(self.time, self.mass)
         for event in self.navigation.events[self._events :]:
             self._note(event.time, event.name, dict(event.details))
             free = self.phase == APPROACH and self.approach.free
@@ -312,19 +298,6 @@ class OnboardComputer:
                 self.estimate = self.navigation.estimate(self.time, self.mass)
                 self._retime()
         self._events = len(self.navigation.events)
-
-    def _level_maps(self) -> None:
-        """Turn what was mapped with a tilt that is known to have been wrong."""
-        found = self.navigation.ground_turn
-        if found is None:
-            return
-        turn, angle = found.since(self._levelled)
-        if angle < SURE_TILT:
-            return
-        self._levelled = found.rotation
-        sigma = self.navigation.estimate(self.time, self.mass).tilt_sigma
-        for mapper in self.mappers.values():
-            mapper.level(turn, found.pivot, sigma)
 
     def _level_site(self) -> None:
         """Take the height of the site from the ground as it has been mapped there.
@@ -343,7 +316,8 @@ class OnboardComputer:
     def apply(self, decision: Decision) -> bool:
         """Carry out a decision; return False if the old site stays though it wants another.
 
-        That is so where its site is out of reach, and while diverts are barred.
+        That is so where its site is out of reach, and while diverts are barred. For a stretch that
+        cannot be flown see `Decision`.
 
         Raises
         ------
@@ -359,15 +333,16 @@ class OnboardComputer:
             self._note(self.time, "abort", told)
             return True
         first, self._decided = not self._decided, True
+        stretch = self._stretch_of(decision)
         if decision.site is None:
-            if first and self.approach.free:
-                self._retime()
+            if stretch is not None or (first and self.approach.free):
+                self._retime(stretch)
             return True
         site = np.asarray(decision.site, dtype=np.float64)
-        if self._barred:
+        if self.diverts_barred:
             self._refuse(site, "navigation is lost")
             return False
-        time_to_go = self._admissible_time(site)
+        time_to_go, why = self.outlook.time_to(site, self.estimate, stretch)
         if not np.isfinite(time_to_go):
             self._refuse(site, "out of reach")
             return False
@@ -377,29 +352,53 @@ class OnboardComputer:
         self.diverts.append((self.time, self.site, decision))
         self.site = site
         self._arrival = self.time + time_to_go
+        if why:
+            self._refuse(site, why, stretch)
         return True
 
-    def _refuse(self, site: Array, reason: str) -> None:
-        self._note(self.time, "divert-refused", {"site": site, "reason": reason})
+    def _refuse(self, site: Array, reason: str, stretch: float | None = None) -> None:
+        """Note that a divert is refused, or, if one is given, its stretch alone."""
+        told = {"site": site.copy(), "reason": reason}
+        if stretch is None:
+            self._note(self.time, "divert-refused", told)
+        else:
+            self._note(self.time, "stretch-refused", told | {"stretch": float(stretch)})
 
-    def _retime(self) -> None:
+    def _stretch_of(self, decision: Decision) -> float | None:
+        """Return the stretch that a decision asks for; None where it is not for a policy to ask."""
+        if decision.stretch is None:
+            return None
+        why = set_by_others(self.approach, self.guidance)
+        if self.diverts_barred:
+            why = "navigation is lost"
+        elif self.phase != APPROACH:
+            why = "not on the approach"
+        if not why:
+            return decision.stretch
+        site = self.site if decision.site is None else np.asarray(decision.site, dtype=np.float64)
+        self._refuse(site, why, decision.stretch)
+        return None
+
+    def _retime(self, stretch: float | None = None) -> None:
         """Choose the time-to-go to the present site afresh.
 
         A divert does so anyway. Without this a lander that keeps its site would fly on the
         time-to-go of the start, and diverts would seem to save propellant.
         """
-        time_to_go = self._admissible_time(self.site)
+        time_to_go, why = self.outlook.time_to(self.site, self.estimate, stretch)
         if np.isfinite(time_to_go):
             self._arrival = self.time + time_to_go
+        if why:
+            self._refuse(self.site, why, stretch)
 
     def _arrive_later(self) -> None:
         """Take longer for a path that asks for too much, if a longer one keeps the limits.
 
         Where the mission fixes the time, or a law its own, that stands.
         """
-        if not self.approach.free or isinstance(self.guidance, PlansArrival):
+        if set_by_others(self.approach, self.guidance):
             return
-        time_to_go = self._admissible_time(self.site)
+        time_to_go, _ = self.outlook.time_to(self.site, self.estimate)
         if self.time_to_go < time_to_go < np.inf:
             later = time_to_go - self.time_to_go
             self._arrival = self.time + time_to_go
@@ -416,7 +415,7 @@ class OnboardComputer:
         told = {"altitude": self.altitude}
         self._note(self.time, "approach", told)
         gate = self.approach.end(self.site, self.lander)
-        admissible = self._admissible_time(self.site) if self.approach.free else float("nan")
+        admissible, _ = self.outlook.time_to(self.site, self.estimate)
         left, within = time_at_gate(self.approach, self.estimate, gate, admissible)
         if not within:
             self._note(self.time, "approach-out-of-limits", told)

@@ -88,16 +88,41 @@ class Outlook:
         if self.decisions_map in names:
             self._aim.mapped_at = time
 
-    def cost_of(self, sites: Array, estimate: Estimate) -> DivertCost:
-        """Return what it costs to fly from an estimate to each of the sites (n, 3), local frame."""
+    def cost_of(
+        self, sites: Array, estimate: Estimate, times: Array | None = None
+    ) -> DivertCost:  # fmt: skip
+        """Return what it costs to fly from an estimate to each of the sites (n, 3), local frame.
+
+        With `times` (n,), s, that of the path that takes so long, else of the cheapest.
+        """
         cost: DivertCost = self.briefing.software.guidance.cost(
             estimate,
             self.approach.end(sites, self.lander),
             self.lander,
             self.briefing.weight,
             self.approach.limits,
+            # A law that knows of no times is not asked for them.
+            *(() if times is None else (times,)),
         )
         return cost
+
+    def time_to(
+        self, site: Array, estimate: Estimate, stretch: float | None = None
+    ) -> tuple[float, str]:
+        """Return the time-to-go to a site (3,), s, and why it is not that of a stretch.
+
+        That of the cheapest path within all limits, NaN without any; with a stretch so many times
+        it, if that keeps them too.
+        """
+        one = np.asarray(site, dtype=np.float64)[None]
+        cheapest = self.cost_of(one, estimate).time_to_go
+        if stretch is None:
+            return float(cheapest[0]), ""
+        if not np.isfinite(cheapest[0]):
+            return float("nan"), "out of reach"
+        if not self.cost_of(one, estimate, stretch * cheapest).feasible[0]:
+            return float(cheapest[0]), "beyond the limits"
+        return stretch * float(cheapest[0]), ""
 
     def in_sight(self, site: Array, estimate: Estimate) -> bool:
         """Tell whether a site (3,) is seen through the window, where the scenario has one."""

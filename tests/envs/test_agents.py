@@ -277,6 +277,7 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
         return stored.StoredAgent(env, tmp_path / "m.zip")
 
     one, two = (gymnasium.spaces.Dict(a=box(2), **more) for more in ({}, {"b": box(1)}))
+    many = gymnasium.spaces.MultiDiscrete
     five, six = gymnasium.spaces.Discrete(5), gymnasium.spaces.Discrete(6)
     fly((two, five), (two, five))
     for mine, own, says in (
@@ -284,6 +285,8 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
         ((box(2), five), (box(3), five), r"observation_space Box\(3,\), not Box\(2,\)"),
         ((one, five), (one, six), r"action_space Discrete\(6\), not Discrete\(5\)"),
         ((one, box(1)), (one, five), "action_space"),
+        ((one, many([5, 2])), (one, many([2, 5])), r"MultiDiscrete\(\[2, 5\]\), not MultiDiscrete"),
+        ((one, five), (one, many([5, 2])), r"MultiDiscrete\(\[5, 2\]\), not Discrete\(5\)"),
     ):
         with pytest.raises(InputError, match=says):
             fly(mine, own)

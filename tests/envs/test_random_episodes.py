@@ -25,9 +25,13 @@ def parts(shown):
         ("Guidance-v0", 500, {"changes": {"variation.engine_failure": 0.5}}),
         ("Control-v0", 500, {}),
         ("Retarget-v0", 50, {"perception": "truth", "worlds": 8}),
+        (
+            "Retarget-v0", 50,
+            {"perception": "truth", "worlds": 8, "action": ("site", "stretch")},
+        ),
         ("Retarget-v0", 50, {"perception": "surrogate", "worlds": 8, "scenario": "few_sites"}),
     ],
-)
+)  # fmt: skip
 def test_a_thousand_random_episodes(name, lanes, settings):
     vector = gymnasium.make_vec(
         f"lunarsim/{name}", num_envs=lanes, vectorization_mode="vector_entry_point", **settings

@@ -29,15 +29,18 @@ from tests.reference.site_flight import SiteFlight
 _DRIFT = 0xA0761D6478BD642F
 
 
-def on(many, sites=None):
+def on(many, sites=None, stretches=None):
     """Fly all lanes to their next decisions."""
     goal = np.full((many.count, 3), np.nan) if sites is None else sites
-    many.decide(goal, np.ones(many.count, bool))
+    many.decide(goal, np.ones(many.count, bool), stretches)
 
 
-@pytest.fixture(scope="module")
-def flown():
-    """Return lanes, and of each its decisions with where it stood, and when it scanned."""
+@pytest.fixture(scope="module", params=[False, True], ids=["", "stretched"])
+def flown(request):
+    """Return lanes, and of each its decisions with where it stood, and when it scanned.
+
+    Sites are drawn, and stretches too or none.
+    """
     high = SMALL.changed(tasking={"flash": {"altitudes_m": [180.0, 110.0]}})
     told, scans = [[] for _ in range(4)], [[] for _ in range(4)]
 
@@ -48,9 +51,9 @@ def flown():
                 scans[i].append((self.time[i], self.course.site[i, 2]))
 
     many = lanes(4, kind=Noted, scenario=high)
-    rng = np.random.default_rng(3)
+    rng, drawn = np.random.default_rng(3), np.random.default_rng(4)
     while (many.ended == FLYING).any():
-        goal = np.full((4, 3), np.nan)
+        goal, stretches = np.full((4, 3), np.nan), np.full(4, np.nan)
         for i in range(4):
             if many.ended[i] != FLYING:
                 continue
@@ -58,8 +61,18 @@ def flown():
             good = np.flatnonzero(np.isfinite(many.found.propellant[i, :n]))
             if len(good) and rng.random() < 0.4:
                 goal[i] = many.found.position[i, rng.choice(good)]
-            told[i].append((many.time[i], many.y[i].copy(), goal[i].copy()))
-        on(many, goal)
+            if request.param and drawn.random() < 0.6:
+                stretches[i] = drawn.uniform(0.7, 1.4)
+            told[i].append([many.time[i], many.y[i].copy(), goal[i].copy(), stretches[i]])
+        flying = np.flatnonzero(many.ended == FLYING)
+        on(many, goal, stretches)
+        for i in flying:
+            told[i][-1].append(many.unstretched[i])
+    if request.param:
+        every = [one for lane in told for one in lane]
+        asked = sum(np.isfinite(stretch) for *_, stretch, _ in every)
+        refused = sum(unstretched for *_, unstretched in every)
+        assert asked > 10 and 2 < refused < asked - 5
     return many, told, scans
 
 
@@ -87,15 +100,11 @@ def test_flights_are_those_of_the_computers_laws(flown, lane):
         if heights and plain.time > heights[0][0] - 1e-6:
             plain.site[2] = heights.pop(0)[1]
 
-    for time, y, goal in told[lane]:
+    for time, y, goal, stretch, unstretched in told[lane]:
         fly_on(time)
         assert plain.plain.y == pytest.approx(y, abs=1e-6, rel=1e-9)
-        if np.isfinite(goal[0]):
-            left = plain.left_to(goal)
-            if np.isfinite(left):
-                plain.site, plain.arrival = goal.copy(), plain.time + left
-        elif first:
-            plain.arrival = plain.time + plain.left_to(plain.site)
+        asked = (goal if np.isfinite(goal[0]) else None, stretch if np.isfinite(stretch) else None)
+        assert plain.decide(*asked, first) == unstretched
         first = False
     fly_on(many.time[lane] - many.law.cycle * craft.dynamics.step)
     assert many.ended[lane] == LANDED and plain.low
@@ -160,6 +169,33 @@ def test_what_sites_cost_is_what_the_computer_says():
     good = cost.feasible
     assert out[good, 0] == pytest.approx(cost.propellant[good], rel=1e-9)
     assert out[good, 1] == pytest.approx(cost.time_to_go[good], rel=1e-9)
+
+
+def test_what_a_given_time_breaks_is_what_the_computer_says():
+    """Also of tanks that are nearly dry, and of a lander at its end already."""
+    many = lanes(1)
+    approach, guidance = SMALL.approach.make(), SMALL.guidance.make()
+    lander = many.craft.dynamics.lander
+    rng = np.random.default_rng(7)
+    told = []
+    for mass in (lander.wet_mass, lander.dry_mass + approach.reserve + 25.0):
+        state = np.array([[-150.0, 20.0, 160.0], [14.0, -2.0, -10.0]])
+        sites = np.column_stack((rng.uniform(-200, 200, (150, 2)), np.zeros(150)))
+        times = rng.uniform(5.0, 60.0, 150)
+        # The last is half a second off, at the speed that is wanted there.
+        for own, site, time in (
+            (state, sites, times),
+            (np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]]),
+             -approach.end(np.zeros((1, 3)), lander).position - [0.0, 0.0, 1.0], np.array([0.5])),
+        ):  # fmt: skip
+            e = Estimate(0.0, *own, np.zeros(4), np.zeros(3), mass, np.zeros((9, 9)))
+            end = approach.end(site, lander)
+            cost = guidance.cost(e, end, lander, 1.622, approach.limits, time)
+            mine = [f.holds(own, mass, *one, many.law) for one in zip(site, time, strict=True)]
+            assert np.array_equal(mine, cost.feasible)
+            told.append(cost.feasible.mean())
+    assert told[1] == told[3] == 0.0
+    assert 0.03 < told[2] < told[0] - 0.03 < 0.9
 
 
 # --- maps -----------------------------------------------------------------------------------

@@ -85,32 +85,40 @@ def test_another_process_flies_the_same():
     assert done.stdout.strip() == wanted
 
 
-def test_a_lane_flies_what_one_environment_flies():
+@pytest.mark.parametrize("action", [("site",), ("site", "stretch")])
+def test_a_lane_flies_what_one_environment_flies(action):
+    rng = np.random.default_rng(2)
     settings = {
         "scenario": SMALL, "worlds": 2, "world_seed": 5, "surrogate": made_up(),
-        "observation": EVERY,
+        "observation": EVERY, "action": action,
     }  # fmt: skip
     batch = gymnasium.make_vec(
         ID, num_envs=3, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
         **settings,
     )  # fmt: skip
     assert isinstance(batch, RetargetVectorEnv)
-    one = made(observation=EVERY)
+    one = made(observation=EVERY, action=action)
     told, info = batch.reset(seed=20)
     assert batch.observation_space.contains(told)
-    lane, flights = 1, 0
+    lane, flights, refused = 1, 0, []
     alone, _ = one.reset(seed=20 + lane)
     while flights < 2:
         assert all(np.array_equal(told[k][lane], alone[k]) for k in alone)
-        actions = np.array([int(np.flatnonzero(mask)[-1]) for mask in info["action_mask"]])
+        actions = np.array([np.flatnonzero(mask[:21])[-1] for mask in info["action_mask"]])
+        if len(action) > 1:
+            actions = np.column_stack((actions, rng.integers(5, size=3)))
         told, rewards, ended, _, info = batch.step(actions)
-        alone, reward, over, _, told_alone = one.step(int(actions[lane]))
+        alone, reward, over, _, told_alone = one.step(actions[lane])
         assert rewards[lane] == pytest.approx(reward, rel=1e-12) and ended[lane] == over
+        if len(action) > 1:
+            refused.append(told_alone["stretch_refused"])
+            assert info["stretch_refused"][lane] == refused[-1]
         if over:
             flights += 1
             assert info["final_info"]["safe"][lane] == told_alone["safe"]
             assert all(np.array_equal(info["final_obs"][k][lane], alone[k]) for k in alone)
             alone, _ = one.reset()
+    assert len(set(refused)) == len(action) * (len(action) > 1)
 
 
 def test_batches_restart_as_asked_and_refuse_the_rest():

@@ -140,17 +140,19 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from():
+@pytest.mark.parametrize("action", [("site",), ("site", "stretch")])
+def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
     contrib = pytest.importorskip("sb3_contrib", reason="the extra `rl` is not installed")
     from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
 
     settings = {"scenario": site_scene.SMALL, "perception": "truth", "worlds": 2, "world_seed": 5}
-    env = LanesVecEnv(RetargetVectorEnv(4, "SameStep", **settings))
+    env = LanesVecEnv(RetargetVectorEnv(4, "SameStep", action=action, **settings))
     seen, ends = env.reset(), 0
     for _ in range(40):
         masks = np.array(env.env_method("action_masks"))
-        assert np.array_equal(masks[:, 1:], seen["sites"][..., 5] > 0.0) and masks[:, 0].all()
-        env.step_async(np.array([np.flatnonzero(mask)[-1] for mask in masks]))
+        assert np.array_equal(masks[:, 1:21], seen["sites"][..., 5] > 0.0) and masks[:, 0].all()
+        rows = np.array([np.flatnonzero(mask[:21])[-1] for mask in masks])
+        env.step_async(rows if len(action) == 1 else np.column_stack((rows, rows % 5)))
         seen, _, over, told = env.step_wait()
         for lane in np.flatnonzero(over):
             ends += 1

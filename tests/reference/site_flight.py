@@ -10,6 +10,7 @@ from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 from tests.reference.descent import Lander
+from tests.reference.divert import best
 
 
 class SiteFlight:
@@ -75,6 +76,33 @@ class SiteFlight:
                 approach.limits,
             ).time_to_go[0]
         )
+
+    def keeps_limits(self, site, left):
+        """Tell whether the path to a site that takes so long, s, keeps all limits, sampled."""
+        approach, lander, e = self.software.approach, self.lander, self.estimate
+        end, limits = approach.end(site, lander), approach.limits
+        margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+        increment = best(
+            e.position, e.velocity, end.position, end.velocity, end.acceleration, [left], 24,
+            self.gravity, e.mass, lander.exhaust_velocity, lander.thrust_min + margin,
+            lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+            self.software.guidance.shape.powers,
+        )[0]  # fmt: skip
+        burnt = e.mass * (1.0 - np.exp(-increment / lander.exhaust_velocity))
+        return bool(burnt <= e.mass - lander.dry_mass - limits.reserve)
+
+    def decide(self, goal, stretch, first):
+        """Take a site, None keeps it, by a stretch, None leaves it; tell if it is not flown."""
+        if goal is None and stretch is None and not first:
+            return False
+        site = self.site if goal is None else goal
+        left = self.left_to(site)
+        if not np.isfinite(left):
+            return stretch is not None
+        flown = stretch is None or self.keeps_limits(site, stretch * left)
+        self.site = site.copy()
+        self.arrival = self.time + left * (stretch if flown and stretch is not None else 1.0)
+        return not flown
 
     def wanted(self):
         """Return the thrust acceleration of this cycle (3,)."""

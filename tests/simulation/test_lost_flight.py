@@ -101,6 +101,14 @@ def test_lost_after_a_divert_it_keeps_the_site_decided_on_last(instruments):
     assert simulation.apply(Decision.keep("stay"))
     _, name, details = simulation.computer.telemetry[-1]
     assert (name, details["reason"]) == ("divert-refused", "navigation is lost")
+    # Nor another time-to-go, there or elsewhere.
+    left = simulation.computer.time_to_go
+    assert simulation.apply(Decision(None, "later", stretch=1.2))
+    assert not simulation.apply(Decision(site + [5.0, 0.0, 0.0], "elsewhere", stretch=1.2))
+    told = [(name, d["reason"]) for _, name, d in simulation.computer.telemetry[-3:]]
+    assert told[:2] == [("stretch-refused", "navigation is lost")] * 2
+    assert told[2] == ("divert-refused", "navigation is lost")
+    assert simulation.computer.time_to_go == left
     last = simulation.site.copy()
     flight = simulation.run()
     assert len(simulation.computer.diverts) == decided

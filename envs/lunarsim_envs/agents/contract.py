@@ -26,3 +26,15 @@ def refuse(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
     """Return the error of an agent that cannot fly an environment."""
     spec = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
     return InputError("--agent", name, f"an agent of {spec}; {name} flies {wanted}")
+
+
+def check_sites(name: str, env: Any) -> None:
+    """Refuse an environment ``Retarget-v0`` the actions of which choose no sites.
+
+    Raises
+    ------
+    InputError
+        Naming the agent.
+    """
+    if not env.actions.has("site"):
+        raise refuse(name, env, "Retarget-v0 with the part 'site' among its actions")

@@ -11,6 +11,8 @@ from gymnasium import spaces
 from lunarsim_envs.agents.contract import refuse
 from lunarsim_envs.descent.env import DescentEnv
 
+_SPACES = "a Box, Discrete or MultiDiscrete"
+
 
 class Zero:
     """Zero in every number of the action, or the first of discrete actions.
@@ -25,10 +27,12 @@ class Zero:
         space = env.action_space
         if isinstance(space, spaces.Discrete):
             self._action: Any = np.int64(space.start)
+        elif isinstance(space, spaces.MultiDiscrete):
+            self._action = space.start.copy()
         elif isinstance(space, spaces.Box):
             self._action = np.zeros(space.shape, space.dtype)
         else:
-            raise refuse("zero", env, "environments whose actions are a Box or Discrete")
+            raise refuse("zero", env, f"environments whose actions are {_SPACES}")
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw nothing."""
@@ -49,8 +53,8 @@ class Random:
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         space = env.action_space
-        if not isinstance(space, spaces.Discrete | spaces.Box):
-            raise refuse("random", env, "environments whose actions are a Box or Discrete")
+        if not isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.Box):
+            raise refuse("random", env, f"environments whose actions are {_SPACES}")
         self._space = space
         self._rng = np.random.default_rng(0)
 
@@ -62,10 +66,20 @@ class Random:
         """Draw an action."""
         space = self._space
         if isinstance(space, spaces.Discrete):
-            mask = info.get("action_mask")
-            known = np.arange(space.n) if mask is None else np.flatnonzero(mask)
-            return space.start + np.int64(self._rng.choice(known))
+            return space.start + self._of(info.get("action_mask"), int(space.n))
+        if isinstance(space, spaces.MultiDiscrete):
+            mask, counts = info.get("action_mask"), space.nvec.tolist()
+            # One mask of all numbers, those of one after those of the other.
+            ends = np.cumsum(counts)[:-1]
+            masks = [None] * len(counts) if mask is None else np.split(mask, ends)
+            drawn = [self._of(*one) for one in zip(masks, counts, strict=True)]
+            return space.start + np.array(drawn, space.dtype)
         return self._rng.uniform(space.low, space.high).astype(space.dtype)
+
+    def _of(self, mask: Any, count: int) -> np.int64:
+        """Draw one of so many, of those of a mask if there is one."""
+        known = np.arange(count) if mask is None else np.flatnonzero(mask)
+        return np.int64(self._rng.choice(known))
 
 
 class Hover:

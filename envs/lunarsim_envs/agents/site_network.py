@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import refuse
+from lunarsim_envs.agents.contract import check_sites, refuse
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.parts import SITES
 from lunarsim_envs.sites.sights import Sights
@@ -150,18 +150,20 @@ class SiteNetworkAgent:
     Raises
     ------
     InputError
-        If the environment is another.
+        If the environment is another, or its actions choose no sites.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], network: SiteNetwork, name: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
             raise refuse(name, env, "Retarget-v0")
+        check_sites(name, flown)
         self._env, self._network = flown, network
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw nothing."""
 
-    def act(self, observation: Any, info: dict[str, Any]) -> np.int64:
-        """Return the best action."""
-        return np.int64(self._network.choose(self._env.flight.sights)[0])
+    def act(self, observation: Any, info: dict[str, Any]) -> Any:
+        """Return the best action; the time-to-go stays as it comes."""
+        best = self._network.choose(self._env.flight.sights)[0]
+        return self._env.actions.alone("site", int(best))

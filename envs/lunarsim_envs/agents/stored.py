@@ -56,6 +56,8 @@ def _sizes(space: gymnasium.Space[Any]) -> Any:
         return {name: _sizes(part) for name, part in sorted(space.items())}
     if isinstance(space, gymnasium.spaces.Discrete):
         return f"{type(space).__name__}({space.n})"
+    if isinstance(space, gymnasium.spaces.MultiDiscrete):
+        return f"{type(space).__name__}({space.nvec.tolist()})"
     return f"{type(space).__name__}{space.shape}"
 
 

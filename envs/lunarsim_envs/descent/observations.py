@@ -151,7 +151,7 @@ class Shown:
         """Return the observation of every lane (n, size)."""
         each = [p.of(lanes) for p in self.parts]
         for part, value in () if self._checked else zip(self.parts, each, strict=True):
-            check_shape(part.name, value, (lanes.count, part.size))
+            check_shape(f"observation: {part.name}", value, (lanes.count, part.size))
         self._checked = True
         told = np.concatenate(each, axis=1).astype(np.float32)
         return np.clip(told, self._low, self._high, out=told)

@@ -81,6 +81,10 @@ def study(
     if "observation" in arguments and own is None:
         given = ", ".join(arguments["observation"])
         raise InputError("--observation", given, f"left out: {name} is none of lunarsim's")
+    if "action" in arguments and own is not default_scenario:
+        raise InputError(
+            "--action", ", ".join(arguments["action"]), "left out: of Retarget-v0 alone"
+        )  # fmt: skip
     if "perception" in arguments:
         _check_perception(arguments["perception"], own)
     flown: Scenario | None = None

@@ -13,6 +13,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim.onboard.control._kernels import steer
+from lunarsim.onboard.guidance._held_kernels import measured
 from lunarsim.onboard.guidance._kernels import MASS, terms
 from lunarsim.onboard.guidance._reach_kernels import survey
 from lunarsim_envs.descent import _kernels as d
@@ -30,6 +31,7 @@ _TIMES, _SLOWNESS = 14, 8.0
 _LONGEST, _SLACK = 0.5, 0.02
 
 _survey = cast(Any, survey).compiled
+_measured = cast(Any, measured).compiled
 _advance = cast(Any, d.advance).compiled
 
 
@@ -124,6 +126,22 @@ def _slower(state, targets, first, likely, last, law, figures, out):
             out[at[k], column] = found[k, column]
 
 
+@kernel(exact=True)
+def _fastest(state, gap, law):
+    """Return the time, s, that no path over a gap, m, undercuts: see `admissible_times`."""
+    speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
+    most = law.bounds[0] + law.figures[0]
+    fastest = 2.0 * gap / (speed + np.sqrt(speed * speed + 2.0 * most * gap) + 1e-12)
+    return max(fastest, 1.0)
+
+
+@kernel(exact=True)
+def _burnt(increment, mass, law):
+    """Return what an increment burns, kg; inf where the tanks do not hold it."""
+    burnt = mass * -np.expm1(-increment / law.bounds[2])
+    return burnt if burnt <= mass - law.bounds[1] - law.bounds[3] else np.inf
+
+
 @kernel()
 def reach(state, mass, sites, law, out):
     """Write what it takes to fly to sites (m, 3): propellant, kg, and time-to-go, s (m, 4).
@@ -134,19 +152,16 @@ def reach(state, mass, sites, law, out):
     targets = np.empty((m, 3))
     first, last, likely = np.empty(m), np.empty(m), np.empty(m)
     speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
-    gravity, dry, exhaust = law.figures[0], law.bounds[1], law.bounds[2]
-    most = law.bounds[0] + gravity
     end_speed = np.sqrt(np.sum(law.asked[0] ** 2))
-    held = exhaust * np.log(max(mass / dry, 1.0))
+    held = law.bounds[2] * np.log(max(mass / law.bounds[1], 1.0))
     for n in range(m):
         gap = 0.0
         for k in range(3):
             targets[n, k] = sites[n, k] + law.above[k]
             gap += (targets[n, k] - state[0, k]) ** 2
         gap = np.sqrt(gap)
-        fastest = 2.0 * gap / (speed + np.sqrt(speed * speed + 2.0 * most * gap) + 1e-12)
-        first[n] = max(fastest, 1.0)
-        last[n] = max((held + speed + end_speed) / gravity, first[n])
+        first[n] = _fastest(state, gap, law)
+        last[n] = max((held + speed + end_speed) / law.figures[0], first[n])
         likely[n] = min(last[n], _SLOWNESS * max(gap / max(speed, 5.0), first[n]))
     figures = law.figures.copy()
     figures[MASS] = mass
@@ -156,12 +171,27 @@ def reach(state, mass, sites, law, out):
     )  # fmt: skip
     _slower(state, targets, first, likely, last, law, figures, out)
     for n in range(m):
-        burnt = mass * -np.expm1(-out[n, 0] / exhaust)
-        if burnt <= mass - dry - law.bounds[3]:
-            out[n, 0] = burnt
-        else:
-            out[n, 0] = np.inf
+        out[n, 0] = _burnt(out[n, 0], mass, law)
+        if not np.isfinite(out[n, 0]):
             out[n, 1] = np.nan
+
+
+@kernel()
+def holds(state, mass, site, time, law):
+    """Tell whether a path to a site (3,) that takes so long, s, keeps all limits.
+
+    See `divert.divert_cost` with its `times`.
+    """
+    target, figures = np.empty((1, 3)), law.figures.copy()
+    gap = 0.0
+    for k in range(3):
+        target[0, k] = site[k] + law.above[k]
+        gap += (target[0, k] - state[0, k]) ** 2
+    figures[MASS] = mass
+    times, out = np.empty(1), np.empty((1, 4))
+    times[0] = time if time >= _fastest(state, np.sqrt(gap), law) else np.nan
+    _measured((0, 1), state, target, law.asked, times, law.table, law.powers, figures, out)
+    return np.isfinite(_burnt(out[0, 0], mass, law))
 
 
 @kernel()
@@ -344,11 +374,28 @@ def begin(share, mask, keys, begun, y, target, drift, control, heading, course, 
         course.strained[i] = np.nan
 
 
+@kernel()
+def stretched(y, slip, time, site, stretch, law):
+    """Return the time-to-go to a site (3,), s, NaN out of reach, and whether it is the stretch's.
+
+    See `Outlook.time_to`; without a stretch, NaN, it is.
+    """
+    left = time_to(y, slip, time, site, law)
+    if np.isnan(stretch) or not np.isfinite(left):
+        return left, np.isnan(stretch)
+    state = np.empty((2, 3))
+    believed(y, slip, time, state)
+    if holds(state, y[13], site, stretch * left, law):
+        return stretch * left, True
+    return left, False
+
+
 @kernel(shared=True)
-def decide(share, mask, time, y, sites, course, law, refused):
+def decide(share, mask, time, y, sites, stretches, course, law, refused, unstretched):
     """Carry out decisions of the lanes in `mask` (n,): a row of `sites` (n, 3), NaN keeps the site.
 
-    Writes where a site was out of reach; see `OnboardComputer.apply`.
+    A stretch (n,) is one of the time-to-go, NaN leaves it as it is. Writes where a site was out of
+    reach, and where a stretch is not flown; see `OnboardComputer.apply`.
     """
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
@@ -357,12 +404,13 @@ def decide(share, mask, time, y, sites, course, law, refused):
         course.event[i] = NOTHING
         first = not course.decided[i]
         course.decided[i] = True
-        refused[i] = False
+        refused[i] = unstretched[i] = False
         keeps = np.isnan(sites[i, 0])
-        if keeps and not first:
+        if keeps and not first and np.isnan(stretches[i]):
             continue
         goal = course.site[i] if keeps else sites[i]
-        left = time_to(y[i], course.slip[i], time[i], goal, law)
+        left, flown = stretched(y[i], course.slip[i], time[i], goal, stretches[i], law)
+        unstretched[i] = not flown
         if not np.isfinite(left):
             refused[i] = not keeps
             continue

@@ -37,11 +37,18 @@ class SiteFlight(Protocol):
         """Draw a new flight and fly it to its first decision."""
         ...
 
-    def decide(self, site: Array | None, each: Callable[[], None]) -> None:
+    def decide(
+        self, site: Array | None, each: Callable[[], None], stretch: float | None = None
+    ) -> None:
         """Fly to a site (3,), or on to the present one; to the next decision or the end.
 
-        `each` is called once a cycle, where there are any.
+        `each` is called once a cycle, where there are any. For the stretch see `Decision`.
         """
+        ...
+
+    @property
+    def unstretched(self) -> bool:
+        """Whether the last decision asked for a stretch that is not flown."""
         ...
 
     @property
@@ -88,6 +95,7 @@ class OnboardFlight:
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
         self._small: tuple[object, NDArray[np.float32]] | None = None
+        self.unstretched = False
 
     @property
     def _flown(self) -> Simulation:
@@ -101,12 +109,18 @@ class OnboardFlight:
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
         self.simulation = Simulation(self._told, int(rng.integers(2**62)))
+        self.unstretched = False
         self._on(lambda: None)
 
-    def decide(self, site: Array | None, each: Callable[[], None]) -> None:
+    def decide(
+        self, site: Array | None, each: Callable[[], None], stretch: float | None = None
+    ) -> None:
         """Carry out a decision and fly on."""
         flown = self._flown
-        flown.apply(Decision.keep("agent") if site is None else Decision(site, "agent"))
+        before = len(flown.computer.telemetry)
+        taken = flown.apply(Decision(site, "agent", stretch=stretch))
+        events = {name for _, name, _ in flown.computer.telemetry[before:]}
+        self.unstretched = stretch is not None and (not taken or "stretch-refused" in events)
         flown.move()
         self._on(each)
 
@@ -184,14 +198,22 @@ class KernelFlight:
         self.lanes.begin(self._one)
         self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
 
-    def decide(self, site: Array | None, each: Callable[[], None]) -> None:
+    def decide(
+        self, site: Array | None, each: Callable[[], None], stretch: float | None = None
+    ) -> None:
         """Carry out a decision and fly on."""
         goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
-        self.lanes.decide(goal, self._one)
+        asked = None if stretch is None else np.array([stretch])
+        self.lanes.decide(goal, self._one, asked)
         self._sights = None
         if self.lanes.mapped[0]:
             self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
         each()
+
+    @property
+    def unstretched(self) -> bool:
+        """Whether the last decision asked for a stretch that is not flown."""
+        return bool(self.lanes.unstretched[0])
 
     @property
     def seen(self) -> Observation:

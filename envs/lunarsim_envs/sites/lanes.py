@@ -117,8 +117,9 @@ class SiteLanes(Lanes):
     ----------
     course, maps, found
         See the kernels.
-    refused
-        Whether the last decision of each was out of reach (n,).
+    refused, unstretched
+        Whether the site of the last decision of each was out of reach, and whether a stretch that
+        it asked for is not flown (n,).
     """
 
     levels: ClassVar[Array] = np.array(_LEVELS)
@@ -146,7 +147,7 @@ class SiteLanes(Lanes):
         self.maps = _maps(count, cells, posting, stated)
         # Twice: those in reach stay beside others that are proposed in the stead of the rest.
         self.found = _found(count, 2 * (self.decisions.candidates + len(self.levels)))
-        self.refused = np.zeros(count, np.bool_)
+        self.refused, self.unstretched = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self._control = self._vehicle.control
 
     def begin(self, mask: Mask) -> None:
@@ -162,24 +163,30 @@ class SiteLanes(Lanes):
         maps.p[mask], maps.seen[mask], maps.aim[mask] = 0.0, False, 0.0
         maps.height[mask] = np.nan
         maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
-        self.refused[mask] = False
+        self.refused[mask] = self.unstretched[mask] = False
         # A flight that ends before its first decision is shown none of the one before.
         self.found.number[mask], self.found.here[mask] = 0, _NOTHING
         self.mapped = mask.copy()
         self._on(mask)
 
-    def decide(self, sites: Array, mask: Mask) -> None:
+    def decide(self, sites: Array, mask: Mask, stretches: Array | None = None) -> None:
         """Carry out decisions in the lanes of `mask`, and fly on to the next, or to the end.
 
         Parameters
         ----------
         sites
             Where to land (n, 3), local frame; NaN keeps the site.
+        mask
+            Which lanes (n,).
+        stretches
+            Time-to-go over that of the cheapest path (n,), see `Decision`; NaN, or None for all
+            lanes: as it comes.
         """
         mask = mask & (self.ended == FLYING)
+        asked = np.full(self.count, np.nan) if stretches is None else stretches
         self._run(
-            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, self.course, self.law,
-            self.refused,
+            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, asked, self.course,
+            self.law, self.refused, self.unstretched,
         )  # fmt: skip
         self.mapped = np.zeros(self.count, np.bool_)
         self._on(mask)

@@ -204,7 +204,7 @@ class ShownSites:
         told = {}
         for part in self.parts:
             value = np.array(part.of(sights), dtype=np.float32)
-            check_shape(part.name, value, (len(sights.site), *part.shape))
+            check_shape(f"observation: {part.name}", value, (len(sights.site), *part.shape))
             low, high = self._bounds[part.name]
             np.maximum(value, low, out=value)
             told[part.name] = np.minimum(value, high, out=value)

@@ -29,7 +29,7 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
     ----------
     batch
         Of any of the environments, with ``autoreset_mode="SameStep"``. One of ``Retarget-v0`` has
-        the masks that MaskablePPO asks for.
+        the masks that MaskablePPO asks for, also of actions of several parts.
     starts
         Options of a reset, each for an equal share of the lanes, in their order; left out: all
         lanes start as the scenario says.

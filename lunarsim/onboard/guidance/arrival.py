@@ -1,4 +1,4 @@
-"""How long the approach is to take when it begins, and while its law keeps a jerk downrange."""
+"""How long the approach is to take when it begins, and who decides on that."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.approach import Approach
-from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd, PlansArrival
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # A lander for which nothing is admissible takes so many times its way over its speed, at least so
@@ -28,6 +28,13 @@ def time_at_gate(
         return followed_time(estimate, end, approach.jerk, guess, share=np.inf), True
     left = approach.time_to_go or admissible
     return (left, True) if np.isfinite(left) else (plain_time(estimate, end), False)
+
+
+def set_by_others(approach: Approach, law: GuidanceLaw) -> str:
+    """Return why the computer does not choose the time-to-go; empty where it does."""
+    if not approach.free:
+        return "the mission sets the time-to-go"
+    return "the law plans its own arrival" if isinstance(law, PlansArrival) else ""
 
 
 def plain_time(estimate: Estimate, end: PhaseEnd) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance import _held_kernels as held
 from lunarsim.onboard.guidance import _reach_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
@@ -116,11 +117,12 @@ def divert_cost(
     limits: PathLimits | None = None,
     shape: PathShape = APOLLO,
     least_times: Array | None = None,
+    times: Array | None = None,
 ) -> DivertCost:
     """Find the cheapest admissible path of a law to each end of an approach.
 
     The integral of the thrust acceleration (Eq. 10 of the quadtree paper) is minimised over a
-    range of times-to-go.
+    range of times-to-go, or measured at one that is given.
 
     Parameters
     ----------
@@ -136,6 +138,8 @@ def divert_cost(
         Of the law's paths.
     least_times
         Below which no time-to-go is tried for a site (n,), s; NaN: the site is out of reach.
+    times
+        The only time-to-go that is tried for a site (n,), s; None: the cheapest is looked for.
 
     Raises
     ------
@@ -150,6 +154,10 @@ def divert_cost(
         first = np.maximum(first, least_times)
     figures = _figures(estimate, lander, gravity, limits)
     asked = np.array([end.velocity, end.acceleration], dtype=np.float64)
+    if times is not None:
+        given = np.where(times >= first, times, np.nan)
+        found = _measured(estimate, targets, asked, given, shape, figures)
+        return _cost_of(found, estimate, lander, limits.reserve)
     likely = _likely_last(estimate, targets, first, last)
     found = _searched(estimate, targets, asked, first, likely, shape, figures)
     slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (likely < last))
@@ -172,6 +180,19 @@ def _searched(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
             np.ascontiguousarray(targets), asked, first, last, _TIMES, _table(shape, _ROUGH),
             _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
+        )  # fmt: skip
+    return found
+
+
+def _measured(
+    estimate: Estimate, targets: Array, asked: Array, times: Array, shape: PathShape, figures: Array
+) -> Array:
+    """Return what the path of a given time to each target takes (n, 4); see the kernel."""
+    found = np.empty((len(targets), 4))
+    with threads_for(0.1 * len(targets)):
+        held.measured(
+            np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, asked,
+            times, _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
         )  # fmt: skip
     return found
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -16,6 +19,8 @@ from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
 from lunarsim.onboard.guidance.jerk_limited import limited_times
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,14 +43,16 @@ class ModifiedApolloLaw(ApolloLaw):
         lander: Lander,
         gravity: float,
         limits: PathLimits | None = None,
+        times: Array | None = None,
     ) -> DivertCost:
         """Return what it takes to reach each end without breaking either limit.
 
         The time-to-go is the cheapest that is admissible from the least one on that keeps both.
         """
-        times = limited_times(
+        least = limited_times(
             estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap
         )
         return divert_cost(
-            estimate, end, lander, gravity, limits=limits, shape=self.shape, least_times=times
-        )
+            estimate, end, lander, gravity, limits=limits, shape=self.shape, least_times=least,
+            times=times,
+        )  # fmt: skip

@@ -6,6 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
@@ -14,6 +17,8 @@ from lunarsim.onboard.guidance.following import Feedback, PathGuidance
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
+
+Array = NDArray[np.float64]
 
 
 class GuidancePart(Protocol):
@@ -30,8 +35,12 @@ class GuidancePart(Protocol):
         lander: Lander,
         gravity: float,
         limits: PathLimits | None = None,
+        times: Array | None = None,
     ) -> DivertCost:
-        """Return what it takes under this law to reach each of n ends; see `divert_cost`."""
+        """Return what it takes under this law to reach each of n ends; see `divert_cost`.
+
+        `times` (n,), s, are asked for where a decision stretches them, and only then.
+        """
         ...
 
 
@@ -73,6 +82,9 @@ class PathLaw(ABC):
         lander: Lander,
         gravity: float,
         limits: PathLimits | None = None,
+        times: Array | None = None,
     ) -> DivertCost:
         """Return what it takes to reach each end of an approach; see `divert_cost`."""
-        return divert_cost(estimate, end, lander, gravity, limits=limits, shape=self.shape)
+        return divert_cost(
+            estimate, end, lander, gravity, limits=limits, shape=self.shape, times=times
+        )

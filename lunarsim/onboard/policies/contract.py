@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Protocol
 
 import numpy as np
@@ -156,21 +157,37 @@ class Decision:
         Figures for the record.
     abort
         Whether the lander is to give up the landing and climb away.
+    stretch
+        Time-to-go to the site over that of the cheapest admissible path there, from where the
+        lander is: which of the paths of its law is flown. None: a new site gets the cheapest, a
+        kept one keeps its arrival. A stretch of 1 plans a kept one afresh. What would break a limit
+        of the approach gives way to the cheapest, "stretch-refused" in the record. So it is where
+        somebody else sets the time-to-go: the mission, which fixes it, or a law that plans its own
+        arrival. A path that is planned afresh later, as it asked for too much or as navigation
+        locks, is the cheapest.
 
     Raises
     ------
     InputError
-        If an abort names a site.
+        If an abort names a site or a stretch, or a stretch is not finite and positive.
     """
 
     site: Array | None
     reason: str
     details: dict[str, float] = field(default_factory=dict)
     abort: bool = False
+    stretch: float | None = None
 
     def __post_init__(self) -> None:
         if self.abort and self.site is not None:
             raise InputError("decision.site", self.site, "None for an abort")
+        if self.stretch is None:
+            return
+        if self.abort:
+            raise InputError("decision.stretch", self.stretch, "None for an abort")
+        number = isinstance(self.stretch, Real) and not isinstance(self.stretch, bool)
+        if not (number and np.isfinite(self.stretch) and self.stretch > 0.0):
+            raise InputError("decision.stretch", self.stretch, "a positive finite number, or None")
 
     @classmethod
     def keep(cls, reason: str) -> Decision:

@@ -4,6 +4,7 @@ import numba
 import numpy as np
 import pytest
 
+from lunarsim.onboard.guidance import _held_kernels as held
 from lunarsim.onboard.guidance import _reach_kernels as kernels
 from tests.reference import divert as plain
 
@@ -49,6 +50,10 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
             for target, time in zip(targets, row, strict=True)
         ])  # fmt: skip
         assert out == pytest.approx(wanted, rel=1e-9, nan_ok=True)
+        # And the same where there is nothing to search.
+        one = np.empty((count, 4))
+        held.measured(state, targets, asked, row, table, np.array(powers), given, one)
+        assert one == pytest.approx(wanted, rel=1e-9, nan_ok=True)
         reached += np.isfinite(wanted[:, 0]).sum()
     assert reached >= 1
 
