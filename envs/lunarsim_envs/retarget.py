@@ -81,7 +81,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     path from here to the site, be it new or the present one
     (`lunarsim_envs.sites.actions.STRETCHES`). What would break a limit of the approach gives way to
     the cheapest; ``info["stretch_refused"]`` tells that the last step asked for a stretch that is
-    not flown. So it is, too, where the row is not available (all stays as it is then), where the
+    not flown. The cheapest path is mostly the fastest that keeps the limits: less time is then
+    refused. So it is, too, where the row is not available (all stays as it is then), where the
     site is refused, and where the mission sets the time-to-go (``approach.time_to_go_s``,
     ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
 
@@ -229,11 +230,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
         self.perception = perception
+        self.actions = SiteActions(action)
         self.flight = flight_of(
             perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
         )
         self.shown = ShownSites(observation)
-        self.actions = SiteActions(action)
         self.action_space = self.actions.space
         self.observation_space = self.shown.space
         self.frames: Frames | None = None

@@ -56,6 +56,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs, worlds = whole("num_envs", num_envs, 1), whole("worlds", worlds, 1)
         world_seed = whole("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)
+        self.actions = SiteActions(action)
         self.lanes = lanes_of(
             num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
         )
@@ -66,7 +67,6 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.num_envs = num_envs
         self.autoreset_mode = _MODE(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.actions = SiteActions(action)
         self.single_action_space = self.actions.space
         self.single_observation_space = self.shown.space
         batch = gymnasium.vector.utils.batch_space

@@ -337,10 +337,8 @@ def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
     for name in ("lunarsim_envs:Guidance-v0", "CartPole-v1"):
         with pytest.raises(InputError, match="--action = 'stretch': left out"):
             study(name, None, [], 1, action=["stretch"])
-    words = ["evaluate", "Retarget-v0", "--perception", "truth", "--episodes", "1", "--jobs", "1"]
-    done = CliRunner().invoke(
-        main, [*words, "--action", "stretch", "--agent", "nearest-safe"], terminal_width=200
-    )
+    words = ["evaluate", "Retarget-v0", "--episodes", "1", "--jobs", "1"]
+    done = CliRunner().invoke(main, [*words, "--action", "stretch", "--agent", "nearest-safe"])
     assert done.exit_code == 2 and "with the part 'site' among its actions" in done.output
 
 

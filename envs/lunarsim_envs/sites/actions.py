@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 Choice = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# What choices 1 and on of the part "stretch" stand for: see `Decision`.
+# What choices 1 and on of the part "stretch" stand for: see `Decision`. The cheapest path is mostly
+# the fastest within the limits: then what is less than 1 is refused.
 STRETCHES = (0.85, 1.0, 1.15, 1.3)
 
 
