@@ -205,23 +205,41 @@ def least_propellant_over(
     _check_clearance(clearance)
     rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
     _check_ends(descent, relief, clearance)
-    path, best = None, None
+    kept, best = None, None
     try:
         cone = relief.majorant(descent.end_position, sectors, clearance)
-        path = least_propellant(planner, replace(descent, cone=cone))
-    except InfeasibleError:
-        pass  # a majorant may leave no way in where the terrain does
+        kept = least_propellant(planner, replace(descent, cone=cone))
+    except (InfeasibleError, SolverError):
+        pass  # a majorant may leave no way in, or bind for so long that relaxing is not lossless
     # The majorant touches posts; between them, and off them, the terrain has the last word.
-    if path is not None and relief.above(path) > clearance - 1e-3:
-        if path.bars.max(initial=0.0) < _BINDS * np.linalg.norm(path.primer, axis=1).max():
-            return path
-        best = path
-    found = _linearised(planner, descent, relief, clearance, path, rounds)
-    if best is None or (found is not None and found.increment < best.increment):
-        best = found
+    if kept is not None and relief.above(kept) > clearance - 1e-3:
+        if kept.bars.max(initial=0.0) < _BINDS * np.linalg.norm(kept.primer, axis=1).max():
+            return kept
+        best = kept
+    starts = _starts(planner, descent, kept)
+    for start in starts:
+        alone = best is None and start is starts[-1]
+        found = _linearised(planner, descent, relief, clearance, start, rounds, alone)
+        if best is None or (found is not None and found.increment < best.increment):
+            best = found
     if best is None:
         raise SolverError(f"no path {clearance} m above the terrain was found in {rounds} rounds")
     return best
+
+
+def _starts(planner: Planner, descent: Descent, kept: Path | None) -> list[Path]:
+    """Return the paths about which the terrain is taken first: over flat ground, over a majorant.
+
+    A majorant that makes a wall of a near rim is climbed straight up and down: planes about that
+    path never lead back to the short one, those about the path over flat ground do.
+    """
+    try:
+        flat = least_propellant(planner, descent)
+    except (InfeasibleError, SolverError):
+        if kept is None:
+            raise
+        return [kept]
+    return [flat] if kept is None else [flat, kept]
 
 
 def _check_clearance(clearance: float) -> None:
@@ -246,20 +264,28 @@ def _linearised(
     descent: Descent,
     relief: Relief,
     clearance: float,
-    path: Path | None,
+    path: Path,
     rounds: int,
+    alone: bool,
 ) -> Path | None:
-    """Take the terrain about the last path until both agree; None where no path is above it."""
-    path = path or least_propellant(planner, descent)
+    """Take the terrain about the last path until both agree; None where no path is above it.
+
+    A path off the posts is an error where it is `alone`: there is no other one, nor another start.
+    """
     best: Path | None = None
     for _ in range(rounds):
         try:
             walls = relief.walls(path, clearance)
             found = least_propellant(planner, descent, last=path, walls=walls)
-        except InfeasibleError:
+            above = relief.above(found)
+        except (InfeasibleError, SolverError):
+            return best
+        except InputError:
+            if alone and best is None:
+                raise
             return best
         settled = abs(found.increment - path.increment) < _SAME * path.increment
-        keeps = relief.above(found) > clearance - 1e-3
+        keeps = above > clearance - 1e-3
         if keeps and (best is None or found.increment < best.increment):
             best = found
         if settled and keeps:

@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import shutil
 import zipfile
 import zlib
 from dataclasses import asdict, dataclass
@@ -50,6 +51,7 @@ from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
 Array = NDArray[np.float64]
 
 SHARD = 250
+PROBLEM = "problem.json"  # limits that the shards beside it were solved under
 _DROP = 0.5  # of the glideslope's tip under the end, m: as the laws have it
 # Columns of an observation, and of an action.
 OBSERVED, COMMANDED = 7, 3
@@ -199,25 +201,40 @@ def read_shard(file: Path) -> dict[str, Array]:
         ) from None
 
 
-def check_problem(folder: Path) -> None:
-    """Refuse a folder whose shards were solved under other limits; note the limits of a new one.
+def check_problem(folder: Path, hint: str = "--out another folder") -> None:
+    """Refuse a folder whose shards were solved under other limits.
 
     Raises
     ------
     click.UsageError
-        If the limits differ.
+        If the limits differ, or the file that tells them is none; it ends in the hint.
     """
-    asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
-    asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
-    file = folder / "problem.json"
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text_whole(file, json.dumps(asked, indent=1) + "\n")
-    elif json.loads(file.read_text()) != json.loads(json.dumps(asked)):
+    file = folder / PROBLEM
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise click.UsageError(f"{file} tells no limits ({error}): {hint}") from None
+    if told != _limits():
         raise click.UsageError(
             f"shards in {folder} were solved under other limits of approach or law "
-            f"({file.name}): --out another folder"
+            f"({file.name}): {hint}"
         )
+
+
+def _limits() -> dict[str, Any]:
+    """Return what all descents have in common but where they begin, as JSON has it."""
+    asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
+    asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
+    return json.loads(json.dumps(asked))  # type: ignore[no-any-return]
+
+
+def _note_problem(folder: Path) -> None:
+    """Note the limits in a new folder; refuse one of other limits."""
+    if (folder / PROBLEM).exists():
+        check_problem(folder)
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text_whole(folder / PROBLEM, json.dumps(_limits(), indent=1) + "\n")
 
 
 def _save(path: Path, shard: dict[str, Array]) -> None:
@@ -266,6 +283,20 @@ def write_dataset(files: list[Path], folder: Path, task: Task, console: Console)
     return figures
 
 
+def _whole_dataset(files: list[Path], data: Path, task: Task, console: Console) -> dict[str, Any]:
+    """Write the data set beside its place and move it there: a run that is killed leaves none."""
+    part = data.with_name(f".{data.name}.part")
+    if part.exists():
+        shutil.rmtree(part)
+    with filled_whole(part):
+        part.mkdir(parents=True)
+        figures = write_dataset(files, part, task, console)
+    if data.exists():
+        data.rmdir()  # empty: it was looked at
+    part.rename(data)
+    return figures
+
+
 def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
     """Return the episodes of a shard, whose first has a number."""
     out = []
@@ -303,18 +334,20 @@ def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None
     whole, rest = divmod(descents, SHARD)
     counts = [SHARD] * whole + [rest] * (rest > 0)
     tasks = [Task(k, count, seed, intervals) for k, count in enumerate(counts)]
-    check_problem(out / "shards")
     try:
+        _note_problem(out / "shards")
         files = solve_all(tasks, out / "shards", jobs, console)
+        figures = _whole_dataset(files, data, tasks[0], console)
+        write_text_whole(out / "figures.json", json.dumps(figures, indent=1) + "\n")
     except KeyboardInterrupt:
         raise click.ClickException(
             f"interrupted; shards that are done are kept in {out / 'shards'}: "
             "the same command goes on"
         ) from None
-    with filled_whole(data):
-        data.mkdir(parents=True, exist_ok=True)
-        figures = write_dataset(files, data, tasks[0], console)
-    write_text_whole(out / "figures.json", json.dumps(figures, indent=1) + "\n")
+    except OSError as error:  # no folder to write to, or a disk that is full
+        raise click.ClickException(
+            f"--out = '{out}': {error}; shards that are done are kept: the same command goes on"
+        ) from None
     low, middle, high = figures["propellant_kg"]
     console.print(
         f"{figures['descents']} descents in {data}, propellant {middle:.1f} kg ({low:.1f} to "

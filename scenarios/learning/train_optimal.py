@@ -20,9 +20,10 @@ from typing import Any
 import click
 import numpy as np
 from numpy.typing import NDArray
-from optimal_descents import problem_of, read_shard
+from optimal_descents import PROBLEM, check_problem, problem_of, read_shard
 from rich.console import Console
 
+from lunarsim.errors import InputError, check_output
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
     INPUTS,
@@ -56,6 +57,11 @@ class Descents:
     def load(cls, files: list[Path]) -> Descents:
         """Read shards."""
         held = [read_shard(file) for file in files]
+        counts = sorted({h["actions"].shape[1] for h in held})
+        if len(counts) > 1:
+            raise click.UsageError(
+                f"shards in {files[0].parent} have {counts} intervals: leave those of one run there"
+            )
         return cls(
             *(np.concatenate([h[n] for h in held]) for n in ("observations", "actions", "duration"))
         )
@@ -171,6 +177,14 @@ def main(
         raise click.UsageError(
             f"DESCENTS = '{descents}': two shards at least, of optimal_descents.py; one is kept out"
         )
+    if (descents / "shards" / PROBLEM).exists():
+        check_problem(descents / "shards", "solve them anew, or weights would be told for these")
+    try:
+        check_output("--out", out, ".npz")
+        if told is not None:
+            check_output("--json", told, ".json")
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
     if importlib.util.find_spec("torch") is None:
         raise click.UsageError("torch is missing: the extra `rl` installs it")
     out_of = max(len(files) // 20, 1)

@@ -9,6 +9,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.optimal.cone_program import Judged
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.ground import Relief, least_propellant_over
@@ -74,6 +75,47 @@ def test_planes_about_the_path_undercut_a_majorant_that_blocks_the_way():
     free = least_propellant(planner, moon())
     assert relief.above(free) < 0.0
     assert free.increment * (1.0 - 1e-4) <= found.increment < kept.increment - 1.0
+
+
+def test_a_wall_about_the_site_is_passed_by_the_short_way():
+    """A site 100 m down a pit: a majorant leaves but the way straight down, and hovers for minutes.
+
+    Planes about that path lead to more than 120 kg where the way over flat ground takes 34.
+    """
+    grid = Grid.centred((0.0, 0.0), 2400.0, 20.0)
+    east, up = np.meshgrid(grid.x, grid.y)
+    pit = Relief(grid, np.where(np.hypot(east, up) < 60.0, -100.0, 0.0))
+    descent = moon(
+        position=np.array([-600.0, 0.0, 400.0]), end_position=np.array([0.0, 0.0, -97.0]),
+        glideslope=None,
+    )  # fmt: skip
+    planner = Planner(24)
+    found = least_propellant_over(planner, descent, pit, clearance=1.0)
+    assert pit.above(found) > 1.0 - 2e-3
+    assert found.propellant < 1.2 * least_propellant(planner, descent).propellant
+
+
+class Fails(Judged):
+    """A solver that gives up from one program on."""
+
+    at, met = 0, 0
+
+    def solve(self, program):
+        answer = super().solve(program)
+        Fails.met += 1
+        return replace(answer, status="failed") if Fails.met >= Fails.at else answer
+
+
+@pytest.mark.parametrize("later", [1, 12])
+def test_a_solver_that_gives_up_over_terrain_leaves_the_path_found_before(later):
+    """Wherever it fails after that: what was found over the majorant is a path."""
+    knoll = hill(60.0, 60.0, 20.0)
+    planner = Planner(20)
+    cone = knoll.majorant(moon().end_position, 12, 1.0)
+    kept = least_propellant(planner, replace(moon(), cone=cone))
+    Fails.met, Fails.at = 0, planner.solves + later
+    path = least_propellant_over(Planner(20, Fails), moon(), knoll, clearance=1.0)
+    assert path.increment <= kept.increment
 
 
 def test_where_no_terrain_rises_nothing_changes():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 
 import minari
@@ -134,3 +136,61 @@ def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeyp
 
 def test_descents_begin_no_lower_than_the_law_takes_over(small):
     assert small.DrawnStarts().elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))
+
+
+def test_limits_that_cannot_be_read_are_told(small, tmp_path):
+    (tmp_path / "shards").mkdir()
+    (tmp_path / "shards" / "problem.json").write_text("{")
+    done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
+    assert done.exit_code == 2, done.output
+    assert "tells no limits" in " ".join(done.output.split())
+
+
+def test_a_folder_that_cannot_be_written_to_is_told(small, tmp_path):
+    (tmp_path / "file").write_text("")
+    done = CliRunner().invoke(
+        small.main, ["--descents", "2", "--out", str(tmp_path / "file" / "x")]
+    )
+    assert done.exit_code == 1, done.output
+    assert "--out = " in done.output
+    assert "Not a directory" in " ".join(done.output.split())
+
+
+def test_a_full_disk_is_told_and_what_is_done_is_kept(small, tmp_path, monkeypatch):
+    def full(*given):
+        (given[1] / "main_data.hdf5").write_text("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(small, "write_dataset", full)
+    done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
+    assert done.exit_code == 1, done.output
+    assert "No space left" in " ".join(done.output.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["shards"]
+
+
+def test_a_run_that_is_killed_as_it_writes_goes_on(small, tmp_path, monkeypatch):
+    """Nothing can be taken away again then: what is half written is not where a data set lies."""
+    write = small.write_dataset
+
+    def killed(*given):
+        write(*given)
+        raise SystemExit(9)
+
+    monkeypatch.setattr(small, "write_dataset", killed)
+    monkeypatch.setattr(small, "filled_whole", lambda folder: nullcontext())
+    CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
+    assert not (tmp_path / "data").exists()
+    monkeypatch.setattr(small, "write_dataset", write)
+    assert "7 descents" in written(small, tmp_path)
+    assert len(episodes(tmp_path)) == 7
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "figures.json", "shards"]
+
+
+def test_bits_do_not_depend_on_the_number_of_processes(script, tmp_path):
+    study = script("learning", "optimal_descents")
+    for jobs in ("1", "2"):
+        given = ["--descents", "252", "--intervals", "8", "--jobs", jobs]
+        done = CliRunner().invoke(study.main, [*given, "--out", str(tmp_path / jobs)])
+        assert done.exit_code == 0, done.output
+    one, two = ((tmp_path / jobs / "figures.json").read_text() for jobs in ("1", "2"))
+    assert one == two

@@ -81,3 +81,31 @@ def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
     for a, b in zip(nets[0].weights, nets[1].weights, strict=True):
         assert np.array_equal(a, b)
     assert np.array_equal(nets[0].problem, study.problem_figures())
+
+
+def test_shards_of_several_runs_are_not_mixed(study, script, shards):
+    descents = script("learning", "optimal_descents")
+    other = shards / "shards" / "other.npz"
+    np.savez(other, **descents.solve(descents.Task(0, 3, 5, 10)))
+    with pytest.raises(click.UsageError, match=r"\[10, 12\] intervals"):
+        study.Descents.load(sorted((shards / "shards").glob("*.npz")))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"), [('{"max_tilt": 0.1}', "other limits"), ("{", "no limits")]
+)
+def test_shards_of_another_problem_are_not_taught_as_this_one(study, shards, text, why):
+    """The weights tell which problem they were taught: that of today's limits."""
+    (shards / "shards" / "problem.json").write_text(text)
+    done = CliRunner().invoke(study.main, [str(shards), "--out", str(shards / "w.npz")])
+    assert done.exit_code == 2
+    assert why in " ".join(done.output.split())
+
+
+@pytest.mark.parametrize("given", [("--out", "none/w.npz"), ("--json", "none/w.json")])
+def test_what_cannot_be_written_is_told_before_anything_is_taught(study, shards, tmp_path, given):
+    options = {"--out": str(tmp_path / "w.npz"), given[0]: str(tmp_path / given[1])}
+    told = [text for pair in options.items() for text in pair]
+    done = CliRunner().invoke(study.main, [str(shards), *told])
+    assert done.exit_code == 2
+    assert "an existing folder" in " ".join(done.output.split())
