@@ -171,7 +171,6 @@ def test_what_cannot_be_is_refused():
             replace(far, **changes)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "field"),
     [
@@ -189,6 +188,7 @@ def test_what_is_no_sensor_is_refused():
         descent(np.random.default_rng(1), sight=3)
 
 
+@pytest.mark.slow
 def test_neither_way_burns_what_is_to_be_kept():
     """A path that takes 3 % more than there is lands nowhere, though the guess would."""
     d = descent(np.random.default_rng(1))
