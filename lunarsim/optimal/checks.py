@@ -12,6 +12,8 @@ from lunarsim.errors import InputError
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e12  # of any figure of a descent, in its unit: squares and ratios of such are numbers
+
 
 def is_number(value: Any) -> bool:
     """Tell whether it is one finite real number; True and False are none."""

@@ -153,7 +153,8 @@ def least_propellant(
     descent
         The problem.
     last
-        A solution of nearly the same problem, `elapsed` s ago: at most four solves from there.
+        A solution of nearly the same problem, `elapsed` s ago: four solves from there, one more
+        where its masses are off. Where its final time cannot be flown, it is as without it.
     elapsed
         s.
     walls

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import count, is_number, numbers
+from lunarsim.optimal.checks import LARGEST, count, is_number, numbers
 from lunarsim.optimal.cone_program import Answer, Judged, Program
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.path import Path
@@ -93,8 +93,9 @@ class Planner:
         SolverError
             If the solver fails.
         """
-        if not (is_number(duration) and duration > 0.0):
-            raise InputError("optimal.duration", duration, "a positive final time in s")
+        if not (is_number(duration) and 0.0 < duration <= LARGEST):
+            told = f"a positive final time up to {LARGEST:g} s"
+            raise InputError("optimal.duration", duration, told)
         if descent.outside and not nearest:
             return None
         if walls is None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import is_number, numbers
+from lunarsim.optimal.checks import LARGEST, is_number, numbers
 
 Array = NDArray[np.float64]
 
@@ -113,13 +113,17 @@ class Descent:
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
             value = numbers(name, getattr(self, name), (3,), "three finite coordinates")
+            if np.abs(value).max() > LARGEST:
+                raise InputError(f"optimal.{name}", value, f"coordinates up to {LARGEST:g}")
             object.__setattr__(self, name, value)
         for name in ("mass", "gravity", "thrust_max", "exhaust_velocity", "dry_mass"):
-            if not (is_number(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"optimal.{name}", getattr(self, name), "a positive number")
+            value = getattr(self, name)
+            if not (is_number(value) and 0.0 < value <= LARGEST):
+                raise InputError(f"optimal.{name}", value, f"a positive number up to {LARGEST:g}")
         for name in ("thrust_min", "drop", "region", "spare", "spare_price", "tilt_rate"):
-            if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"optimal.{name}", getattr(self, name), "a number, 0 or more")
+            value = getattr(self, name)
+            if not (is_number(value) and 0.0 <= value <= LARGEST):
+                raise InputError(f"optimal.{name}", value, f"a number from 0 to {LARGEST:g}")
         if not self.thrust_min < self.thrust_max:
             raise InputError("optimal.thrust_min", self.thrust_min, f"under {self.thrust_max} N")
         if not self.dry_mass < self.mass:

@@ -146,6 +146,13 @@ def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_
     assert Planner(20).at_time(low, 30.0) is None
 
 
+def test_the_nearest_end_is_that_of_all_the_thrust_there_is():
+    fast = {"position": (-250.0, 0.0, 200.0), "velocity": (45.0, 0.0, -25.0)}
+    short, spared = (nearest(Planner(20), moon(**fast, spare=s)) for s in (0.0, 400.0))
+    assert spared.miss < 1.0
+    assert short.miss > 40.0
+
+
 def test_of_all_ends_as_near_the_one_of_least_propellant_is_taken():
     low = moon(position=(-600.0, 0.0, 60.0), velocity=(28.0, 0.0, 5.0))
     near, best = nearest(Planner(20), low), least_error(Planner(20), low)

@@ -166,6 +166,31 @@ def test_infeasible_and_failed_are_told_apart():
         least_propellant(Planner(20), below)
 
 
+class Stuck(Clarabel):
+    """A judge that fails at what it is asked first."""
+
+    met = 0
+
+    def solve(self, program):
+        self.met += 1
+        answer = super().solve(program)
+        return replace(answer, status="failed") if self.met == 1 else answer
+
+
+@pytest.mark.parametrize(("duration", "why"), [(30.0, SolverError), (5.0, None)])
+def test_a_judge_that_fails_is_asked_whether_wider_cones_hold_something(duration, why):
+    """Nothing is told infeasible that is not proven so."""
+    judged = Judged(2)
+    judged.judge = Stuck()
+    planner = Planner(20, lambda: judged)
+    if why is None:
+        assert planner.at_time(moon(), duration) is None
+    else:
+        with pytest.raises(why, match="clarabel gave up"):
+            planner.at_time(moon(), duration)
+    assert judged.judge.met == 2
+
+
 def test_after_a_failure_the_solver_begins_anew():
     planner = Planner(20, Unjudged)
     before = planner.at_time(moon(), 30.0)
@@ -214,6 +239,11 @@ def test_infeasible_errors_travel_between_processes():
         ({"region": True}, "region"),
         ({"spare_price": np.nan}, "spare_price"),
         ({"cone": 3}, "cone"),
+        ({"position": np.array([1e200, 0.0, 1e200])}, "position"),
+        ({"velocity": np.array([1e300, 0.0, 0.0])}, "velocity"),
+        ({"gravity": 1e300}, "gravity"),
+        ({"thrust_max": 1e200}, "thrust_max"),
+        ({"region": 1e200}, "region"),
         ({"cone": np.eye(3)}, "cone"),
     ],
 )
@@ -223,7 +253,7 @@ def test_bad_problems_are_refused_by_name(changes, field):
 
 
 def test_bad_times_cones_and_grids_are_refused():
-    for duration in (0.0, -3.0, np.nan, np.inf, "a", None, True, np.array([30.0, 31.0])):
+    for duration in (0.0, -3.0, 1e300, np.nan, np.inf, "a", None, True, np.array([30.0, 31.0])):
         with pytest.raises(InputError, match="duration"):
             Planner(20).at_time(moon(), duration)
     for intervals in (3, "a", None, True, np.inf, 8.0):

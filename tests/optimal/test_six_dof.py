@@ -171,6 +171,23 @@ def test_what_cannot_be_is_refused():
             replace(far, **changes)
 
 
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        (("a", 0.5), "axis"), (((0.0, 0.0, 0.0), 0.5), "axis"), (((0.0, 0.0, -1.0), "a"), "half_"),
+        (((0.0, 0.0, -1.0), True), "half_"), (((0.0, 0.0, -1.0), 0.5, None), "share"),
+    ],
+)  # fmt: skip
+def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
+    with pytest.raises(InputError, match=rf"optimal\.sight\.{field}"):
+        Sight(*given)
+
+
+def test_what_is_no_sensor_is_refused():
+    with pytest.raises(InputError, match=r"optimal\.sight = 'int'"):
+        descent(np.random.default_rng(1), sight=3)
+
+
 @pytest.mark.slow
 def test_neither_way_burns_what_is_to_be_kept():
     """A path that takes 3 % more than there is lands nowhere, though the guess would."""

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.onboard.guidance.approach import Approach
-from lunarsim.onboard.guidance.neural_law import LEAST_ELEVATION
+from lunarsim.onboard.guidance.neural_law import LEAST_ELEVATION, MOST_ACROSS, MOST_HEIGHT
 from lunarsim.scenario import Scenario
 
 
@@ -134,8 +134,11 @@ def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeyp
     assert "other limits" in " ".join(done.output.split())
 
 
-def test_descents_begin_no_lower_than_the_law_takes_over(small):
-    assert small.DrawnStarts().elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))
+def test_descents_begin_where_the_law_takes_over(small):
+    starts = small.DrawnStarts()
+    assert starts.elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))
+    assert starts.height[1] == MOST_HEIGHT
+    assert starts.across == (-MOST_ACROSS, MOST_ACROSS)
 
 
 def test_limits_that_cannot_be_read_are_told(small, tmp_path):

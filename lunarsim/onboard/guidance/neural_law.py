@@ -1,11 +1,12 @@
 """The law of least propellant as a network has learnt it: no solver on board.
 
 What it was taught are descents of `lunarsim.optimal` under the limits of the default lander and
-approach, begun 15 deg or more over their end. Each cycle it tells thrust and time-to-go from where
-the lander will be once attitude and engine have answered. Where it is asked what it was not taught,
-or its answer breaks the limits of thrust or tilt, the Apollo law flies, and the network is asked
-again an interval later. The last seconds are flown by E-guidance, whose thrust may be anything at
-the end, as an optimal descent's is: a network ends near the place, a path at it.
+approach, begun 15 deg or more over their end, up to 800 m above it, up to 10 m/s across. Each cycle
+it tells thrust and time-to-go from where the lander will be once attitude and engine have answered.
+Where it is asked what it was not taught, or its answer breaks the limits of thrust or tilt, the
+Apollo law flies, and the network is asked again an interval later. The last seconds are flown by
+E-guidance, whose thrust may be anything at the end, as an optimal descent's is: a network ends near
+the place, a path at it.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from lunarsim.parts.quantity import quantity
 Array = NDArray[np.float64]
 
 _MOVED = 1.0  # of the end, m: a divert
-LEAST_ELEVATION = np.deg2rad(15.0)  # over the end, of where descents that it was taught begin
+# Where descents that it was taught begin: over the end, rad and m, and speed across the way, m/s.
+LEAST_ELEVATION, MOST_HEIGHT, MOST_ACROSS = np.deg2rad(15.0), 800.0, 10.0
 _SAME = 1e-3  # share by which figures of the problem may differ from those it was taught
 
 
@@ -151,9 +153,8 @@ class NeuralGuidance:
             return None
         position, velocity = self._answering.ahead(estimate)
         shown, axes = reduced(position - end.position, velocity, estimate.mass)
-        # Later on a taught path may lie lower than where any of them begins.
-        low = not self._followed and shown[1] < np.tan(LEAST_ELEVATION) * shown[0]
-        if low or not self.network.knows(shown):
+        # Later on a taught path may lie lower than where any of them begins, or higher.
+        if not (self.network.knows(shown) and (self._followed or _begins(shown))):
             self._fall_back(estimate, end, time, "outside what it was taught")
             return None
         self.asked += 1
@@ -226,6 +227,12 @@ class NeuralGuidance:
             if np.isfinite(soonest):
                 self.arrival = time + soonest
         self._fallen, self._followed = True, False
+
+
+def _begins(shown: Array) -> bool:
+    """Tell whether descents that were taught begin at such a height and speed across (6,)."""
+    low = shown[1] < np.tan(LEAST_ELEVATION) * shown[0]
+    return not (low or shown[1] > MOST_HEIGHT or shown[3] > MOST_ACROSS)
 
 
 def _apart(a: PhaseEnd, b: PhaseEnd) -> float:

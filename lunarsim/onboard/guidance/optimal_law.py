@@ -203,15 +203,19 @@ class OptimalGuidance:
             return None, self._why(descent, expected)
         return (path, "") if flyable(path) else (None, "thrust")
 
-    def _why(self, descent: Descent, duration: float) -> str:
-        """Return why there is no path: told once, where the Apollo law takes over."""
+    def _why(self, descent: Descent, expected: float) -> str:
+        """Return why there is no path: told once, where the Apollo law takes over.
+
+        "infeasible" is proven for all final times about the expected one.
+        """
         if self._fallen:
             return ""
+        planner = Planner(self.settings.intervals)
         try:
-            path = Planner(self.settings.intervals).at_time(descent, duration)
+            found = any(planner.at_time(descent, s * expected) is not None for s in _FRESH)
         except SolverError:
             return "solver"
-        return "infeasible" if path is None else "solver"
+        return "solver" if found else "infeasible"
 
     def _descent(self, mass: float, position: Array, velocity: Array, end: PhaseEnd) -> Descent:
         """Return the problem; what the throttle margin keeps back above may be had at a price."""

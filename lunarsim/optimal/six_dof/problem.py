@@ -74,13 +74,13 @@ class Sight:
     share: float = 0.7
 
     def __post_init__(self) -> None:
-        axis = np.asarray(self.axis, dtype=np.float64)
-        if axis.shape != (3,) or not np.isfinite(axis).all() or np.linalg.norm(axis) == 0.0:
+        axis = numbers("sight.axis", self.axis, (3,), "three numbers, not all 0")
+        if np.linalg.norm(axis) == 0.0:
             raise InputError("optimal.sight.axis", axis.tolist(), "three numbers, not all 0")
         object.__setattr__(self, "axis", axis / np.linalg.norm(axis))
-        if not 0.0 < self.half_angle < 0.5 * np.pi:
+        if not (is_number(self.half_angle) and 0.0 < self.half_angle < 0.5 * np.pi):
             raise InputError("optimal.sight.half_angle", self.half_angle, "0 to 90 deg, in rad")
-        if not 0.0 < self.share <= 1.0:
+        if not (is_number(self.share) and 0.0 < self.share <= 1.0):
             raise InputError("optimal.sight.share", self.share, "more than 0, at most 1")
 
 
@@ -149,6 +149,8 @@ class RigidDescent:
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
+        if not (self.sight is None or isinstance(self.sight, Sight)):
+            raise InputError("optimal.sight", type(self.sight).__name__, "a Sight, or None")
         self._check_figures()
         try:
             state = self.start_vector

@@ -191,6 +191,10 @@ def test_an_answer_that_breaks_them_by_little_is_cut_back():
         {"lander": Lander(thrust_max=LANDER.thrust_max * 1.005)},
         {"weight": MOON * 1.003},
         {"end": PhaseEnd(END.position, np.array([0.5, 0.0, -2.0]))},
+        {"end": PhaseEnd(END.position, np.array([0.0, 0.0, -1.99]))},
+        {"lander": Lander(specific_impulse=LANDER.specific_impulse * 1.005)},
+        {"software": SimpleNamespace(approach=Approach(glideslope=0.145))},
+        {"software": SimpleNamespace(approach=Approach(throttle_margin=0.09))},
     ],
 )
 def test_problems_that_differ_by_little_are_other_problems_too(change):
@@ -198,6 +202,60 @@ def test_problems_that_differ_by_little_are_other_problems_too(change):
     flight = NeuralOptimalLaw().build(SimpleNamespace(**{**vars(BRIEFING), **change}), 0.0)
     flight.command(estimate(), end, 0.0, 34.0)
     assert [told["reason"] for _, _, told in flight.events] == ["another problem"]
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "mass"),
+    [
+        (END.position + [0.0, 0.0, 1400.0], (0.0, 0.0, -10.0), 1400.0),
+        (R, V, LANDER.wet_mass + 20.0),
+        (R, (V[0], V[1], 60.0), 1400.0),
+        (R, V, LANDER.dry_mass + 5.0),
+    ],
+)
+def test_states_beyond_what_it_was_taught_are_not_told(position, velocity, mass):
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    flight.command(estimate(position, velocity, mass), END, 0.0, 40.0)
+    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+    assert flight.asked == 0
+
+
+@pytest.mark.parametrize(
+    ("gap", "velocity", "mass"),
+    [
+        ((906.0, 0.0, 1327.0), (1.9, 30.6, -0.4), 1449.0),
+        ((300.0, 0.0, 820.0), (-15.0, 0.0, -10.0), 1400.0),
+        ((171.0, 0.0, 700.0), (-1.4, 12.0, -7.0), 1400.0),
+    ],
+)
+def test_it_does_not_take_over_where_no_descent_that_it_was_taught_begins(gap, velocity, mass):
+    """Of the first it ended 52 m off, 37 m too low; Apollo guidance lands."""
+    shown, _ = reduced(gap, velocity, mass)
+    assert shipped().knows(shown)
+    flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
+    flight.command(estimate(END.position + gap, velocity, mass), END, 0.0, 60.0)
+    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+
+
+@pytest.mark.parametrize(("left", "asked"), [(2.9, 1), (3.1, 2)])
+def test_the_last_seconds_are_left_to_another_law(left, asked):
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 2.0), left))
+    for t in (0.0, 0.1):
+        flight.command(estimate(time=t), END, t, 34.0 - t)
+    assert flight.asked == asked
+
+
+def test_after_a_fall_it_takes_over_no_lower_either():
+    """What was followed until then is left: it lies low by another law's doing."""
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 2.0), 20.0))
+    flight.command(estimate(), END, 0.0, 34.0)
+    flight.network = constant((0.0, 0.0, 6.0), 20.0)
+    flight.command(estimate(time=0.1), END, 0.1, 33.9)
+    assert (flight.asked, flight.infeasible) == (2, 1)
+    flight.network = constant((0.0, 0.0, 2.0), 20.0)
+    flight.command(estimate(low, [25.0, 0.0, -5.0], 1400.0, 1.2), END, 1.2, 32.8)
+    assert flight.asked == 2
 
 
 class Asked(OptimalNetwork):

@@ -21,7 +21,8 @@ from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.errors import SolverError
+from lunarsim.optimal.final_time import least_propellant, masses_left
 from lunarsim.optimal.planner import Planner
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -273,6 +274,76 @@ def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
     assert [(name, told["reason"]) for _, name, told in flight.events] == [
         ("guidance-fallback", "thrust")
     ]
+
+
+def test_apollo_takes_over_from_a_plan_too(monkeypatch):
+    """A plan that was made before is flown no further: it told what was to be then."""
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    flight.command(estimate(), END, 0.0, 34.0)
+    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    here = estimate(R + V, V, time=1.0)
+    got = flight.command(here, END, 1.0, 33.0)
+    apollo = ApolloLaw().build(BRIEFING, 0.0).command(here, END, 1.0, flight.arrival - 1.0)
+    assert np.allclose(got, apollo)
+    assert [(t, name) for t, name, _ in flight.events] == [(1.0, "guidance-fallback")]
+
+
+@pytest.mark.parametrize("expected", [34.0, 24.0])
+def test_a_solver_that_finds_no_path_where_there_is_one_is_told_so(monkeypatch, expected):
+    """At 24 s there is none, a little later there is."""
+    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    flight.command(estimate(), END, 0.0, expected)
+    assert [told["reason"] for _, _, told in flight.events] == ["solver"]
+
+
+def test_a_second_solver_that_fails_is_no_proof(monkeypatch):
+    def fails(*given, **more):
+        raise SolverError("it gave up")
+
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(Planner, "at_time", fails)
+    flight.command(estimate(), END, 0.0, 34.0)
+    assert [told["reason"] for _, _, told in flight.events] == ["solver"]
+
+
+def test_a_lander_short_of_fuel_or_low_over_the_end_plans_under_limits_that_it_can_keep(searches):
+    low = END.position + np.array([-600.0, 0.0, 600.0 * np.tan(np.deg2rad(5.0)) - 0.5])
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    flight.command(estimate(low, [20.0, 0.0, 0.0], LANDER.dry_mass + 10.0), END, 0.0, 34.0)
+    descent = searches[0][0]
+    assert descent.dry_mass == LANDER.dry_mass + 5.0
+    assert descent.glideslope == pytest.approx(np.deg2rad(4.5), abs=1e-6)
+    assert not descent.outside
+
+
+def test_masses_of_the_last_plan_are_taken_over_but_not_at_a_divert(monkeypatch):
+    taken, search = [], optimal_law.search_about
+
+    def noted(planner, descent, first, **given):
+        path = search(planner, descent, first, **given)
+        taken.append((path, given["log_mass"]))
+        return path
+
+    monkeypatch.setattr(optimal_law, "search_about", noted)
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.5)
+    other = PhaseEnd(END.position + [2.0, 0.0, 0.0], END.velocity)
+    for t, end in ((0.0, END), (1.0, END), (1.1, other)):
+        flight.command(estimate(R + t * V, V, time=t), end, t, 34.0 - t)
+    assert [masses is None for _, masses in taken] == [True, False, True]
+    assert np.allclose(taken[1][1], masses_left(taken[0][0], 1.0, 10))
+
+
+def test_after_its_end_the_end_of_a_plan_is_held(searches):
+    law = OptimalLaw(intervals=10, frequency=0.5, interval=60.0)
+    flight = law.build(BRIEFING, 0.0)
+    flight.command(estimate(), END, 0.0, 34.0)
+    path = searches[0][1]
+    late = path.duration + 2.0
+    r, v, push = path.at(path.duration)
+    got = flight.command(estimate(r, v, time=late), END, late, -2.0)
+    assert np.allclose(got, push)
 
 
 def test_reach_is_told_by_the_law_that_it_falls_back_to():
