@@ -31,6 +31,18 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
     return [known[name] for name in names]
 
 
+def check_new(name: str, known: Mapping[str, Any]) -> None:
+    """Refuse a name that a registry of parts has already.
+
+    Raises
+    ------
+    InputError
+        If it has.
+    """
+    if name in known:
+        raise InputError("name", name, "a name of its own: there is such a part already")
+
+
 def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
     """Refuse what a part gives where it is not of its shape, all landers first.
 

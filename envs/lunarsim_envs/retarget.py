@@ -15,7 +15,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim_envs.arguments import covers_of, options_of, scenario_of, truth_of, weights_of, whole
+from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_of, whole
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
 from lunarsim_envs.rewards import RewardWeights, SiteRewards
@@ -231,9 +231,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.render_mode = render_mode
         self.perception = perception
         self.actions = SiteActions(action)
-        self.flight = flight_of(
-            perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
-        )
+        self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate, covers)
         self.shown = ShownSites(observation)
         self.action_space = self.actions.space
         self.observation_space = self.shown.space

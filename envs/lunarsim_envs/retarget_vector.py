@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.scenario import Scenario
-from lunarsim_envs.arguments import covers_of, no_pictures, options_of, weights_of, whole
+from lunarsim_envs.arguments import no_pictures, options_of, weights_of, whole
 from lunarsim_envs.descent.lanes import FLYING, LATE
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
@@ -58,7 +58,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.scenario = retarget_scenario(scenario, changes)
         self.actions = SiteActions(action)
         self.lanes = lanes_of(
-            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers_of(covers)
+            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers
         )
         self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
         self._lander = self.scenario.vehicle.make()

@@ -24,7 +24,7 @@ def proven(law, glide, tilt, state, mass, low, high):
     """Return whether a box is proven to be out of reach, and the law with these limits."""
     figures = law.figures.copy()
     figures[GLIDE], figures[TAN_TILT] = np.tan(np.deg2rad([glide, tilt]))
-    own = law._replace(figures=figures)
+    own = type(law)(*law[:3], figures, *law[4:])
     how = stead.flying(state, mass, own)
     return b.beyond(how.ways, state, low, high, how.speed, how.most, own, how.figures), own
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.lanes import Lanes
-from lunarsim_envs.named_parts import check_shape, named_parts
+from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 
 Array = NDArray[np.float64]
 
@@ -58,8 +58,7 @@ def register(part: Part) -> None:
     InputError
         If there is one of its name, or it has no room.
     """
-    if part.name in PARTS:
-        raise InputError("name", part.name, "a name of its own: there is such a part already")
+    check_new(part.name, PARTS)
     if part.size < 1 or not part.low < part.high:
         raise InputError(
             part.name, (part.size, part.low, part.high), "a size of 1 or more, a range"

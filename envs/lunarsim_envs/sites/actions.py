@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.named_parts import check_shape, named_parts
+from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 from lunarsim_envs.sites.parts import SITES
 from lunarsim_envs.sites.sights import Sights
 
@@ -72,8 +72,7 @@ def register(part: ActionPart) -> None:
     InputError
         If there is one of its name, it sets something else, or leaves no choice.
     """
-    if part.name in PARTS:
-        raise InputError("name", part.name, "a name of its own: there is such a part already")
+    check_new(part.name, PARTS)
     if part.sets not in ("site", "stretch"):
         raise InputError(f"{part.name}: sets", part.sets, "'site' or 'stretch'")
     if part.count < 2:

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.named_parts import check_shape, named_parts
+from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 from lunarsim_envs.sites.sights import CROP_CELLS, MAP_CELLS, Sights
 
 Array = NDArray[Any]
@@ -72,8 +72,7 @@ def register(part: Part) -> None:
     InputError
         If there is one of its name, or its bounds leave no room.
     """
-    if part.name in PARTS:
-        raise InputError("name", part.name, "a name of its own: there is such a part already")
+    check_new(part.name, PARTS)
     space = part.space
     if not part.shape or not (space.low < space.high).all():
         raise InputError(part.name, (part.shape, part.low, part.high), "a shape, and a range")

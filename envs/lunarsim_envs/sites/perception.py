@@ -10,6 +10,7 @@ import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
+from lunarsim_envs.arguments import covers_of
 from lunarsim_envs.descent.worlds import with_covers
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
 from lunarsim_envs.sites.lanes import SiteLanes
@@ -40,7 +41,7 @@ def flight_of(
     """
     if perception in WHOLE:
         # It draws each world anew, of any cover.
-        with_covers(scenario, covers)
+        with_covers(scenario, covers_of(covers))
         return OnboardFlight(scenario)
     return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate, covers))
 
@@ -83,7 +84,7 @@ def lanes_of(
         model.check(scenario)
     elif perception == "gaussian-dem":
         gaussian_dem_of(scenario)
-    pool = SitePool.of(scenario, worlds, world_seed, covers)
+    pool = SitePool.of(scenario, worlds, world_seed, covers_of(covers))
     if perception == "truth":
         return SiteLanes(
             count, scenario, pool, errors=exact(), view=view, drift=np.zeros(2), claimed=0.0,
