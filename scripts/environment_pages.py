@@ -71,8 +71,8 @@ Rocket-Landing-v4 570:
 | `Guidance-v0`, 4096 lanes | 1,130,000, 44.9 of LunarLander | 227,000 |
 | `Control-v0`, one | 7,100, 12.3 of Rocket-Landing | 140 |
 | `Control-v0`, 4096 lanes | 1,760,000, 69.8 of LunarLander | 35,000 |
-| `Retarget-v0`, truth, one | 1,840 a core | |
-| `Retarget-v0`, surrogate, one | 1,110 a core | |
+| `Retarget-v0`, truth, one | 1,700 a core | |
+| `Retarget-v0`, surrogate, one | 1,030 a core | |
 | `Retarget-v0`, surrogate, 64 lanes | 4,890 | |
 | `Retarget-v0`, gaussian-dem, two maps a flight | 14 a core, 36 with cells of 0.4 m | |
 | `Retarget-v0`, onboard | 4.5 a core | |
