@@ -77,13 +77,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     ``action=("site", "stretch")`` makes it ``MultiDiscrete([21, 5])``: where to, and by which path,
     that is in which time. By 0 the second number leaves the time-to-go as it is (a new site gets
-    the cheapest); by 1 to 4 it becomes 0.85, 1, 1.15 or 1.3 times that of the cheapest admissible
+    the cheapest); by 1 to 4 it becomes 1, 1.07, 1.15 or 1.3 times that of the cheapest admissible
     path from here to the site, be it new or the present one
     (`lunarsim_envs.sites.actions.STRETCHES`). What would break a limit of the approach gives way to
     the cheapest; ``info["stretch_refused"]`` tells that the last step asked for a stretch that is
-    not flown. The cheapest path is mostly the fastest that keeps the limits: less time is then
-    refused. So it is, too, where the row is not available (all stays as it is then), where the
-    site is refused, and where the mission sets the time-to-go (``approach.time_to_go_s``,
+    not flown. The cheapest path is mostly the fastest that keeps the limits, so none takes less
+    time. A stretch is refused, too, where the row is not available (all stays as it is then), where
+    the site is refused, and where the mission sets the time-to-go (``approach.time_to_go_s``,
     ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
 
     ``info["action_mask"]`` and `action_masks` are (26,) then, the choices of one part after those

@@ -164,13 +164,13 @@ def test_choices_are_of_the_cheapest_time(perception):
         seen, *_, info = env.step([0, choice])
         left.append(float(seen["to_go"][0]) + env.flight.time - start)
         refused.append(info["stretch_refused"])
-    assert not refused[0] and not refused[2]
-    cheapest = left[2]
-    assert STRETCHES == (0.85, 1.0, 1.15, 1.3)
+    assert not refused[0] and not refused[1]
+    cheapest = left[1]
+    assert STRETCHES == (1.0, 1.07, 1.15, 1.3)
     for choice in range(1, 5):
         wanted = 1.0 if refused[choice] else STRETCHES[choice - 1]
         assert left[choice] == pytest.approx(wanted * cheapest, abs=0.02)
-    assert sum(refused) in (1, 2) and abs(left[0] - cheapest) > 0.02
+    assert sum(refused) < 4 and len(set(np.round(left[1:], 2))) > 1 and abs(left[0] - cheapest) > 0.02
 
 
 def test_a_new_site_gets_the_cheapest_or_a_stretch_of_it():
@@ -181,7 +181,7 @@ def test_a_new_site_gets_the_cheapest_or_a_stretch_of_it():
     row = int(np.flatnonzero(info["action_mask"][:21])[-1])
     goal = begun.flight.sights.position_of[0, row - 1].copy()
     left = []
-    for choice in (0, 2, 3):
+    for choice in (0, 1, 3):
         env = copy.deepcopy(begun)
         start = env.flight.time
         env.step([row, choice])

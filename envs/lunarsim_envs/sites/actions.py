@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 Choice = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# What choices 1 and on of the part "stretch" stand for: see `Decision`. The cheapest path is mostly
-# the fastest within the limits: then what is less than 1 is refused.
-STRETCHES = (0.85, 1.0, 1.15, 1.3)
+# What choices 1 and on of the part "stretch" stand for: see `Decision`. None is less than 1: the
+# cheapest path is mostly the fastest within the limits.
+STRETCHES = (1.0, 1.07, 1.15, 1.3)
 
 
 def _every(sights: Sights, count: int) -> Mask:
