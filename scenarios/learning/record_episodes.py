@@ -20,16 +20,14 @@ import click
 import gymnasium
 import numpy as np
 
-import lunarsim_envs
 from lunarsim import __version__
 from lunarsim.errors import InputError
 from lunarsim.rng import Streams, flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.scenario.shipped import found
 from lunarsim.whole_files import filled_whole
 from lunarsim_envs.agents.contract import Agent
 from lunarsim_envs.agents.registry import agent_of, check
 from lunarsim_envs.evaluation.episodes import Study
+from lunarsim_envs.evaluation.request import study
 
 ENVS = ("Guidance-v0", "Control-v0", "Retarget-v0")
 
@@ -72,12 +70,12 @@ def episode(env: gymnasium.Env[Any, Any], flies: Agent, streams: Streams) -> dic
     }  # fmt: skip
 
 
-def record(study: Study, agent: str, episodes: int, folder: Path) -> int:
+def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
     """Fly episodes and write them; return how many landed safe."""
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 
-    env = study.make()
+    env = flown.make()
     try:
         flies, safe = agent_of(agent, env), 0
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -86,16 +84,16 @@ def record(study: Study, agent: str, episodes: int, folder: Path) -> int:
             folder.absolute(), env.observation_space, env.action_space, data_format="hdf5"
         )
         for number in range(episodes):
-            flown = episode(env, flies, Streams(flight_seed(study.seed, number)))
-            told = flown.pop("told")
-            storage.update_episodes([EpisodeBuffer(id=number, **flown)])
+            shown = episode(env, flies, Streams(flight_seed(flown.seed, number)))
+            told = shown.pop("told")
+            storage.update_episodes([EpisodeBuffer(id=number, **shown)])
             storage.update_episode_metadata([told], [number])
             safe += told["safe"]
         storage.update_metadata(
             {
                 "dataset_id": f"lunarsim/{folder.name}-v0", "algorithm_name": agent,
-                "description": f"Episodes of {study.env}", "author": {"lunarsim"},
-                "lunarsim_version": __version__, "root_seed": study.seed,
+                "description": f"Episodes of {flown.env}", "author": {"lunarsim"},
+                "lunarsim_version": __version__, "root_seed": flown.seed,
                 "minari_version": importlib.metadata.version("minari"),
             }
         )  # fmt: skip
@@ -109,31 +107,47 @@ def record(study: Study, agent: str, episodes: int, folder: Path) -> int:
 @click.option("--agent", default="random", show_default=True, help="Name, file or module:Name.")
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
-@click.option("--scenario", help="File or name; left out: as the environment has it.")
+@click.option(
+    "--scenario",
+    type=click.Path(path_type=Path),
+    help="File or name; left out: as the environment has it.",
+)
+@click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change an entry of the scenario, as rocks.cover=0.1; again for more.",
+)
 @click.option("--perception", help="Of Retarget-v0.")
-@click.option("--observation", metavar="PART", multiple=True,
-              help="Part of what is shown, again for more; left out: the usual ones.")  # fmt: skip
+@click.option(
+    "--observation",
+    metavar="PART",
+    multiple=True,
+    help="Part of what is shown, again for more; left out: the usual ones.",
+)
+@click.option(
+    "--action",
+    metavar="PART",
+    multiple=True,
+    help="Part of what Retarget-v0 decides on, again for more; left out: the site.",
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
 def main(
-    env: str, agent: str, episodes: int, seed: int, scenario: str | None, perception: str | None,
-    observation: tuple[str, ...], out: Path,
+    env: str, agent: str, episodes: int, seed: int, scenario: Path | None,
+    changes: tuple[str, ...], out: Path, **arguments: Any,
 ) -> None:  # fmt: skip
     """Record EPISODES of ENV, flown by AGENT."""
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
         raise click.UsageError("minari or h5py is missing: the extra `data` installs them")
-    assert lunarsim_envs.__name__
     try:
         if out.exists():
             raise InputError("--out", str(out), "a folder that is not there yet")
-        if perception is not None and env != "Retarget-v0":
-            raise InputError("--perception", perception, "left out: only Retarget-v0 has one")
         check(agent)
-        given = None if scenario is None else Scenario.load(found(Path(scenario)))
-        arguments: dict[str, Any] = {} if perception is None else {"perception": perception}
-        if observation:
-            arguments["observation"] = observation
+        given = {name: value for name, value in arguments.items() if value}
+        flown = study(env, scenario, changes, seed, **given)
         with filled_whole(out):
-            safe = record(Study(f"lunarsim/{env}", given, arguments, seed), agent, episodes, out)
+            safe = record(flown, agent, episodes, out)
     except InputError as error:
         raise click.UsageError(str(error)) from error
     click.echo(f"{episodes} episodes, {safe} landed safe: {out}")

@@ -37,6 +37,11 @@ def same(first, second):
             "Guidance-v0", "random", ("--observation", "position", "--observation", "time_left"),
             {"observation": ("position", "time_left")},
         ),
+        (
+            "Retarget-v0", "random",
+            ("--perception", "truth", "--action", "stretch", "--action", "site"),
+            {"perception": "truth", "action": ("stretch", "site")},
+        ),
     ],
 )  # fmt: skip
 def test_what_was_recorded_is_flown_again(
@@ -77,6 +82,9 @@ def test_what_was_recorded_is_flown_again(
         (("Guidance-v0", "--perception", "truth"), "--perception"),
         (("Retarget-v0", "--perception", "trooth"), "perception"),
         (("Guidance-v0", "--agent", "safest"), "--agent"),
+        (("Guidance-v0", "--action", "stretch"), "--action"),
+        (("Retarget-v0", "--action", "stretsh"), "did you mean 'stretch'"),
+        (("Retarget-v0", "--set", "rocks.cover=2"), "rocks.cover"),
         (("Guidance-v0", "--episodes", "0"), "--episodes"),
     ],
 )
