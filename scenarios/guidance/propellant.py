@@ -49,6 +49,16 @@ FLOWN: dict[str, Any] = {
     "mappers": {},
     "tasking": {},
 }
+SEEKING = "information-seeking"
+# What the law that chooses its path by what it sees flies with besides: a LiDAR, and a map of its
+# returns. No other law looks; none retargets.
+EYES: dict[str, Any] = {
+    "sensors": {**FLOWN["sensors"], "flash": {"kind": "flash-lidar"}},
+    "mappers": {
+        "dem": {"kind": "gaussian-dem", "sensor": "flash", "size_m": 60.0, "posting_m": 0.25}
+    },
+    "tasking": {"flash": {"kind": "at-altitudes", "altitudes_m": [300.0, 200.0, 130.0, 80.0]}},
+}
 _DROP = 0.5  # of the glideslope's tip under the end, m: what all laws are given
 
 
@@ -116,12 +126,13 @@ class Flown:
 def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scenario:
     """Return the scenario of a law."""
     start = {"position_sigma_m": position_sigma, "velocity_sigma_m_s": velocity_sigma}
-    return Scenario.from_dict({**FLOWN, "start": start, "guidance": {"kind": law}})
+    eyes = EYES if law == SEEKING else {}
+    return Scenario.from_dict({**FLOWN, **eyes, "start": start, "guidance": {"kind": law}})
 
 
 @cache
 def ground() -> World:
-    """Return the ground of all flights: nothing before the touchdown depends on it."""
+    """Return the ground of all flights: the law that looks sees it, to others it is a touchdown."""
     return build_world(scenario_of("apollo", 0.0, 0.0), Streams(1))
 
 
