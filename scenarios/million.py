@@ -12,8 +12,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from pathlib import Path
 
 import numba
+from rich.console import Console
+from rich.progress import Progress
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import Proportion
@@ -28,22 +31,11 @@ _START = {"position_m": [-1500.0, 0.0, 1150.0], "velocity_m_s": [45.0, 0.0, -30.
 
 def scenario_of(name: str | None, step: float) -> Scenario:
     """Return the scenario that is flown, at a step of the integration (s)."""
-    given = default_scenario() if name is None else Scenario.load(found(name))
+    given = default_scenario() if name is None else Scenario.load(found(Path(name)))
     clock = {"step_s": step}
     if name is None:
         return given.changed(rocks={"cover": 0.12}, start=_START, simulation=clock)
     return given.changed(simulation=clock)
-
-
-def bar(done: int, total: int, begun: float) -> None:
-    """Show on a screen how far it is."""
-    if not sys.stderr.isatty():
-        return
-    share = done / total
-    spent = time.perf_counter() - begun
-    left = spent * (1.0 - share) / max(share, 1e-9)
-    filled = "#" * round(30 * share)
-    print(f"\r[{filled:<30}] {done:,} of {total:,}, {left:.0f} s left ", end="", file=sys.stderr)
 
 
 def table(tally: Tally, seconds: float) -> str:
@@ -80,26 +72,32 @@ def main() -> int:
     parser.add_argument("--scenario", help="file or name; left out: rolling ground, 12 %% rocks")
     parser.add_argument("--step", type=float, default=0.02, help="of the integration, s")
     args = parser.parse_args()
+    console = Console(stderr=True)
+    tally, cut, begun = None, False, 0.0
     try:
-        if args.seed < 0:
-            raise InputError("--seed", args.seed, "0 or more")
+        for name, least in (("flights", 1), ("seed", 0), ("worlds", 1)):
+            if getattr(args, name) < least:
+                raise InputError(f"--{name}", getattr(args, name), f"{least} or more")
         scenario = scenario_of(args.scenario, args.step)
         # The first flights wait for compilation and worlds; they are not counted.
-        print("preparing worlds and kernels", file=sys.stderr, flush=True)
-        next(batches(scenario, min(max(args.flights, 1), 64), args.seed, args.worlds))
-        begun, tally = time.perf_counter(), None
-        for one in batches(scenario, args.flights, args.seed, args.worlds):
-            tally = one if tally is None else tally + one
-            bar(tally.flights, args.flights, begun)
-        seconds = time.perf_counter() - begun
+        console.print("preparing worlds and kernels")
+        next(batches(scenario, min(args.flights, 64), args.seed, args.worlds))
+        begun = time.perf_counter()
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task("flights", total=args.flights)
+            for one in batches(scenario, args.flights, args.seed, args.worlds):
+                tally = one if tally is None else tally + one
+                progress.advance(task, one.flights)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
-    assert tally is not None
-    print(table(tally, seconds))
-    return 0
+    except KeyboardInterrupt:
+        cut = True
+    if tally is not None:
+        print(table(tally, time.perf_counter() - begun))
+    if cut:
+        console.print("interrupted" if tally is None else "interrupted: flights till then count")
+    return 130 if cut else 0
 
 
 if __name__ == "__main__":

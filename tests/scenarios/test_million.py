@@ -1,0 +1,47 @@
+"""Very many descents: what is printed of few."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+
+def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys):
+    study = script(".", "million")
+    monkeypatch.setattr("sys.argv", ["million.py", "--flights", "150", "--worlds", "1"])
+    assert study.main() == 0
+    whole = capsys.readouterr().out
+    assert whole.startswith("150 descents of ")
+    failed = int(re.search(r"not safe +(\d+)", whole).group(1))
+    assert 0 < failed < 30
+
+    batches = study.batches
+
+    def cut(scenario, flights, seed, worlds):
+        if flights == 64:  # by which kernels are compiled
+            yield from batches(scenario, flights, seed, worlds)
+            return
+        yield next(batches(scenario, flights, seed, worlds, lanes=70))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "batches", cut)
+    assert study.main() == 130
+    told = capsys.readouterr()
+    assert told.out.startswith("70 descents of ")
+    assert "interrupted: flights till then count" in told.err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--flights", "0"], "--flights = 0: 1 or more"), (["--seed", "-1"], "0 or more"),
+        (["--scenario", "hardd"], "hard"), (["--step", "nan"], "step_s"),
+        (["--worlds", "0"], "--worlds = 0: 1 or more"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_told(script, monkeypatch, capsys, words, says):
+    study = script(".", "million")
+    monkeypatch.setattr("sys.argv", ["million.py", *words])
+    assert study.main() == 2
+    assert says in capsys.readouterr().err
