@@ -79,7 +79,9 @@ def main() -> int:
         if not args.check and args.out is None:
             raise InputError("--out", None, "a file name, or --check")
         scenario = (
-            default_scenario() if args.scenario is None else Scenario.load(found(args.scenario))
+            default_scenario()
+            if args.scenario is None
+            else Scenario.load(found(Path(args.scenario)))
         )
         if args.check:
             surrogate = Surrogate.load(args.out or SHIPPED)

@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 from rich.progress import track
 
+from lunarsim.errors import InputError, check_output
 from lunarsim_envs.video import save_video
 
 
@@ -32,15 +33,35 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
 
 
 @click.command()
-@click.option("--episodes", default=10, show_default=True, help="Flights an agent.")
-@click.option("--seed", default=1, show_default=True, help="Seed of the first flight.")
-@click.option("--scenario", default=None, help="TOML file; left out, rolling highland.")
+@click.option(
+    "--episodes",
+    type=click.IntRange(min=1),
+    default=10,
+    show_default=True,
+    help="Flights an agent.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed of the first flight.",
+)
+@click.option("--scenario", default=None, help="File or name; left out, rolling highland.")
 @click.option("--video", type=click.Path(path_type=Path), default=None,
               help="MP4 or GIF file of the rule-based agent's last flight.")  # fmt: skip
 def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> None:
     """Fly both agents over the same worlds and print what they achieved."""
     mode = None if video is None else "rgb_array_list"
-    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario, render_mode=mode)
+    try:
+        if video is not None:
+            video.parent.mkdir(parents=True, exist_ok=True)
+            check_output("--video", video, ".gif" if video.suffix.lower() == ".gif" else ".mp4")
+        env = gymnasium.make(
+            "lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario, render_mode=mode
+        )
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
     for name, agent in (("random", random_agent), ("rule-based", rule_agent)):
         rng = np.random.default_rng(seed)
         returns, safe = [], 0
@@ -55,7 +76,6 @@ def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> 
             safe += info["safe"]
         print(f"{name}: mean return {np.mean(returns):.3f}, landed safe {safe} of {episodes}")
     if video is not None:
-        video.parent.mkdir(parents=True, exist_ok=True)
         save_video(film, video, env.metadata["render_fps"])
         print(f"{len(film)} frames in {video}")
 

@@ -170,7 +170,9 @@ def test_choices_are_of_the_cheapest_time(perception):
     for choice in range(1, 5):
         wanted = 1.0 if refused[choice] else STRETCHES[choice - 1]
         assert left[choice] == pytest.approx(wanted * cheapest, abs=0.02)
-    assert sum(refused) < 4 and len(set(np.round(left[1:], 2))) > 1 and abs(left[0] - cheapest) > 0.02
+    assert (
+        sum(refused) < 4 and len(set(np.round(left[1:], 2))) > 1 and abs(left[0] - cheapest) > 0.02
+    )
 
 
 def test_a_new_site_gets_the_cheapest_or_a_stretch_of_it():

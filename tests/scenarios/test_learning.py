@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from lunarsim.evaluation.comparisons import Difference
 
@@ -76,3 +77,19 @@ def test_a_ranking_is_printed_whole(script, monkeypatch, capsys):
     out = capsys.readouterr().out
     assert "`no-divert`" in out and "`safest`" in out
     assert out.count("of 1 pairs of agents") == 2
+
+
+def test_example_script_tells_bad_input(script, tmp_path):
+    for words, says in (
+        (["--episodes", "0"], "x>=1"), (["--seed", "-1"], "x>=0"),
+        (["--scenario", "hardd"], "did you mean 'hard'"),
+        (["--video", str(tmp_path / "film.txt")], "ends in .mp4"),
+    ):  # fmt: skip
+        done = CliRunner().invoke(script("learning", "retarget_agents").main, words)
+        assert done.exit_code == 2 and says in done.output, done.output
+
+
+def test_a_surrogate_of_an_unknown_scenario_is_refused(script, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["fit_surrogate.py", "--scenario", "hardd", "--check"])
+    assert script("learning", "fit_surrogate").main() == 2
+    assert "did you mean 'hard'" in capsys.readouterr().err
