@@ -101,6 +101,16 @@ def test_a_plan_that_takes_too_long_is_late_and_the_apollo_law_flies():
     assert late.plans == 0
 
 
+def test_a_plan_is_late_by_one_iteration_more_than_it_may_take():
+    never = OptimalLaw(iterations=1, intervals=10).build(BRIEFING, 0.0)
+    never.command(estimate(), END, 0.0, 34.0)
+    taken = never.events[0][2]["iterations"]
+    for most, plans in ((taken, 1), (taken - 1, 0)):
+        law = OptimalLaw(iterations=most, intervals=10).build(BRIEFING, 0.0)
+        law.command(estimate(), END, 0.0, 34.0)
+        assert (law.plans, len(law.events)) == (plans, 1 - plans)
+
+
 def test_what_cannot_be_reached_falls_back_once_and_plans_again_when_it_can():
     far = PhaseEnd(END.position + [0.0, 900.0, 0.0], END.velocity)
 
