@@ -43,6 +43,9 @@ _DRAWN = 1.0
 _UPRIGHT = (0.6, 0.8, 1.0)
 # So many times the time of the cheapest one it takes there.
 _CALM = 1.4
+# Share of the speed downward at the end by which it sinks at least, on the mean of what is left.
+_SINKING = 0.5
+_LOOKED_AT = np.linspace(0.0, 1.0, 101)[:-1]  # shares of its time
 
 
 @dataclass(frozen=True)
@@ -253,7 +256,9 @@ class SeekingGuidance:
         The less the better, and not in haste: a lander that is to lean to the other side takes a
         second or two to turn over. But for that no more is burnt over the cheapest of these paths
         than seeing may cost: one that leans by hardly more than nothing may hover down for
-        minutes. Where there is none the plan is flown out, which keeps the greatest lean too.
+        minutes. Where there is none the plan is flown out, which keeps the greatest lean too;
+        so it is where they all hover about the height of the end, which would end the phase beside
+        it. After a divert that no plan was found for, one that hovers is better than none.
         """
         ways = self._ways_down(self._ahead(estimate), end)
         if not ways:
@@ -273,7 +278,16 @@ class SeekingGuidance:
             hasty, soonest = self._cheapest(here, end, limits)
             calm, slower = self._cheapest(here, end, limits, _CALM * soonest)
             ways += [(calm, slower, lean), (hasty, soonest, lean)]
-        return [way for way in ways if np.isfinite(way[0])]
+        ways = [way for way in ways if np.isfinite(way[0])]
+        sinking = [way for way in ways if self._sinks(here, end, way[1])]
+        return sinking if sinking or self.plan is not None else ways
+
+    def _sinks(self, here: Estimate, end: PhaseEnd, time_to_go: float) -> bool:
+        """Tell whether a path comes to the height of its end no sooner than to its end."""
+        path = self.settings.shape.path(here.position, here.velocity, end, time_to_go)
+        above = path.at(_LOOKED_AT * time_to_go)[0][:, 2] - end.position[2]
+        left = (1.0 - _LOOKED_AT) * time_to_go
+        return bool((above >= _SINKING * -end.velocity[2] * left).all())
 
     def problem(self, here: Estimate, end: PhaseEnd, site: Array) -> Problem | None:
         """Return what a plan is to be made for; None without a map."""

@@ -110,6 +110,20 @@ def test_what_hovering_down_upright_would_cost_is_not_paid(paper):
     assert law.events[0][2]["time_to_go"] < 25.0
 
 
+def test_it_does_not_hover_over_the_height_of_its_end(paper):
+    """The only paths that lean by less than 25 deg come down beside their end, and hover there."""
+    law, (here, end) = at_start(paper)
+    law.command(here, end, 0.0, 47.0)
+    planned, arrival = list(law.events), law.arrival
+    low = replace(
+        here, position=end.position + [-11.2, 1.2, 20.6], velocity=np.array([5.6, -0.2, -7.6]),
+        mass=195.0,
+    )  # fmt: skip
+    law.command(low, end, 0.1, 6.4)
+    assert (law.events, law.arrival) == (planned, arrival)
+    assert law.plan is not None
+
+
 def test_a_divert_without_an_admissible_path_is_flown_as_the_computer_wants(paper):
     """The plan was made for another end: what it asks for there is not asked for here."""
     law, (here, end) = at_start(paper)
