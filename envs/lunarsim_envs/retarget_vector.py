@@ -17,7 +17,7 @@ from lunarsim_envs.descent.lanes import FLYING, LATE
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, touch_shares
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, summed, touch_shares
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import sights_of
 from lunarsim_envs.sites.parts import DEFAULT, Shown, ShownSites
@@ -156,7 +156,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._open &= ~over
         late = over & (lanes.ended == LATE)
         terms = self._terms(moved, over & ~late, orders.invalid)
-        rewards = np.sum(list(terms.values()), axis=0)
+        rewards = summed(terms)
         info = self._told(terms, moved, over, late)
         if self.actions.stretches:
             info["stretch_refused"] = moved & (orders.lost | lanes.unstretched)
