@@ -87,9 +87,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
 
     ``info["action_mask"]`` and `action_masks` are (26,) then, the choices of one part after those
-    of the other, as MaskablePPO takes them; ``tuple(numpy.split(mask, [21]))`` is what
-    ``MultiDiscrete.sample(mask=...)`` takes. `lunarsim_envs.sites.actions.register` adds parts.
-    Agents that choose sites alone fly there too, and leave the time-to-go as it is.
+    of the other, as MaskablePPO takes them; ``MultiDiscrete.sample(mask=...)`` takes
+    ``tuple(numpy.split(info["action_mask"], [21]))``. `lunarsim_envs.sites.actions.register` adds
+    parts. Agents that choose sites alone fly there too, and leave the time-to-go as it is.
 
     ## Observation Space
 

@@ -131,6 +131,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return which choices can be had (n, 21), of several parts one after the other."""
+        if any(rng is None for rng in self._rngs):
+            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
         return self.actions.masks(self.sights)
 
     def _info(self) -> dict[str, Any]:

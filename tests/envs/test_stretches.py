@@ -129,7 +129,7 @@ def test_actions_of_two_parts_and_their_masks():
         mask = info["action_mask"]
         assert mask.shape == (26,) and mask.dtype == np.int8 and mask[21:].all()
         assert np.array_equal(env.action_masks(), mask == 1) and env.action_masks().dtype == bool
-        drawn = env.action_space.sample(mask=tuple(np.split(mask, [21])))
+        drawn = env.action_space.sample(mask=tuple(np.split(info["action_mask"], [21])))
         assert mask[drawn[0]] == 1
         known += mask[1:21].sum()
         _, _, over, _, info = env.step(drawn)

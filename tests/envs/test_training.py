@@ -163,3 +163,31 @@ def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
         env.env_method("close")
     model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=16, batch_size=32, n_epochs=1)
     assert model.learn(64).num_timesteps == 64
+
+
+@pytest.mark.slow
+def test_options_of_stable_baselines3_are_those_of_a_reset():
+    """For all lanes or each its own, over `starts`; of the next reset alone."""
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+
+    near, exact = {"position_m": [0.0, 0.0, 40.0]}, {"position_sigma_m": 0.0}
+    env = LanesVecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"))
+    env.reset()
+    env.set_options(near | exact)
+    assert (env.reset()[:, 2] == 40.0).all()
+    assert (env.reset()[:, 2] < 36.0).all()
+    own = [near | exact, {}, near | exact, {}]
+    env.set_options(own)
+    assert (env.reset()[:, 2] == 40.0).tolist() == [True, False, True, False]
+    env = LanesVecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"), [near, {}])
+    env.set_options(exact)
+    seen = env.reset()
+    assert (seen[:2, 2] == 40.0).all() and (seen[2:, 2] == 25.0).all()
+    env.set_options({"positon_m": [0.0, 0.0, 40.0]})
+    with pytest.raises(InputError, match="did you mean 'position_m'"):
+        env.reset()
+    for wrong in ([near], [near, None, near, near]):
+        env.set_options(wrong)
+        with pytest.raises(InputError, match="set_options"):
+            env.reset()
