@@ -163,6 +163,20 @@ def test_choices_that_are_not_available_cost_ten_times_at_most():
     assert again["invalid"][0] == -EVERY.invalid
 
 
+def test_choices_are_counted_for_each_flight_of_its_own():
+    """One that begins lets those beside it go on with what they have spent."""
+    rewards = SiteRewards(EVERY, 400.0, 2)
+    both, none = np.ones(2, bool), np.zeros(2, bool)
+    maps = np.zeros((2, 4, 4), np.float32), np.zeros((2, 4, 4), bool)
+    stand, touch = (np.full(2, 1500.0), np.full(2, 0.5), *maps), np.full((2, 3), np.nan)
+    rewards.begin(both, *stand)
+    for _ in range(10):
+        rewards.terms(both, both, none, none, touch, both, *stand)
+    rewards.begin(np.array([False, True]), *stand)
+    told = rewards.terms(both, both, none, none, touch, both, *stand)["invalid"]
+    assert told.tolist() == [0.0, -EVERY.invalid]
+
+
 def test_what_a_map_tells():
     seen = np.array([[True, True], [True, False]])
     p = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)

@@ -209,6 +209,16 @@ def test_a_row_that_is_not_to_be_had_leaves_all_as_it_is():
     assert info["_stretch_refused"].all()
 
 
+def test_a_site_that_the_computer_refuses_has_its_stretch_refused():
+    env = made(perception="onboard")
+    env.reset(seed=3)
+    far = np.array([4000.0, 0.0, 0.0])
+    env.flight.decide(far, lambda: None, 1.15)
+    assert env.flight.unstretched
+    env.flight.decide(far, lambda: None)
+    assert not env.flight.unstretched
+
+
 WRONG = [
     [0], [0, 5], [0, -1], [21, 0], [0.0, 1.0], [[0, 0]], None, "ab", [True, False], [0, None], 3,
     [[0], [0, 1]], [0, 2**70],

@@ -115,7 +115,8 @@ def test_who_lands_safe_is_the_verdict_whatever_it_is_worth(
     out = tmp_path / "some"
     done = recorded(script, env, "--agent", agent, "--episodes", 1, "--out", out, *more)
     assert done.exit_code == 0 and f"1 episodes, {safe} landed safe" in done.output
-    assert [*minari.MinariDataset(out).storage.get_episode_metadata([0])][0]["safe"] == safe
+    (told,) = minari.MinariDataset(out).storage.get_episode_metadata([0])
+    assert told["safe"] == safe
 
 
 def test_actions_that_do_not_fit_are_the_agents_mistake(script, tmp_path, monkeypatch):
