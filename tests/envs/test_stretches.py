@@ -202,6 +202,9 @@ def test_a_row_that_is_not_to_be_had_leaves_all_as_it_is():
     assert same(seen, own)
     assert info["stretch_refused"] and not told["stretch_refused"]
     assert info["reward_terms"]["invalid"] < 0.0
+    # No stretch was asked for, so none is refused.
+    *_, plain = copy.deepcopy(begun).step([none, 0])
+    assert plain["reward_terms"]["invalid"] < 0.0 and not plain["stretch_refused"]
     batch = RetargetVectorEnv(2, action=BOTH, **SITE)
     batch.reset(seed=[3, 3])
     info = batch.step(np.array([[none, 3], [0, 3]]))[-1]
