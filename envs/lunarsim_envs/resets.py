@@ -52,18 +52,20 @@ def lane_seeds(
     Raises
     ------
     ValueError
-        If there is not one for each lane of the batch.
+        If there is not one for each lane of the batch, or one is below 0.
     """
     lanes = np.flatnonzero(mask)
     if seed is None:
         return [None] * len(lanes)
     if isinstance(seed, (int, np.integer)):
+        if seed < 0:
+            raise ValueError(f"seed = {seed!r}: must be 0 or more")
         return [int(seed) + int(lane) for lane in lanes]
     if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, (str, bytes)):
         raise ValueError(f"seed = {seed!r}: must be a whole number, one for each lane, or None")
     if len(seed) != len(mask):
         raise ValueError(f"seed of length {len(seed)}: must be one for each of {len(mask)}")
     each = [seed[int(lane)] for lane in lanes]
-    if not all(one is None or isinstance(one, (int, np.integer)) for one in each):
-        raise ValueError(f"seed = {seed!r}: must be whole numbers or None")
+    if not all(one is None or (isinstance(one, (int, np.integer)) and one >= 0) for one in each):
+        raise ValueError(f"seed = {seed!r}: must be whole numbers, 0 or more, or None")
     return [None if one is None else int(one) for one in each]

@@ -18,7 +18,7 @@ from lunarsim.simulation import Simulation
 from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_of, whole
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.rendering import Frames
-from lunarsim_envs.rewards import RewardWeights, SiteRewards
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, summed
 from lunarsim_envs.screen import Screen, modes_here
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import KernelFlight
@@ -87,9 +87,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
 
     ``info["action_mask"]`` and `action_masks` are (26,) then, the choices of one part after those
-    of the other, as MaskablePPO takes them; ``tuple(numpy.split(mask, [21]))`` is what
-    ``MultiDiscrete.sample(mask=...)`` takes. `lunarsim_envs.sites.actions.register` adds parts.
-    Agents that choose sites alone fly there too, and leave the time-to-go as it is.
+    of the other, as MaskablePPO takes them; ``MultiDiscrete.sample(mask=...)`` takes
+    ``tuple(numpy.split(info["action_mask"], [21]))``. `lunarsim_envs.sites.actions.register` adds
+    parts. Agents that choose sites alone fly there too, and leave the time-to-go as it is.
 
     ## Observation Space
 
@@ -258,9 +258,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Draw a new flight and run it to the first decision."""
         self.flight.take(options_of(options))
-        super().reset(seed=seed)
+        self._begin(seed)
         self.frames, self._last, self._film = None, (None, None, None), []
-        self.flight.begin(self.np_random)
         self._begun, self._over = True, False
         self.rewards.begin(np.ones(1, np.bool_), *self.standing())
         if self._picture is not None:
@@ -271,6 +270,19 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             self.views = Views(self.simulation) if self._with_views else None
         self._take_frame()
         return self._encode(), self._info()
+
+    def _begin(self, seed: int | None) -> None:
+        """Seed and begin a flight; one that is refused as it begins leaves the seed as it was."""
+        before = self._np_random, self._np_random_seed
+        super().reset(seed=seed)
+        state = self.np_random.bit_generator.state
+        try:
+            self.flight.begin(self.np_random)
+        except InputError:
+            self.np_random.bit_generator.state = state
+            if seed is not None:
+                self._np_random, self._np_random_seed = before
+            raise
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Carry out a decision and fly on to the next one."""
@@ -300,9 +312,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         info["cost"] = float(verdict is not None and ended and not verdict[0])
         if self.actions.stretches:
             info["stretch_refused"] = bool(orders.lost[0]) or flight.unstretched
-        self._last = (row, sum(terms.values()), stretch)
+        reward = float(summed(terms))
+        self._last = (row, reward, stretch)
         self._take_frame()
-        return self._encode(), sum(terms.values()), ended, late, info
+        return self._encode(), reward, ended, late, info
 
     def standing(self) -> tuple[Any, ...]:
         """Return mass, p_safe of the site and the map of the one flight; see `SiteRewards`."""

@@ -17,7 +17,7 @@ from lunarsim_envs.descent.lanes import FLYING, LATE
 from lunarsim_envs.descent.options import take
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, touch_shares
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, summed, touch_shares
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import sights_of
 from lunarsim_envs.sites.parts import DEFAULT, Shown, ShownSites
@@ -131,6 +131,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return which choices can be had (n, 21), of several parts one after the other."""
+        if any(rng is None for rng in self._rngs):
+            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
         return self.actions.masks(self.sights)
 
     def _info(self) -> dict[str, Any]:
@@ -156,7 +158,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._open &= ~over
         late = over & (lanes.ended == LATE)
         terms = self._terms(moved, over & ~late, orders.invalid)
-        rewards = np.sum(list(terms.values()), axis=0)
+        rewards = summed(terms)
         info = self._told(terms, moved, over, late)
         if self.actions.stretches:
             info["stretch_refused"] = moved & (orders.lost | lanes.unstretched)

@@ -39,8 +39,16 @@ def stacked(shown: list[Any]) -> Any:
     return np.stack([np.asarray(one) for one in shown])
 
 
-def episode(env: gymnasium.Env[Any, Any], flies: Agent, streams: Streams) -> dict[str, Any]:
-    """Fly an episode; return what a Minari buffer takes, and ``told``, its metadata."""
+def episode(
+    env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: Streams
+) -> dict[str, Any]:
+    """Fly an episode; return what a Minari buffer takes, and ``told``, its metadata.
+
+    Raises
+    ------
+    InputError
+        If the agent of that name gives an action that the environment does not take.
+    """
     flies.begin(streams.get("agent"))
     seed = int(streams.get("environment").integers(2**62))
     observation, info = env.reset(seed=seed)
@@ -48,7 +56,10 @@ def episode(env: gymnasium.Env[Any, Any], flies: Agent, streams: Streams) -> dic
     over, late = False, False
     while not (over or late):
         action = flies.act(observation, info)
-        observation, reward, over, late, info = env.step(action)
+        try:
+            observation, reward, over, late, info = env.step(action)
+        except ValueError as error:
+            raise InputError("--agent", name, f"actions that fit ({error})") from error
         shown.append(observation)
         done.append(action)
         rewards.append(float(reward))
@@ -56,7 +67,8 @@ def episode(env: gymnasium.Env[Any, Any], flies: Agent, streams: Streams) -> dic
         terms.append(info["reward_terms"])
     ends = np.arange(len(done)) == len(done) - 1
     told = {"seed": seed, "steps": len(done), "return": sum(rewards)}
-    told |= {"safe": bool(over and terms[-1]["touchdown"] > 0.0)}
+    # By the verdict: what a landing is worth is the weights' to say.
+    told |= {"safe": bool(info["safe"])}
     return {
         "observations": stacked(shown), "actions": stacked(done), "rewards": np.array(rewards),
         "terminations": ends & over, "truncations": ends & late,
@@ -84,7 +96,7 @@ def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
             folder.absolute(), env.observation_space, env.action_space, data_format="hdf5"
         )
         for number in range(episodes):
-            shown = episode(env, flies, Streams(flight_seed(flown.seed, number)))
+            shown = episode(env, flies, agent, Streams(flight_seed(flown.seed, number)))
             told = shown.pop("told")
             storage.update_episodes([EpisodeBuffer(id=number, **shown)])
             storage.update_episode_metadata([told], [number])

@@ -155,6 +155,9 @@ def test_the_first_reset_is_of_all_lanes(kind):
     env = kind(2, **(SITE if kind is RetargetVectorEnv else {"changes": LOW}))
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
         env.reset(seed=1, options=PARTLY)
+    if kind is RetargetVectorEnv:
+        with pytest.raises(gymnasium.error.ResetNeeded, match="action_masks"):
+            env.action_masks()
     env.reset(seed=1)
     env.reset(seed=1, options=PARTLY)
 

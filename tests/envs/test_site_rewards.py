@@ -14,7 +14,7 @@ from lunarsim_envs.descent.env import GuidanceEnv
 from lunarsim_envs.descent.rewards import DescentWeights
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, information
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, information, summed
 from tests.envs.site_scene import SMALL, made_up
 from tests.reference.site_reward import PlainReward
 from tests.worlds import TINY_FLIGHT
@@ -163,6 +163,20 @@ def test_choices_that_are_not_available_cost_ten_times_at_most():
     assert again["invalid"][0] == -EVERY.invalid
 
 
+def test_choices_are_counted_for_each_flight_of_its_own():
+    """One that begins lets those beside it go on with what they have spent."""
+    rewards = SiteRewards(EVERY, 400.0, 2)
+    both, none = np.ones(2, bool), np.zeros(2, bool)
+    maps = np.zeros((2, 4, 4), np.float32), np.zeros((2, 4, 4), bool)
+    stand, touch = (np.full(2, 1500.0), np.full(2, 0.5), *maps), np.full((2, 3), np.nan)
+    rewards.begin(both, *stand)
+    for _ in range(10):
+        rewards.terms(both, both, none, none, touch, both, *stand)
+    rewards.begin(np.array([False, True]), *stand)
+    told = rewards.terms(both, both, none, none, touch, both, *stand)["invalid"]
+    assert told.tolist() == [0.0, -EVERY.invalid]
+
+
 def test_what_a_map_tells():
     seen = np.array([[True, True], [True, False]])
     p = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)
@@ -202,3 +216,25 @@ def test_weights_stand_in_the_scenario():
         SMALL.changed(site_reward={"hazard": -1.0})
     with pytest.raises(InputError, match=r"weights\.safe"):
         GuidanceEnv(scenario=SMALL.changed(descent_reward={"crash": 2.0}))
+
+
+def test_a_reward_is_the_same_sum_of_its_terms_in_any_company():
+    """Added one after another: NumPy adds eight terms of one lane in another order than of two."""
+    rng = np.random.default_rng(0)
+    told = {name: rng.normal(0.0, 1.0, 64) for name in SiteRewards.names}
+    wanted = np.zeros(64)
+    for term in told.values():
+        wanted = wanted + term
+    assert np.array_equal(summed(told), wanted)
+    for i in range(64):
+        assert summed({name: term[i : i + 1] for name, term in told.items()})[0] == wanted[i]
+        assert summed({name: float(term[i]) for name, term in told.items()}) == wanted[i]
+    single, pair = (RetargetVectorEnv(n, "SameStep", **SETTINGS) for n in (1, 2))
+    alone = RetargetEnv(**SETTINGS, perception="surrogate")
+    for env in (single, pair, alone):
+        env.reset(seed=4)
+    for _ in range(40):
+        one, two, own = single.step(np.zeros(1, int)), pair.step(np.zeros(2, int)), alone.step(0)
+        assert one[1][0] == two[1][0] == own[1]
+        if own[2]:
+            alone.reset()

@@ -129,7 +129,7 @@ def test_actions_of_two_parts_and_their_masks():
         mask = info["action_mask"]
         assert mask.shape == (26,) and mask.dtype == np.int8 and mask[21:].all()
         assert np.array_equal(env.action_masks(), mask == 1) and env.action_masks().dtype == bool
-        drawn = env.action_space.sample(mask=tuple(np.split(mask, [21])))
+        drawn = env.action_space.sample(mask=tuple(np.split(info["action_mask"], [21])))
         assert mask[drawn[0]] == 1
         known += mask[1:21].sum()
         _, _, over, _, info = env.step(drawn)
@@ -202,11 +202,24 @@ def test_a_row_that_is_not_to_be_had_leaves_all_as_it_is():
     assert same(seen, own)
     assert info["stretch_refused"] and not told["stretch_refused"]
     assert info["reward_terms"]["invalid"] < 0.0
+    # No stretch was asked for, so none is refused.
+    *_, plain = copy.deepcopy(begun).step([none, 0])
+    assert plain["reward_terms"]["invalid"] < 0.0 and not plain["stretch_refused"]
     batch = RetargetVectorEnv(2, action=BOTH, **SITE)
     batch.reset(seed=[3, 3])
     info = batch.step(np.array([[none, 3], [0, 3]]))[-1]
     assert info["stretch_refused"].tolist() == [True, False]
     assert info["_stretch_refused"].all()
+
+
+def test_a_site_that_the_computer_refuses_has_its_stretch_refused():
+    env = made(perception="onboard")
+    env.reset(seed=3)
+    far = np.array([4000.0, 0.0, 0.0])
+    env.flight.decide(far, lambda: None, 1.15)
+    assert env.flight.unstretched
+    env.flight.decide(far, lambda: None)
+    assert not env.flight.unstretched
 
 
 WRONG = [

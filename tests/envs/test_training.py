@@ -11,11 +11,11 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
-from lunarsim_envs.descent.env import GuidanceEnv
+from lunarsim_envs.descent.env import GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.training.settings import Training, scales
 from tests.envs import site_scene
-from tests.low_descents import IDS, batch
+from tests.low_descents import IDS, LOW, batch
 
 SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
 
@@ -163,3 +163,50 @@ def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
         env.env_method("close")
     model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=16, batch_size=32, n_epochs=1)
     assert model.learn(64).num_timesteps == 64
+
+
+@pytest.mark.slow
+def test_options_of_stable_baselines3_are_those_of_a_reset():
+    """For all lanes or each its own, over `starts`; of the next reset alone."""
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+
+    near, exact = {"position_m": [0.0, 0.0, 40.0]}, {"position_sigma_m": 0.0}
+    env = LanesVecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"))
+    env.reset()
+    env.set_options(near | exact)
+    assert (env.reset()[:, 2] == 40.0).all()
+    assert (env.reset()[:, 2] < 36.0).all()
+    own = [near | exact, {}, near | exact, {}]
+    env.set_options(own)
+    assert (env.reset()[:, 2] == 40.0).tolist() == [True, False, True, False]
+    env = LanesVecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"), [near, {}])
+    env.set_options(exact)
+    seen = env.reset()
+    assert (seen[:2, 2] == 40.0).all() and (seen[2:, 2] == 25.0).all()
+    env.set_options({"positon_m": [0.0, 0.0, 40.0]})
+    with pytest.raises(InputError, match="did you mean 'position_m'"):
+        env.reset()
+    for wrong in ([near], [near, None, near, near]):
+        env.set_options(wrong)
+        with pytest.raises(InputError, match="set_options"):
+            env.reset()
+
+
+@pytest.mark.slow
+def test_what_the_clock_cut_off_is_told_as_truncated():
+    """Learners take the value of the last state for what such a flight would have returned."""
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+
+    low = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
+    falls = low | {"velocity_m_s": [0.0, 0.0, -30.0]}
+    changes = LOW | {"simulation.max_time_s": 2.0}
+    env = LanesVecEnv(GuidanceVectorEnv(2, "SameStep", changes=changes), [low, falls])
+    env.reset()
+    ends = {}
+    for _ in range(11):
+        _, _, over, told = env.step(np.zeros((2, 3), np.float32))
+        for lane in np.flatnonzero(over):
+            ends.setdefault(int(lane), told[lane]["TimeLimit.truncated"])
+    assert ends == {0: True, 1: False}

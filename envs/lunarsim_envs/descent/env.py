@@ -14,6 +14,7 @@ from lunarsim_envs.descent.core import Descents, Settings
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
+from lunarsim_envs.rewards import summed
 from lunarsim_envs.screen import Screen, modes_here
 
 Shown = NDArray[np.float32]
@@ -80,7 +81,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
             info |= {name: float(told[0]) for name, told in d.told().items()}
         ends = bool(terminated[0]), bool(truncated[0])
-        return d.observe()[0], sum(named.values()), *ends, info
+        return d.observe()[0], float(summed(named)), *ends, info
 
     def _show(self) -> None:
         if self._screen is not None and self._picture is not None:
@@ -188,7 +189,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info["_final_info"] = over
             d.restart(over)
         info |= self._hidden()
-        return d.observe(), np.sum(list(terms.values()), axis=0), terminated, truncated, info
+        return d.observe(), summed(terms), terminated, truncated, info
 
 
 class GuidanceEnv(DescentEnv):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,8 @@ def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenari
         if key not in KEYS:
             raise InputError(f"options.{key}", value, suggestion(key, KEYS))
         plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+        if plain is None:
+            raise InputError(f"options.{key}", value, "a value, or left out: as the scenario says")
         try:
             scenario = with_values(scenario, {KEYS[key]: plain}, "options")
         except InputError as error:
@@ -98,10 +100,12 @@ def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenari
 
 def _numbers(key: str, value: Any, room: Array) -> Array:
     """Return the numbers of an option, as many as there is room for."""
-    try:
-        numbers = np.atleast_1d(np.asarray(value, dtype=object)).astype(np.float64)
-    except (TypeError, ValueError):
-        numbers = np.full(1, np.nan)
+    plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    several = list(plain) if isinstance(plain, Sequence) else []
+    listed = [plain] if len(room) == 1 else several
+    kinds = int, float, np.integer, np.floating
+    told = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
+    numbers = np.array(listed, dtype=np.float64) if told else np.full(1, np.nan)
     if numbers.shape != room.shape or not np.isfinite(numbers).all():
         what = "a finite number" if len(room) == 1 else f"{len(room)} finite numbers"
         raise InputError(f"options.{key}", value, what)

@@ -21,6 +21,8 @@ _POSTING, _RELIEF_POSTING = 0.1, 1.0
 # Ground that is kept about where targets lie, m.
 _ASIDE = 50.0
 _MOST_BYTES = 4 * 2**30
+# Relative, above that of rounding to single precision.
+_SINGLE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -111,14 +113,16 @@ class Worlds:
         count = len(self.grounds) // len(self.covers)
         if cover is None:
             return 0, count
-        if cover not in self.covers:
+        # Within the rounding of single precision.
+        k = int(np.abs(np.array(self.covers) - cover).argmin())
+        if abs(self.covers[k] - cover) > _SINGLE * self.covers[k]:
             known = ", ".join(f"{one:g}" for one in self.covers)
             raise InputError(
                 "options.cover",
                 cover,
                 f"{known}; others are drawn if the argument covers names them",
             )
-        return self.covers.index(cover) * count, count
+        return k * count, count
 
 
 def with_covers(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:

@@ -53,16 +53,33 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         self._actions: NDArray[np.float32] | None = None
 
     def reset(self) -> Any:
-        """Begin new flights in all lanes: with the seeds of `seed`, where it was called."""
+        """Begin new flights in all lanes: with what `seed` and `set_options` said before."""
         seeds: Any = None if self._seeds[0] is None else list(self._seeds)
-        observation, _ = self.batch.reset(seed=seeds)
+        told = self._told()
         self._reset_seeds()
         self._reset_options()
-        for k, start in enumerate(self.starts):
-            mine = np.arange(self.num_envs) * len(self.starts) // self.num_envs == k
-            if mine.any():
-                observation, _ = self.batch.reset(options=start | {"reset_mask": mine})
+        observation, _ = self.batch.reset(seed=seeds)
+        for options, lanes in told:
+            mine = np.isin(np.arange(self.num_envs), lanes)
+            observation, _ = self.batch.reset(options=options | {"reset_mask": mine})
         return observation
+
+    def _told(self) -> list[tuple[dict[str, Any], list[int]]]:
+        """Return options of a reset, those of `set_options` over `starts`, and lanes of each."""
+        given = self._options
+        if len(given) != self.num_envs or not all(isinstance(one, dict) for one in given):
+            raise InputError("set_options", given, f"options by name, or {self.num_envs} of such")
+        alike: dict[tuple[int, int], list[int]] = {}
+        for lane, own in enumerate(given):
+            # One set of options for all lanes is one object; those without any go together too.
+            key = lane * len(self.starts) // self.num_envs, id(own) if own else 0
+            alike.setdefault(key, []).append(lane)
+        told = []
+        for (start, _), lanes in alike.items():
+            options = (self.starts[start] if self.starts else {}) | self._options[lanes[0]]
+            if self.starts or options:
+                told.append((options, lanes))
+        return told
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Note the actions (n, size)."""
