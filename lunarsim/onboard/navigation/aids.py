@@ -226,7 +226,7 @@ class Aids:
                 place, value = self.state.block(block), self.state.value(block)
                 found.append((sensor, name, place, value, deviation))
         for sensor, name, place, value, stated in found:
-            variance = self.state.p[place, place].diagonal() + stated**2
+            variance = self.state.own(np.arange(self.state.head)[place]).diagonal() + stated**2
             if (value**2 > _MOST_BIAS**2 * variance).any():
                 self._contradicted = True
                 self._note(self._time, "lost", sensor, name)

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc
 from threadpoolctl import ThreadpoolController
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.covariance_update import subtract_square
 from lunarsim.onboard.navigation.doubt import inflate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
@@ -28,6 +28,7 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
+from lunarsim.onboard.navigation.put_off import PutOff
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -121,12 +122,13 @@ class ErrorState:
             self.head += len(own)
             parts.append(own)
         self.tail = 0
-        self.p = np.zeros((self.head + capacity,) * 2)
+        self._p = np.zeros((self.head + capacity,) * 2)
         at = 0
         for own in parts:
-            self.p[at : at + len(own), at : at + len(own)] = own
+            self._p[at : at + len(own), at : at + len(own)] = own
             at += len(own)
         self._rests = np.zeros(0, np.bool_)
+        self._put_off = PutOff()
 
     # --- layout ---------------------------------------------------------------------------
 
@@ -136,9 +138,36 @@ class ErrorState:
         return self.head + self.tail
 
     @property
+    def p(self) -> Array:
+        """Covariance of all errors, with room for more behind them."""
+        if self._put_off.rows:
+            # Of the head, what measurements told has been taken in at once.
+            with BLAS.limit(limits=1, user_api="blas"):
+                self._put_off.settle(self._p[self.head :, self.head :])
+        return self._p
+
+    @property
     def covariance(self) -> Array:
         """Of all errors (size, size)."""
         return np.asarray(self.p[: self.size, : self.size])
+
+    def own(self, columns: ArrayLike) -> Array:
+        """Return the covariance of some errors (k, k); of lander and blocks it costs nothing."""
+        at = np.asarray(columns)
+        return np.asarray(self._for(at)[np.ix_(at, at)])
+
+    def _rows(self, at: Index) -> Array:
+        """Return rows of the covariance (k, size)."""
+        return np.asarray(self._for(at)[at])
+
+    def _for(self, *columns: ArrayLike) -> Array:
+        """Return the covariance where only rows and columns of some errors (k,) are used.
+
+        Those of lander and blocks are never put off.
+        """
+        last = max(int(np.max(at, initial=0)) for at in columns)
+        held = self._p if last < self.head else self.p
+        return np.asarray(held[: self.size, : self.size])
 
     def block(self, name: str) -> slice:
         """Return where a block lies."""
@@ -159,31 +188,31 @@ class ErrorState:
     def let_go(self, columns: ArrayLike, sigma: ArrayLike) -> None:
         """Widen errors (k,) to standard deviations (k,) where they are less; correlations fade."""
         at = np.asarray(columns)
-        before = self.p[at, at]
-        self.p[at, at] = np.maximum(before, np.square(sigma))
+        p = self._for(at)
+        p[at, at] = np.maximum(p[at, at], np.square(sigma))
 
     def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
         """Add to the covariance of some errors (k,) what they may have moved by (k, k)."""
         at = np.asarray(columns)
-        self.p[np.ix_(at, at)] += np.atleast_2d(covariance)
+        self._for(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def reserve(self, tail: int) -> None:
         """Make room for so many errors behind the blocks."""
-        if self.head + tail <= len(self.p):
+        if self.head + tail <= len(self._p):
             return
-        grown = np.zeros((self.head + max(tail, 2 * (len(self.p) - self.head)),) * 2)
+        grown = np.zeros((self.head + max(tail, 2 * (len(self._p) - self.head)),) * 2)
         grown[: self.size, : self.size] = self.covariance
-        self.p = grown
+        self._p = grown
 
     def clone(self, name: str, source: Index) -> None:
         """Let a block err from now on as other errors do, for instance the pose of now."""
-        p, into = self.covariance, self._blocks[name]
+        p, into = self._for(source), self._blocks[name]
         p[into] = p[source]
         p[:, into] = p[:, source]
 
     def follow(self, at: int, sources: Index, weights: Array, variance: float) -> None:
         """Let an error be from now on a weighted sum of errors (k,), and noise of its own."""
-        p = self.covariance
+        p = self._for(at, sources)
         row = weights @ p[sources]
         own = float(row[sources] @ weights) + variance
         p[at], p[:, at] = row, row
@@ -197,14 +226,16 @@ class ErrorState:
         errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). A measurement then takes
         time in proportion to the number of errors, and not to its square.
         """
-        self._rests = tail
+        if not np.array_equal(tail, self._rests):
+            _ = self.p  # What was put off is of those that rested till now.
+            self._rests = tail
 
     def _awake(self) -> Index | None:
-        """Return the errors that measurements correct; None for all of them."""
+        """Return the errors behind the head that measurements correct; None for all of them."""
         # Correcting half of all alone costs as much as correcting all of them.
         if 2 * np.count_nonzero(self._rests) < max(self.tail, 1):
             return None
-        return np.concatenate((np.arange(self.head), self.head + np.flatnonzero(~self._rests)))
+        return np.flatnonzero(~self._rests)
 
     # --- time -----------------------------------------------------------------------------
 
@@ -218,7 +249,7 @@ class ErrorState:
         """
         turns, pushes = _samples(angle, velocity)
         transition, noise = self.inertial.propagate(turns, pushes)
-        p, n = self.covariance, INERTIAL
+        p, n = self._for(INERTIAL - 1), INERTIAL
         with BLAS.limit(limits=1, user_api="blas"):
             p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
             p[:n, n:] = transition @ p[:n, n:]
@@ -258,7 +289,7 @@ class ErrorState:
         r = np.diag(r) if r.ndim == 1 else np.atleast_2d(r)
         if not (np.isfinite(r).all() and np.linalg.eigvalsh(r).min() > 0.0):
             return Outcome(np.nan, len(y), False)
-        hp = h @ self.p[at, : self.size]
+        hp = h @ self._rows(at)
         return self.absorb(hp, hp[:, at] @ h.T + r, y, gate)
 
     def absorb(
@@ -271,24 +302,34 @@ class ErrorState:
         outcome, lower = compared(innovation, expected, gate)
         if not outcome.taken:
             return outcome
-        white = outcome.white
-        states = self._awake()
-        if states is None:
-            # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
-            w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
-            error = white @ w
-            if not np.isfinite(error).all():
-                return Outcome(np.inf, len(innovation), False)
-            subtract_square(self.covariance, w)
-        else:
-            gain = cho_solve((lower, True), hp[:, states], check_finite=False).T
-            error = np.zeros(self.size)
-            error[states] = gain @ innovation
-            if not np.isfinite(error).all():
-                return Outcome(np.inf, len(innovation), False)
-            subtract_rows(self.covariance, gain, hp, states)
+        # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
+        w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
+        error = outcome.white @ w
+        awake = self._awake()
+        if awake is not None:
+            error[self.head :][self._rests] = 0.0
+        if not np.isfinite(error).all():
+            return Outcome(np.inf, len(innovation), False)
+        self._take_off(w, awake)
         self.correct(error)
         return outcome
+
+    def _take_off(self, w: Array, awake: Index | None) -> None:
+        """Take w' w off the covariance, w being (m, size): of what stands behind the head later on.
+
+        Parameters are those of `PutOff.add`, `awake` being counted from the head on.
+        """
+        n, p = self.head, self._for(self.head - 1)
+        if self.tail == 0:
+            subtract_square(p, w)
+            return
+        with BLAS.limit(limits=1, user_api="blas"):
+            p[:n] -= w[:, :n].T @ w
+        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+        p[n:, :n] = p[:n, n:].T
+        self._put_off.add(np.ascontiguousarray(w[:, n:]), awake)
+        if self._put_off.full:
+            _ = self.p
 
     def inform(
         self,
@@ -309,13 +350,13 @@ class ErrorState:
         `chance`. Nor does it where anything is not finite, `nis` being NaN then, or where the
         covariance is no longer good, `nis` being infinite.
         """
-        p, k = self.covariance, len(part)
+        k = len(part)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):
             return Outcome(np.nan, k, False)
-        own = p[np.ix_(part, part)]
+        own = self.own(part)
         try:
             rows, measured, white = _as_measurements(own, information, vector)
-            hp = rows @ p[part]
+            hp = rows @ self._rows(part)
             lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, part] @ rows.T)
         except np.linalg.LinAlgError:
             # Rounding has eaten the covariance: nothing can be told from it any more.
@@ -328,7 +369,7 @@ class ErrorState:
         if not np.isfinite(error).all():
             return Outcome(np.inf, degrees, False)
         with BLAS.limit(limits=1, user_api="blas"):
-            subtract_square(p, w)
+            self._take_off(w, None)
         self.correct(error)
         return Outcome(distance, degrees, True, white)
 
@@ -353,7 +394,7 @@ class ErrorState:
         change = error[VELOCITY]
         if np.abs(change).max() > _TELLING:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
-            p = self.covariance
+            p = self._for(POSE)
             p[VELOCITY] -= lever @ p[ATTITUDE]
             p[:, VELOCITY] -= p[:, ATTITUDE] @ lever.T
         self.inertial.correct(error[:INERTIAL])

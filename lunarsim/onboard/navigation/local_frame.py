@@ -130,7 +130,7 @@ class LocalFrame:
         out[0:3, :10], out[6:9, :10] = pose[:3], pose[3:]
         out[3:6, 10:13] = r
         out[3:6, 9] = np.cross(_UP, r @ own.velocity)
-        return np.asarray(out @ self.state.covariance[np.ix_(at, at)] @ out.T)
+        return np.asarray(out @ self.state.own(at) @ out.T)
 
     def hang(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
         """Let the local frame hang on a point on the ground instead of where the lander began.

@@ -31,6 +31,7 @@ Index = NDArray[np.int64]
 _LOOSE = 20.0
 # The local frame may turn by so much before a search begins anew, rad.
 _TURNED = 0.01
+_LEVEL_VELOCITY = np.arange(VELOCITY.start, VELOCITY.start + 2)
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ class MapMatcher:
                 self._agreed = time
             return False
         columns, jacobian = self._errors(sensor)
-        own = self.shared.state.covariance[np.ix_(columns, columns)]
+        own = self.shared.state.own(columns)
         result, posts = register(
             self.frame.in_site(seen), self._features, jacobian @ own @ jacobian.T,
             self._variance,
@@ -176,7 +177,7 @@ class MapMatcher:
         where that explains nothing, navigation is lost.
         """
         columns, jacobian = self._errors(sensor)
-        own = self.shared.state.covariance[np.ix_(columns, columns)]
+        own = self.shared.state.own(columns)
         loose = _LOOSE**2 * jacobian @ own @ jacobian.T
         in_site = self.frame.in_site(seen)
         result, _ = register(in_site, self._features, loose, self._variance)
@@ -254,8 +255,8 @@ class MapMatcher:
         jacobian = frame.in_site(seen).point_jacobian(at)
         columns, of_state = self._errors(sensor)
         over = jacobian @ of_state
-        p = over @ self.shared.state.covariance[np.ix_(columns, columns)] @ over.T
-        speed = float(np.sqrt(self.shared.state.covariance.diagonal()[VELOCITY][:2].max()))
+        p = over @ self.shared.state.own(columns) @ over.T
+        speed = float(np.sqrt(self.shared.state.own(_LEVEL_VELOCITY).diagonal().max()))
         match = self._places.search(time, known[:2], p[:2, :2], speed)
         if match is None:
             return False

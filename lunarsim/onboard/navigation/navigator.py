@@ -22,7 +22,12 @@ from lunarsim.onboard.navigation.estimate import (
     Navigation,
     NavigationEvent,
 )
-from lunarsim.onboard.navigation.inertial import ATTITUDE, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.inertial import (
+    ATTITUDE,
+    INERTIAL,
+    StartSigmas,
+    StrapdownState,
+)
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
@@ -154,7 +159,7 @@ class Navigator(Navigation):
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state as the rest of the loop takes it, local frame."""
-        found = self.inertial.estimate(self.covariance, time, mass)
+        found = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
         # Attitude errors are kept in body axes here, in ENU there.
         turn = np.eye(9)
         turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)

@@ -128,7 +128,7 @@ class ScanOdometry:
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
         own = self.shared.scanner(sensor)
         both = np.concatenate((POSE, np.arange(state.head)[state.block(KEY)], own))
-        prior = state.covariance[np.ix_(both, both)]
+        prior = state.own(both)
         middle = new.position[j].mean(axis=0)
         normal = noise.slopes(new.normal[j], key.surface.normal[i])
         jacobian = _differences(seen, key.seen, new.position[j], normal, own)
