@@ -12,20 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.doubt import inflate
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-
-UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
-BLOCKS = {"key": np.zeros((6, 6)), "ground": np.array([[4.0]])}
-SIZE = 15 + 6 + 1
-
-
-def made(rng: np.random.Generator, tail: int = 0) -> ErrorState:
-    """Return a state whose errors are all correlated."""
-    inertial = StrapdownState(rng.normal(size=3), rng.normal(size=3), UPRIGHT, 1.6)
-    state = ErrorState(inertial, StartSigmas(), blocks=BLOCKS, capacity=tail)
-    state.tail = tail
-    root = rng.normal(size=(SIZE + tail, SIZE + tail))
-    state.covariance[:] = root @ root.T / 30.0 + 0.1 * np.eye(SIZE + tail)
-    return state
+from tests.onboard.navigation.states import BLOCKS, SIZE, UPRIGHT, made
 
 
 def still() -> StrapdownState:

@@ -1,0 +1,127 @@
+"""What is put off is what had been taken off at once."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lunarsim.onboard.navigation.error_state import POSE
+from lunarsim.onboard.navigation.put_off import PutOff
+from tests.onboard.navigation.states import made
+
+TAIL = 12
+
+
+def plainly(p, squares, rests):
+    """Take squares off as a filter with errors that rest would, entry by entry."""
+    out = p.copy()
+    for w, resting in squares:
+        for i in range(len(p)):
+            for j in range(len(p)):
+                if not (resting and rests[i] and rests[j]):
+                    out[i, j] -= sum(w[k, i] * w[k, j] for k in range(len(w)))
+    return out
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20)
+def test_squares_are_taken_off_all_that_does_not_rest(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 9))
+    root = rng.normal(size=(n + 2, n + 2))
+    p, rests = root @ root.T, rng.random(n) < 0.6
+    squares = [
+        (rng.normal(size=(rng.integers(1, 4), n)), bool(rng.random() < 0.5)) for _ in range(4)
+    ]
+    kept, got = PutOff(), p.copy()
+    for w, resting in squares:
+        kept.add(w, np.flatnonzero(~rests) if resting else None)
+    assert kept.rows == sum(len(w) for w, _ in squares)
+    kept.settle(got)
+    assert got[:n, :n] == pytest.approx(plainly(p[:n, :n], squares, rests), abs=1e-12)
+    assert np.array_equal(got[n:], p[n:]) and np.array_equal(got[:, n:], p[:, n:])
+    assert kept.rows == 0
+    again = got.copy()
+    kept.settle(again)
+    assert np.array_equal(again, got)
+
+
+def steps(state, rng):
+    """Do to a state what navigation does to it, drawn at random."""
+    head, size = state.head, state.size
+    what = rng.integers(0, 10)
+    if what <= 3:  # of lander and blocks alone, as an altimeter or a star tracker measures
+        columns = rng.permutation(head)[: rng.integers(1, 7)]
+        state.measure(
+            rng.normal(size=(2, len(columns))), columns, 1e-3 * rng.normal(size=2), np.ones(2)
+        )
+    elif what == 4:  # of rocks too
+        columns = rng.permutation(size)[:6]
+        state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
+    elif what == 5:
+        root = rng.normal(size=(6, 6))
+        state.inform(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
+    elif what == 6:
+        state.rest(rng.random(state.tail) < 0.7)
+    elif what == 7:
+        state.propagate(1e-4 * rng.normal(size=(3, 3)), 1e-2 * rng.normal(size=(3, 3)))
+    elif what == 8:
+        one = int(rng.integers(size))
+        state.follow(one, rng.permutation(np.delete(np.arange(size), one))[:3],
+                     np.array([0.5, 0.3, 0.2]), 0.1)  # fmt: skip
+        state.let_go(np.array([one]), 2.0)
+        state.widen(rng.permutation(size)[:2], 0.1 * np.eye(2))
+    else:
+        state.clone("key", POSE)
+        state.reserve(state.tail + int(rng.integers(0, 9)))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60)
+def test_it_makes_no_difference_when_the_covariance_is_asked_for(seed):
+    """One state is asked after every step, the other at the end alone."""
+    rng = np.random.default_rng(seed)
+    put = made(rng, TAIL)
+    asked = copy.deepcopy(put)
+    for _ in range(25):
+        number = int(rng.integers(2**32))
+        for state in (put, asked):
+            steps(state, np.random.default_rng(number))
+        asked.covariance.sum()
+    head, wanted = np.arange(put.head), asked.covariance
+    assert put.own(head) == pytest.approx(wanted[np.ix_(head, head)], rel=1e-7, abs=1e-9)
+    assert put.covariance == pytest.approx(wanted, rel=1e-7, abs=1e-9)
+    assert put.inertial.position == pytest.approx(asked.inertial.position, abs=1e-9)
+
+
+def test_no_more_is_put_off_than_makes_a_pass_cheaper():
+    rng = np.random.default_rng(2)
+    put = made(rng, TAIL)
+    asked = copy.deepcopy(put)
+    kept = PutOff()
+    for number in range(100):
+        for state in (put, asked):
+            draws = np.random.default_rng(number)
+            state.measure(draws.normal(size=(3, 5)), np.arange(5), np.zeros(3), np.full(3, 1e3))
+        asked.covariance.sum()
+        if not kept.full:
+            kept.add(np.zeros((3, TAIL)), None)
+    assert 200 < kept.rows < 300
+    assert put.covariance == pytest.approx(asked.covariance, rel=1e-9)
+
+
+def test_what_was_put_off_is_of_those_that_rested_then():
+    rng = np.random.default_rng(4)
+    state = made(rng, TAIL)
+    first = np.arange(TAIL) < 9
+    state.rest(first)
+    before = state.covariance.copy()
+    state.measure(np.eye(1, 3), np.arange(3), np.zeros(1), np.ones(1))
+    state.rest(~first)
+    resting = state.head + np.flatnonzero(first)
+    block = np.ix_(resting, resting)
+    assert np.array_equal(state.covariance[block], before[block])
