@@ -125,3 +125,14 @@ def test_what_was_put_off_is_of_those_that_rested_then():
     resting = state.head + np.flatnonzero(first)
     block = np.ix_(resting, resting)
     assert np.array_equal(state.covariance[block], before[block])
+
+
+def test_what_rests_is_not_corrected():
+    state = made(np.random.default_rng(6), TAIL)
+    rests = np.arange(TAIL) < 9
+    state.rest(rests)
+    corrections = []
+    state.listeners.append(corrections.append)
+    state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    behind = corrections[0][state.head :]
+    assert not behind[rests].any() and behind[~rests].all()
