@@ -187,14 +187,19 @@ class Evidence:
 
     def _expected(self, curve: HeightCurve, height: Array, area: float) -> Array:
         """Return rocks above a height (rows, cols) or () in an area about each site."""
-        each = curve.unseen(height, self.density)
-        if not height.ndim:
-            # The density may change under the footprint.
-            width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
-            each = ndimage.uniform_filter(each, width, mode="nearest")
-        if self.thinning is not None:
-            each = each * self.thinning.at(height)
-        return np.asarray(area * each)
+
+        def unseen(above: Array) -> Array:
+            each = curve.unseen(above, self.density)
+            if not height.ndim:
+                # The density may change under the footprint.
+                area = footprint_area(self.lander)
+                width = max(1, round(np.sqrt(area) / self.level.grid.posting))
+                each = ndimage.uniform_filter(each, width, mode="nearest")
+            return each
+
+        if self.thinning is None:
+            return np.asarray(area * unseen(height))
+        return np.asarray(area * self.thinning.left(unseen, height))
 
 
 def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:

@@ -68,11 +68,25 @@ class ReliefEvidence:
         What its probability follows from; None: it does not tell.
     refit
         Last stage of its calibration; None: that of the package.
+    rises
+        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
+        where there are none. None: it does not tell.
+
+    Raises
+    ------
+    InputError
+        If the rises are not on the map's cells.
     """
 
     drawn: HazardMap
     judged: Evidence | None = None
     refit: ScenarioCalibration | None = None
+    rises: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        wanted = self.drawn.grid.shape
+        if self.rises is not None and self.rises.shape != wanted:
+            raise InputError("evidence.rises", self.rises.shape, f"a raster {wanted}")
 
 
 @dataclass(frozen=True)

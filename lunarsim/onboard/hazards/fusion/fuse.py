@@ -16,11 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
@@ -29,6 +31,8 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.calibration import calibrated_safety
 from lunarsim.safety.ensemble import HOPELESS, SURE
 from lunarsim.safety.thinning import Thinning
+
+Array = NDArray[np.float64]
 
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
@@ -95,10 +99,7 @@ def fused_map(
     drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
     p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
     surely_not = known & (p <= HOPELESS)
-    tracks = rocks.tracks
-    there = replace(tracks, existence=existence_given_relief(tracks, relief, terms.lander))
-    clear = on_grid(rocks.clear(there), rocks.drawn.grid, drawn.grid, 1.0, "least")
-    p = (p * clear).astype(np.float32)
+    p = (p * clear_of_tracks(relief, rocks, terms)).astype(np.float32)
     seen = drawn.observed
     elevation = drawn.elevation
     if elevation is not None and alone.elevation is not None:
@@ -110,6 +111,30 @@ def fused_map(
         elevation=elevation,
         in_domain=seen & known & ((p >= SURE) | surely_not),
     )
+
+
+def clear_of_tracks(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> Array:
+    """Return the probability that no rock that is tracked matters (rows, cols), given elevations.
+
+    Where the samples are told, by how high the rocks stand that both eyes have seen; else by their
+    outlines as the eye for rocks has them, and by what rises the elevations show.
+
+    Parameters
+    ----------
+    relief, rocks
+        Evidence of both eyes.
+    terms
+        What is known beforehand.
+    """
+    tracks, grid, lander = rocks.tracks, relief.drawn.grid, terms.lander
+    if relief.rises is None or relief.judged is None:
+        there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
+        return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least")
+    heights = heights_of(
+        tracks, relief.rises, relief.judged.density, grid, lander, terms.height_ratio,
+        terms.rocks.shape,
+    )  # fmt: skip
+    return clear_of(tracks, heights, grid, lander)
 
 
 def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:

@@ -169,6 +169,7 @@ class GaussianDemMapper(HazardMapper):
         self._early = EarlyGround()
         self._map = HazardMap.unobserved(grid)
         self._judged: Evidence | None = None
+        self._rises: NDArray[np.float32] | None = None
         self._interval = interval
         self._time, self._due, self._stale = 0.0, -np.inf, False
 
@@ -221,14 +222,16 @@ class GaussianDemMapper(HazardMapper):
         Of the tests that know no calibration, the map alone.
         """
         drawn = self.hazard_map()
-        return None if self.blank else ReliefEvidence(drawn, self._judged, self.refit)
+        if self.blank:
+            return None
+        return ReliefEvidence(drawn, self._judged, self.refit, self._rises)
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
         self._time = time
 
     def _draw(self, dem: PooledDem) -> HazardMap:
-        self._judged = None
+        self._judged = self._rises = None
         if not len(dem.sampling.rises):
             return HazardMap.unobserved(self.grid)
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
@@ -236,7 +239,7 @@ class GaussianDemMapper(HazardMapper):
         if self.safety == "calibrated":
             evidence = evidence_of(dem, self.lander, self.rocks)
             p, known = calibrated_safety(evidence, refit=self.refit)
-            self._judged = evidence
+            self._judged, self._rises = evidence, dem.sampling.of_cells
             return HazardMap(
                 self.grid, p, evidence.observed, dem.mean, dem.variance, in_domain=known
             )
@@ -256,7 +259,7 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._turning = self._about(centre)
         self.grid = self._samples.grid
         self._map, self._stale = HazardMap.unobserved(self.grid), not self.blank
-        self._judged = None
+        self._judged = self._rises = None
         self._due = -np.inf
 
     def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
