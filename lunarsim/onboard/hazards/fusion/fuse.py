@@ -23,6 +23,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
@@ -34,6 +35,9 @@ from lunarsim.safety.thinning import Thinning
 
 Array = NDArray[np.float64]
 
+# Before it is measured, height over radius is taken to be so many times what is expected: shadows
+# tell radii too small rather than too large.
+_USUAL = 1.2
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
 
@@ -97,16 +101,19 @@ def fused_map(
     if rocks is None:
         return relief.drawn
     drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
+    clear = clear_of_tracks(relief, rocks, terms)
     p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
     surely_not = known & (p <= HOPELESS)
-    p = (p * clear_of_tracks(relief, rocks, terms)).astype(np.float32)
+    p = (p * clear).astype(np.float32)
     seen = drawn.observed
+    # Rocks are as high there as where both eyes have seen some.
+    unmeasured = np.minimum(alone.p_safe, np.float32(terms.relief_prior) * clear)
     elevation = drawn.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
     return replace(
         drawn,
-        p_safe=np.where(seen, p, alone.p_safe),
+        p_safe=np.where(seen, p, unmeasured.astype(np.float32)),
         observed=seen | alone.observed,
         elevation=elevation,
         in_domain=seen & known & ((p >= SURE) | surely_not),
@@ -116,8 +123,9 @@ def fused_map(
 def clear_of_tracks(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> Array:
     """Return the probability that no rock that is tracked matters (rows, cols), given elevations.
 
-    Where the samples are told, by how high the rocks stand that both eyes have seen; else by their
-    outlines as the eye for rocks has them, and by what rises the elevations show.
+    Where the samples are told, by where the rocks lie in the elevations (`registered`) and how high
+    they stand (`heights_of`); else by their outlines as the eye for rocks has them, and by what
+    rises the elevations show.
 
     Parameters
     ----------
@@ -130,11 +138,11 @@ def clear_of_tracks(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTe
     if relief.rises is None or relief.judged is None:
         there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
         return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least")
-    heights = heights_of(
-        tracks, relief.rises, relief.judged.density, grid, lander, terms.height_ratio,
-        terms.rocks.shape,
-    )  # fmt: skip
-    return clear_of(tracks, heights, grid, lander)
+    seen = relief.rises, relief.judged.density, grid
+    ratio = terms.height_ratio
+    placed = registered(tracks, *seen, _USUAL * 2.0 * ratio, ratio)
+    heights = heights_of(placed, *seen, lander, ratio, terms.rocks.shape)
+    return clear_of(placed, heights, grid, lander)
 
 
 def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
