@@ -21,9 +21,9 @@ never falls with the number before at any height, or with any ratio.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,13 @@ from lunarsim.errors import InputError
 from lunarsim.rocks.laws import golombek_number
 
 Array = NDArray[np.float64]
+
+
+class Unseen(Protocol):
+    """Unseen rocks above heights, on a square metre or any other area; see `Thinning.left`."""
+
+    def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array: ...
+
 
 # Less than any height that is asked for, m.
 _LEAST = 0.005
@@ -107,7 +114,7 @@ class Thinning:
         """
         return self._mean(height, self._falling)
 
-    def left(self, unseen: Callable[[Array], Array], height: ArrayLike) -> Array:
+    def left(self, unseen: Unseen, height: ArrayLike) -> Array:
         """Return how many unseen rocks above heights are left (rows, cols).
 
         Where there may be more of them than before, by what is said of each size.
@@ -115,16 +122,18 @@ class Thinning:
         Parameters
         ----------
         unseen
-            Gives how many were there before above heights, () or (rows, cols), m: (rows, cols).
+            Gives how many were there before above heights, () or (rows, cols), m: (rows, cols); or
+            given a mask (rows, cols) too, and heights () or of its cells (n,), of these (n,).
         height
             m, () or (rows, cols).
         """
         h = np.asarray(height, dtype=np.float64)
-        out = unseen(h) * self._mean(h, self._fewer)
-        for n, further in enumerate(self._further):
-            if further is not None:
-                out = out + further * unseen(np.maximum(h, self.height_ratio * self.diameter[n]))
-        return np.asarray(out)
+        out: Array = unseen(h) * self._mean(h, self._fewer)
+        for least, (where, further) in zip(self.diameter, self._further, strict=True):
+            if len(further):
+                above = np.maximum(h[where] if h.ndim else h, self.height_ratio * least)
+                out[where] += further * unseen(above, where)
+        return out
 
     def _mean(self, height: ArrayLike, falling: Array) -> Array:
         """Return the mean over the law's rocks above heights of ratios that do not rise."""
@@ -144,11 +153,11 @@ class Thinning:
         return self._falling_of(np.minimum(self.ratio, np.float32(1.0)))
 
     @cached_property
-    def _further(self) -> list[Array | None]:
-        """What each class has on top of the next smaller one (rows, cols); None: nothing."""
+    def _further(self) -> list[tuple[NDArray[np.bool_], Array]]:
+        """Where each class has more on top than the next smaller one (rows, cols), and what (n,)."""
         more = np.maximum.accumulate(np.maximum(self.ratio - np.float32(1.0), 0.0), axis=0)
         steps = np.diff(more.astype(np.float64), axis=0, prepend=0.0)
-        return [step if step.any() else None for step in steps]
+        return [(step > 0.0, step[step > 0.0]) for step in steps]
 
 
 def _number(diameter: ArrayLike, cover: float) -> Array:

@@ -165,6 +165,9 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
     ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
     for n, diameter in enumerate(rocks.diameter):
         left = np.maximum(rocks.ratio[n], np.float32(COMMON))
+        if (left == 1.0).all():
+            ratio[n] = 1.0
+            continue
         left = on_grid(left, rocks.drawn.grid, grid, 1.0, "greatest")
         mean = mean_over_discs(left, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING
