@@ -14,6 +14,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map, thinning_of
+from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
@@ -136,6 +137,52 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
             if np.hypot(x - east, y - north) < FOOTPRINT + r:
                 expected *= 1.0 - there
         assert both.p_safe[row, col] == pytest.approx(expected, rel=1e-5)
+
+
+SAMPLED = np.zeros(GRID.shape, np.float32)
+
+
+def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
+    own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), rises=SAMPLED)
+    known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
+    both = fused_map(own, eyes(0.3, known), TERMS)
+    thinned = replace(own.judged, thinning=thinning_of(eyes(0.3), GRID, TERMS))
+    p, _ = calibrated_safety(thinned)
+    heights = heights_of(known, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
+    expected = p * clear_of(known, heights, GRID, LANDER)
+    assert both.p_safe == pytest.approx(expected, rel=1e-5)
+    assert (expected < 0.99 * p).any()
+
+
+def test_where_no_elevation_was_measured_rocks_are_as_high_as_where_they_were():
+    seen = np.ones(GRID.shape, bool)
+    seen[:, 5:] = False
+    rock = tracks((3.5, 2.0, 0.6, 0.9))
+    told = replace(relief(seen=seen, density=1e-6), rises=np.full(GRID.shape, np.nan, np.float32))
+    both = fused_map(told, eyes(0.1, rock, p=0.97), TERMS)
+    heights = heights_of(rock, told.rises, told.judged.density, GRID, LANDER, TERMS.height_ratio)
+    clear = clear_of(rock, heights, GRID, LANDER)
+    assert both.p_safe[:, 5:] == pytest.approx(0.9 * np.minimum(0.97, clear)[:, 5:], rel=1e-5)
+    assert (both.p_safe[:, 5:] < 0.5).any()
+
+
+@given(
+    st.floats(0.0, 0.5), st.floats(0.15, 0.6), st.floats(1.0, 60.0), st.floats(0.0, 0.4),
+    st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
+    there, radius, density, top, worse
+):
+    def p(e=there, d=density, t=top):
+        own = relief(rough=0.2)
+        judged = replace(own.judged, density=np.full(GRID.shape, d))
+        own = replace(own, judged=judged, rises=np.full(GRID.shape, t, np.float32))
+        return fused_map(own, eyes(0.3, tracks((2.0, 2.0, radius, e))), TERMS).p_safe
+
+    before = p()
+    assert (p(e=there + worse * (0.5 - there)) <= before + 1e-6).all()
+    assert (p(d=density / (1.0 + worse)) <= before + 1e-6).all()
+    assert (p(t=top + worse) <= before + 1e-6).all()
 
 
 def test_what_is_left_under_a_footprint_is_the_mean_over_it():
