@@ -214,7 +214,7 @@ class Evidence:
             # The density may change under the footprint.
             width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
             each = ndimage.uniform_filter(curve.unseen(above, self.density), width, mode="nearest")
-            return each if where is None else each[where]
+            return np.asarray(each if where is None else each[where])
 
         if self.thinning is None:
             return np.asarray(area * unseen(height))

@@ -5,18 +5,18 @@ misses some. Of the rocks that no sample has met, as many stand there still as i
 ratio for each size of rocks, place by place: below 1 where the ground was seen lit, above it where
 it is dark and nothing that is known throws the shadow, and 1 where nothing was seen.
 
-Rocks above a height are of many sizes. Where they were seen to be fewer, what is left of them is the
-mean ratio of the law's rocks above the height, the smallest, which no look can tell of, counted
-whole. For this mean not to rise with the height, larger rocks are never taken to be missed more often
-than smaller ones.
+Rocks above a height are of many sizes. Where they were seen to be fewer, what is left of them is
+the mean ratio of the law's rocks above the height, the smallest, which no look can tell of, counted
+whole. For this mean not to rise with the height, larger rocks are never taken to be missed more
+often than smaller ones.
 
 Where there may be more, what comes on top is counted by what the samples say of each size: in the
 dark a large rock may be two hundred times as likely as anywhere, but samples would have met it. As
-the mean above, that ratio would be taken for two hundred times as many of the smallest. So it is added
-up from class to class, each by the unseen rocks above its own least height. A larger class has never
-less on top than a smaller one: then what is left, U(h) times the mean, and for each class its further
-excess times U(max(h, its least height)), has no negative part. It never rises with the height, and
-never falls with the number before at any height, or with any ratio.
+the mean above, that ratio would be taken for two hundred times as many of the smallest. So it is
+added up from class to class, each by the unseen rocks above its own least height. A larger class
+has never less on top than a smaller one: then what is left, U(h) times the mean, and for each class
+its further excess times U(max(h, its least height)), has no negative part. It never rises with the
+height, and never falls with the number before at any height, or with any ratio.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ Array = NDArray[np.float64]
 class Unseen(Protocol):
     """Unseen rocks above heights, on a square metre or any other area; see `Thinning.left`."""
 
-    def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array: ...
+    def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
+        """Return them at all sites (rows, cols), or at those of a mask (n,)."""
 
 
 # Less than any height that is asked for, m.
@@ -154,7 +155,7 @@ class Thinning:
 
     @cached_property
     def _further(self) -> list[tuple[NDArray[np.bool_], Array]]:
-        """Where each class has more on top than the next smaller one (rows, cols), and what (n,)."""
+        """Where a class has more on top than the next smaller one (rows, cols), and what (n,)."""
         more = np.maximum.accumulate(np.maximum(self.ratio - np.float32(1.0), 0.0), axis=0)
         steps = np.diff(more.astype(np.float64), axis=0, prepend=0.0)
         return [(step > 0.0, step[step > 0.0]) for step in steps]

@@ -1,21 +1,22 @@
 """How high the rocks stand that one eye tracks and another has sampled.
 
-A shadow tells the size of a rock up to its shape: half spheres that are read as cubes are given 0.7
-of their radius, all alike. Samples tell heights, and miss tops. So the scale, height over radius, is
-measured on rocks that both eyes have seen, and each rock's height follows from its own shadow.
+A shadow tells the size of a rock up to its shape: half spheres that are read as cubes are given
+0.7 of their radius, all alike. Samples tell heights, and miss tops. So the scale, height over
+radius, is measured on rocks that both eyes have seen, and each rock's height follows from its own
+shadow.
 
 - **Scale.** A sample falls on a rock's top so and so often; of n samples on a half ellipsoid the
-  highest stands above ``sqrt(1 - log 2 / n)`` of its height in one case of two. The median over the
-  rocks of what that makes of height over radius is drawn to what the mission expects, as if by a few
-  rocks. Samples only ever fall short, and confused rises make it less, so it is taken to be no less
-  than the mission expects.
+  highest stands above ``sqrt(1 - log 2 / n)`` of its height in one case of two. The median over
+  the rocks of what that makes of height over radius is drawn to what the mission expects, as if by
+  a few rocks. Samples only ever fall short, and confused rises make it less, so it is taken to be
+  no less than the mission expects.
 - **Height.** Log-normal about scale times radius, by how well the radius is known.
 - **Samples that show nothing.** On a rock of height H with no sample above m they are
   ``exp(-c (H^2 - m^2))`` likely, c their density times pi / (2 height_ratio)^2. The odds of a rock
-  that is too high are multiplied by the ratio of this likelihood if it is, to that if it is lower or
-  none, and by no less than `COMMON`. A rise as high as the limit leaves the odds as they are: the
-  elevations count it already. The ratio rises with m and falls with the density: fewer samples, or
-  higher ones, never make a rock less likely.
+  that is too high are multiplied by the ratio of this likelihood if it is, to that if it is lower
+  or none, and by no less than `COMMON`. A rise as high as the limit leaves the odds as they are:
+  the elevations count it already. For a given scale the ratio rises with m and falls with the
+  density: fewer samples, or higher ones, never make a rock less likely.
 """
 
 from __future__ import annotations

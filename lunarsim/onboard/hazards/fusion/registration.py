@@ -1,12 +1,12 @@
 """Where the rocks of one eye lie in the elevations of another.
 
-From far a camera's rocks are all off by one and the same: a mrad of its direction is 1.5 m of ground
-from 1500 m. Each of them is known no better than that, though they lie within decimetres of their
-places among each other. So the one shift is sought at which rises are where the rocks are. A rock that
-so many samples have met shows a rise of half its height with a probability h; by chance one lies there
-with that of any place, f. A rock with a rise speaks for a shift by ``log((h + (1 - h) f) / f)``, one
-without against it by ``log(1 - h)``. With the shift's own spread that gives its mean and its
-covariance: where the elevations tell nothing, both are what they were.
+From far a camera's rocks are all off by one and the same: a mrad of its direction is 1.5 m of
+ground from 1500 m. Each of them is known no better than that, though they lie within decimetres of
+their places among each other. So the one shift is sought at which rises are where the rocks are. A
+rock that so many samples have met shows a rise of half its height with a probability h; by chance
+one lies there with that of any place, f. A rock with a rise speaks for a shift by
+``log((h + (1 - h) f) / f)``, one without against it by ``log(1 - h)``. With the shift's own spread
+that gives its mean and its covariance: where the elevations tell nothing, both are what they were.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from lunarsim.onboard.hazards.published import RockTracks
 
 Array = NDArray[np.float64]
 
-# Rocks are compared with the highest rise so near, m, of half their height or more; a half ellipsoid
-# is that high over three quarters of its area.
+# Rocks are compared with the highest rise so near, m, of half their height or more; a half
+# ellipsoid is that high over three quarters of its area.
 _NEAR, _SHOWS, _TOP = 0.35, 0.5, 0.75
 # Samples of one cell are averaged: so many of them count. So many rocks are where they seem to be.
 _INDEPENDENT, _TRUE = 0.5, 0.8
@@ -147,5 +147,5 @@ def _highest_near(rises: NDArray[np.float32], posting: float) -> NDArray[np.floa
 
 def _steps(far: float, posting: float) -> NDArray[np.int64]:
     """Return whole cells up to a distance both ways (n,)."""
-    most = int(round(far / posting))
+    most = round(far / posting)
     return np.arange(-most, most + 1)

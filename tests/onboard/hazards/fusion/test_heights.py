@@ -20,8 +20,8 @@ from lunarsim.onboard.hazards.fusion.heights import (
     heights_of,
     highest,
 )
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
 from tests.reference import fusion as plain
 
 LANDER = Lander()
