@@ -22,6 +22,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.clear_ground import believed, clear_ground
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
@@ -101,7 +102,7 @@ def fused_map(
     if rocks is None:
         return relief.drawn
     drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
-    clear = clear_of_tracks(relief, rocks, terms)
+    clear, level = _clear(relief, rocks, terms)
     p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
@@ -113,36 +114,35 @@ def fused_map(
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
     return replace(
         drawn,
-        p_safe=np.where(seen, p, unmeasured.astype(np.float32)),
+        p_safe=np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32)),
         observed=seen | alone.observed,
         elevation=elevation,
-        in_domain=seen & known & ((p >= SURE) | surely_not),
+        in_domain=seen & known & (level <= p) & ((p >= SURE) | surely_not),
     )
 
 
-def clear_of_tracks(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> Array:
-    """Return the probability that no rock that is tracked matters (rows, cols), given elevations.
+def _clear(
+    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
+) -> tuple[Array, FloatMap]:
+    """Return the probability that no tracked rock matters, and `clear_ground` (rows, cols).
 
-    Where the samples are told, by where the rocks lie in the elevations (`registered`) and how high
-    they stand (`heights_of`); else by their outlines as the eye for rocks has them, and by what
-    rises the elevations show.
-
-    Parameters
-    ----------
-    relief, rocks
-        Evidence of both eyes.
-    terms
-        What is known beforehand.
+    Where the samples are told, rocks are where they lie in the elevations (`registered`) and as high
+    as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks gives
+    them, and count by what rises the elevations show.
     """
     tracks, grid, lander = rocks.tracks, relief.drawn.grid, terms.lander
+    nothing = np.zeros(grid.shape, np.float32)
     if relief.rises is None or relief.judged is None:
         there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
-        return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least")
+        return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least"), nothing
     seen = relief.rises, relief.judged.density, grid
     ratio = terms.height_ratio
     placed = registered(tracks, *seen, _USUAL * 2.0 * ratio, ratio)
     heights = heights_of(placed, *seen, lander, ratio, terms.rocks.shape)
-    return clear_of(placed, heights, grid, lander)
+    clear = clear_of(placed, heights, grid, lander)
+    if not believed(rocks, placed, heights, lander.roughness_limit):
+        return clear, nothing
+    return clear, clear_ground(relief, rocks, clear, terms.relief_prior)
 
 
 def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:

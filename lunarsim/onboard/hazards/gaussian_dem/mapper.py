@@ -34,6 +34,8 @@ from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 Array = NDArray[np.float64]
+# A scan lies higher or lower than those before if it does by so many deviations, and by that, m.
+_SURELY, _LEAST_STEP = 5.0, 0.01
 Judgement = Literal["calibrated", "level", "planes"]
 
 
@@ -184,12 +186,26 @@ class GaussianDemMapper(HazardMapper):
         measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
         early = self._early.takes(estimate.tilt_sigma)
+        self._raise_to(points)
         taken = (self._turning if early else self._samples).add(
             points,
             measurement.height_sigma(estimate.attitude),
             measurement.spacing(estimate.attitude),
         )
         self._stale |= taken > 0
+
+    def _raise_to(self, points: Array) -> None:
+        """Raise all samples to the height of a new scan, if that is surely another.
+
+        The lander's height drifts by decimetres from scan to scan; samples of two heights side by
+        side would be steps all over the map. The newest is the height that the lander goes by.
+        """
+        found = self.pool.height_of(points)
+        if found is None or abs(found[0]) < max(_SURELY * found[1], _LEAST_STEP):
+            return
+        self._samples, self._turning = (
+            one.raised(found[0]) for one in (self._samples, self._turning)
+        )
 
     @property
     def pool(self) -> SamplePool:
