@@ -7,8 +7,8 @@ only slope and roughness as measured are asked for:
     p = prior x P(no untracked rock reaches in) x P(no tracked one does) x level.
 
 `level` falls from 1 where slope and roughness are well within the limits to 0 at either limit, and
-so does p with every one of its factors. As for ground that was not measured, the prior counts, which
-is less than surely safe, and no frequency is claimed.
+so does p with every one of its factors. As for ground that was not measured, the prior counts,
+which is less than surely safe, and no frequency is claimed.
 
 A camera that finds far fewer rocks than it should is not believed (`lunarsim.onboard.hazards.
 shadows.plausible`), unless that is because it reads them too small: here they count by the scale

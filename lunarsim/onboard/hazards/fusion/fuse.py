@@ -7,6 +7,10 @@ so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so
 regression judges what is left. Rocks that are tracked are multiplied up, each with the
 odds that the elevations leave it (`existence_given_relief`).
 
+Where they leave a doubt that the eye for rocks settles, what both have seen of the ground itself
+counts instead, if it is more (`clear_ground`): both forms fall with worse evidence of either eye,
+and so does the greater of them.
+
 So the map is that of the elevations, bit for bit, where the other eye saw nothing; where no
 elevation was measured it is the other eye's, times what the mission expects of the ground.
 """
@@ -126,9 +130,9 @@ def _clear(
 ) -> tuple[Array, FloatMap]:
     """Return the probability that no tracked rock matters, and `clear_ground` (rows, cols).
 
-    Where the samples are told, rocks are where they lie in the elevations (`registered`) and as high
-    as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks gives
-    them, and count by what rises the elevations show.
+    Where the samples are told, rocks are where they lie in the elevations (`registered`) and as
+    high as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks
+    gives them, and count by what rises the elevations show.
     """
     tracks, grid, lander = rocks.tracks, relief.drawn.grid, terms.lander
     nothing = np.zeros(grid.shape, np.float32)

@@ -55,7 +55,7 @@ def clear(rocks: RockTracks) -> np.ndarray:
     return out
 
 
-def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID) -> RockEvidence:
+def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID, **more) -> RockEvidence:
     """Return what an eye for rocks knows: one ratio everywhere, or as the array (rows, cols)."""
     whole = np.empty((len(DIAMETERS), *of.shape), np.float32)
     whole[:] = ratio
@@ -65,7 +65,7 @@ def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID) -> RockEvidence:
         np.full(of.shape, seen),
         np.zeros(of.shape, np.float32),
     )
-    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear)
+    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear, **more)
 
 
 # --- one eye, or one that saw nothing ----------------------------------------------------------
@@ -183,6 +183,66 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
     assert (p(e=there + worse * (0.5 - there)) <= before + 1e-6).all()
     assert (p(d=density / (1.0 + worse)) <= before + 1e-6).all()
     assert (p(t=top + worse) <= before + 1e-6).all()
+
+
+# Samples so few on ground so rocky that elevations alone doubt all of it.
+DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -1.0}
+
+
+def raster(value: float) -> np.ndarray:
+    return np.full(GRID.shape, value, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("slope", "rough", "level"), [(0.5, 0.5, 1.0), (0.85, 0.2, 0.5), (0.2, 0.9, 0.25), (1.1, 0, 0)]
+)
+def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, level):
+    own = replace(relief(slope=slope, rough=rough, **DOUBTED), rises=SAMPLED)
+    rock = tracks((0.1, 0.2, 0.5, 0.7))
+    told = eyes(1.0, rock, unseen=raster(0.2))
+    both, without = (fused_map(own, e, TERMS) for e in (told, replace(told, unseen=None)))
+    heights = heights_of(rock, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
+    clear = clear_of(rock, heights, GRID, LANDER)
+    expected = np.maximum(0.9 * 0.8 * clear * level, without.p_safe)
+    assert both.p_safe == pytest.approx(expected, rel=1e-5)
+    if level > 0.2:
+        assert (both.p_safe > without.p_safe).any()
+    raised = both.p_safe > without.p_safe
+    assert not both.in_domain[raised].any()
+    # Where the camera has not looked it says nothing of the ground.
+    blind = replace(told, drawn=replace(told.drawn, observed=np.zeros(GRID.shape, bool)))
+    assert np.array_equal(fused_map(own, blind, TERMS).p_safe, without.p_safe)
+
+
+def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
+    own = replace(relief(**DOUBTED), rises=SAMPLED)
+    unlikely = replace(eyes().drawn, in_domain=np.zeros(GRID.shape, bool))
+    for radius, believed in ((0.2, False), (0.3, True)):
+        rocks = tracks(*((0.3 * k, 3.9, radius, 0.9) for k in range(12)))
+        found = replace(eyes(1.0, rocks, unseen=raster(0.2), expected=40.0), drawn=unlikely)
+        both, without = (fused_map(own, e, TERMS) for e in (found, replace(found, unseen=None)))
+        assert (both.p_safe > without.p_safe).any() == believed, radius
+
+
+@given(
+    st.floats(0.0, 1.2), st.floats(0.0, 1.2), st.floats(0.0, 1.0), st.floats(0.0, 0.5),
+    st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_less_level_or_clear_ground_is_never_safer(slope, rough, unseen, there, worse):
+    here = {"slope": slope, "rough": rough, "unseen": unseen, "there": there}
+
+    def p(**changes):
+        e = here | changes
+        own = replace(relief(slope=e["slope"], rough=e["rough"], **DOUBTED), rises=SAMPLED)
+        rock = tracks((2.0, 2.0, 0.4, e["there"]))
+        return fused_map(own, eyes(1.0, rock, unseen=raster(e["unseen"])), TERMS).p_safe
+
+    before = p()
+    for change in (
+        {"slope": slope + worse}, {"rough": rough + worse},
+        {"unseen": unseen + worse * (1.0 - unseen)}, {"there": there + worse * (0.5 - there)},
+    ):  # fmt: skip
+        assert (p(**change) <= before + 1e-6).all(), change
 
 
 def test_what_is_left_under_a_footprint_is_the_mean_over_it():
@@ -325,5 +385,7 @@ def test_evidence_of_other_cells_than_the_map_is_refused():
     good = eyes()
     with pytest.raises(InputError, match=r"evidence\.ratio"):
         replace(good, ratio=good.ratio[:, :4])
+    with pytest.raises(InputError, match=r"evidence\.unseen"):
+        replace(good, unseen=np.zeros((2, 2), np.float32))
     with pytest.raises(InputError, match=r"rocks\.sigma"):
         replace(tracks(ROCK), sigma=np.zeros(2))
