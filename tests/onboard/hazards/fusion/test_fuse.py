@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.clear_ground import believed
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
@@ -217,11 +219,34 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
 def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
     own = replace(relief(**DOUBTED), rises=SAMPLED)
     unlikely = replace(eyes().drawn, in_domain=np.zeros(GRID.shape, bool))
-    for radius, believed in ((0.2, False), (0.3, True)):
+    for radius, counts in ((0.2, False), (0.3, True)):
         rocks = tracks(*((0.3 * k, 3.9, radius, 0.9) for k in range(12)))
         found = replace(eyes(1.0, rocks, unseen=raster(0.2), expected=40.0), drawn=unlikely)
         both, without = (fused_map(own, e, TERMS) for e in (found, replace(found, unseen=None)))
-        assert (both.p_safe > without.p_safe).any() == believed, radius
+        assert (both.p_safe > without.p_safe).any() == counts, radius
+
+
+def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
+    rocks = tracks(*((0.3 * k, 2.0, 0.2, 0.9) for k in range(12)))
+    for rise, known in ((0.0, False), (0.4, True)):
+        own = relief(**DOUBTED)
+        judged = replace(own.judged, density=np.full(GRID.shape, 30.0))
+        own = replace(own, judged=judged, rises=raster(rise))
+        placed = registered(rocks, own.rises, judged.density, GRID, 1.2, 0.5)
+        heights = heights_of(placed, own.rises, judged.density, GRID, LANDER, 0.5)
+        found = replace(eyes(1.0, rocks, expected=40.0))
+        found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
+        assert believed(found, placed, heights, LANDER.roughness_limit) == known
+
+
+def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts():
+    own = relief(slope=0.5, rough=0.5)
+    low = replace(own.drawn, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
+    own = replace(own, drawn=low, rises=SAMPLED)
+    both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)
+    assert both.p_safe == pytest.approx(0.72)
+    assert not both.in_domain.any()
+    assert fused_map(own, eyes(1.0), TERMS).in_domain.all()
 
 
 @given(
