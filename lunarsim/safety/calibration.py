@@ -18,7 +18,7 @@ domain.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,13 +138,13 @@ class Evidence:
         """Where the whole footprint was seen."""
         return self.level.observed & self.planes.observed & self.nominal.observed
 
-    @property
+    @cached_property
     def slope(self) -> Array:
         """Tangent of the nominal slope over that of the limit; NaN where not observed."""
         slope = np.tan(self.nominal.slope.astype(np.float64))
         return np.asarray(slope / np.tan(self.lander.slope_limit))
 
-    @property
+    @cached_property
     def roughness(self) -> Array:
         """Nominal roughness over the limit; NaN where not observed."""
         return np.asarray(self.nominal.roughness / np.float64(self.lander.roughness_limit))
@@ -161,40 +161,64 @@ class Evidence:
 
     def tilting(self) -> Array:
         """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
-        height = tilting_height(self.slope, self.lander)
-        return self._expected(self.curve, height, pad_ring_area(self.lander))
+        return self._tilting
+
+    @cached_property
+    def _tilting_height(self) -> Array:
+        return tilting_height(self.slope, self.lander)
+
+    @cached_property
+    def _tilting(self) -> Array:
+        return self._expected(self.curve, self._tilting_height, pad_ring_area(self.lander))
 
     def expected_under_pads(self) -> Array:
         """Return the same with gravel as it was counted; see `HeightCurve.careful`."""
-        height = tilting_height(self.slope, self.lander)
-        return self._expected(self.curve.careful, height, pad_ring_area(self.lander))
+        area = pad_ring_area(self.lander)
+        return self._expected(self.curve.careful, self._tilting_height, area)
 
     def sinking(self) -> Array:
         """Return how many unseen holes under the pads would tilt the lander too far."""
-        height, width = tilting_height(self.slope, self.lander), self.lander.pad_diameter
-        found = self.holes.sunk(height, self.density, width)
+        return self._sinking
+
+    @cached_property
+    def _sinking(self) -> Array:
+        width = self.lander.pad_diameter
+        found = self.holes.sunk(self._tilting_height, self.density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
     def piercing(self) -> Array:
         """Return how many unseen rocks in the footprint rise above what roughness is left."""
+        return self._piercing
+
+    @cached_property
+    def _piercing(self) -> Array:
         height = (1.0 - self.roughness) * self.lander.roughness_limit
         return self._expected(self.curve, height, footprint_area(self.lander))
 
     def hazards(self) -> Array:
         """Return how many unseen rocks in the footprint alone would be too high."""
+        return self._hazards
+
+    @cached_property
+    def _hazards(self) -> Array:
         height = np.array(self.lander.roughness_limit)
         return self._expected(self.curve, height, footprint_area(self.lander))
 
     def _expected(self, curve: HeightCurve, height: Array, area: float) -> Array:
         """Return rocks above a height (rows, cols) or () in an area about each site."""
-        each = curve.unseen(height, self.density)
-        if not height.ndim:
+
+        def unseen(above: Array, where: BoolMap | None = None) -> Array:
+            if height.ndim:
+                at = slice(None) if where is None else where
+                return curve.unseen(above, self.density[at])
             # The density may change under the footprint.
             width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
-            each = ndimage.uniform_filter(each, width, mode="nearest")
-        if self.thinning is not None:
-            each = each * self.thinning.at(height)
-        return np.asarray(area * each)
+            each = ndimage.uniform_filter(curve.unseen(above, self.density), width, mode="nearest")
+            return np.asarray(each if where is None else each[where])
+
+        if self.thinning is None:
+            return np.asarray(area * unseen(height))
+        return np.asarray(area * self.thinning.left(unseen, height))
 
 
 def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
@@ -380,7 +404,7 @@ def clear_of_pads(evidence: Evidence) -> Array:
     """
     e = evidence
     rocks = e.expected_under_pads()
-    low = tilting_height(e.slope, e.lander) < e.curve.gravel_counted
+    low = e._tilting_height < e.curve.gravel_counted
     return np.asarray(np.exp(-_UNDER_PADS * rocks) * np.where(low, UNCOUNTED, 1.0))
 
 

@@ -5,16 +5,25 @@ misses some. Of the rocks that no sample has met, as many stand there still as i
 ratio for each size of rocks, place by place: below 1 where the ground was seen lit, above it where
 it is dark and nothing that is known throws the shadow, and 1 where nothing was seen.
 
-Rocks above a height are of many sizes. What is left of them is the mean ratio of the law's rocks
-above the height, the smallest, which no look can tell of, counted whole. For this mean not to rise
-with the height, larger rocks are never taken to be missed more often than smaller ones: then the
-number left never rises with the height, with the number before, or with any ratio.
+Rocks above a height are of many sizes. Where they were seen to be fewer, what is left of them is
+the mean ratio of the law's rocks above the height, the smallest, which no look can tell of, counted
+whole. For this mean not to rise with the height, larger rocks are never taken to be missed more
+often than smaller ones.
+
+Where there may be more, what comes on top is counted by what the samples say of each size: in the
+dark a large rock may be two hundred times as likely as anywhere, but samples would have met it. As
+the mean above, that ratio would be taken for two hundred times as many of the smallest. So it is
+added up from class to class, each by the unseen rocks above its own least height. A larger class
+has never less on top than a smaller one: then what is left, U(h) times the mean, and for each class
+its further excess times U(max(h, its least height)), has no negative part. It never rises with the
+height, and never falls with the number before at any height, or with any ratio.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,8 +33,18 @@ from lunarsim.rocks.laws import golombek_number
 
 Array = NDArray[np.float64]
 
+
+class Unseen(Protocol):
+    """Unseen rocks above heights, on a square metre or any other area; see `Thinning.left`."""
+
+    def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
+        """Return them at all sites (rows, cols), or at those of a mask (n,)."""
+
+
 # Less than any height that is asked for, m.
 _LEAST = 0.005
+# The law is looked up between so many diameters, m: to a millionth of it.
+_TABLE = np.geomspace(1e-3, 30.0, 2**14)
 
 
 @dataclass(frozen=True)
@@ -77,23 +96,78 @@ class Thinning:
     @cached_property
     def _falling(self) -> Array:
         """Ratios that do not rise from class to class, those not looked for first (n + 1, ...)."""
-        from_above = np.maximum.accumulate(self.ratio[::-1].astype(np.float64), axis=0)[::-1]
+        return self._falling_of(self.ratio)
+
+    @staticmethod
+    def _falling_of(ratio: NDArray[np.float32]) -> Array:
+        from_above = np.maximum.accumulate(ratio[::-1].astype(np.float64), axis=0)[::-1]
         return np.concatenate((np.maximum(from_above[:1], 1.0), from_above))
 
     def at(self, height: ArrayLike) -> Array:
         """Return how many of the unseen rocks above heights are left, a share (rows, cols).
+
+        By the sizes of the law alone.
 
         Parameters
         ----------
         height
             m, () or (rows, cols).
         """
+        return self._mean(height, self._falling)
+
+    def left(self, unseen: Unseen, height: ArrayLike) -> Array:
+        """Return how many unseen rocks above heights are left (rows, cols).
+
+        Where there may be more of them than before, by what is said of each size.
+
+        Parameters
+        ----------
+        unseen
+            Gives how many were there before above heights, () or (rows, cols), m: (rows, cols); or
+            given a mask (rows, cols) too, and heights () or of its cells (n,), of these (n,).
+        height
+            m, () or (rows, cols).
+        """
+        h = np.asarray(height, dtype=np.float64)
+        out: Array = unseen(h) * self._mean(h, self._fewer)
+        for least, (where, further) in zip(self.diameter, self._further, strict=True):
+            if len(further):
+                above = np.maximum(h[where] if h.ndim else h, self.height_ratio * least)
+                out[where] += further * unseen(above, where)
+        return out
+
+    def _mean(self, height: ArrayLike, falling: Array) -> Array:
+        """Return the mean over the law's rocks above heights of ratios that do not rise."""
         d = np.maximum(np.asarray(height, dtype=np.float64), _LEAST) / self.height_ratio
-        number = golombek_number(d, self.cover)
-        left: Array = self._falling[0].copy()
+        number = _number(d, self.cover)
+        left: Array = falling[0].copy()
         for n, least in enumerate(self.diameter, start=1):
             # Share of the rocks above the height that are of this class or a larger one.
-            larger = golombek_number(np.maximum(d, least), self.cover)
+            larger = np.where(d < least, _number(least, self.cover), number)
             share = np.divide(larger, number, out=np.ones_like(number), where=number > 0.0)
-            left += (self._falling[n] - self._falling[n - 1]) * share
+            left += (falling[n] - falling[n - 1]) * share
         return left
+
+    @cached_property
+    def _fewer(self) -> Array:
+        """As `_falling`, but nowhere more than before."""
+        return self._falling_of(np.minimum(self.ratio, np.float32(1.0)))
+
+    @cached_property
+    def _further(self) -> list[tuple[NDArray[np.bool_], Array]]:
+        """Where a class has more on top than the next smaller one (rows, cols), and what (n,)."""
+        more = np.maximum.accumulate(np.maximum(self.ratio - np.float32(1.0), 0.0), axis=0)
+        steps = np.diff(more.astype(np.float64), axis=0, prepend=0.0)
+        return [(step > 0.0, step[step > 0.0]) for step in steps]
+
+
+def _number(diameter: ArrayLike, cover: float) -> Array:
+    """Return `golombek_number`, to a millionth."""
+    d = np.log(np.asarray(diameter, dtype=np.float64))
+    return np.asarray(np.exp(np.interp(d, np.log(_TABLE), _law(cover))))
+
+
+@lru_cache(maxsize=8)
+def _law(cover: float) -> Array:
+    """Return the logarithm of the law's number at `_TABLE` (n,)."""
+    return np.asarray(np.log(np.maximum(golombek_number(_TABLE, cover), 1e-300)))

@@ -54,3 +54,126 @@ def existence(
     missed = common + (1.0 - common) * math.exp(-min(thin) * area)
     odds = missed * there / (1.0 - there)
     return odds / (1.0 + odds)
+
+
+def left_by_size(
+    height: float, diameters: list, ratios: list, cover: float, height_ratio: float, unseen
+) -> float:
+    """Rocks above a height that are left at one place; `unseen` gives those before."""
+    fewer = [min(r, 1.0) for r in ratios]
+    total = unseen(height) * left(height, diameters, fewer, cover, height_ratio)
+    before = 0.0
+    for k, diameter in enumerate(diameters):
+        on_top = max(max(r - 1.0, 0.0) for r in ratios[: k + 1])
+        total += (on_top - before) * unseen(max(height, diameter * height_ratio))
+        before = on_top
+    return total
+
+
+def highest(rises, x0: float, y0: float, posting: float, place, reach: float) -> float:
+    """Highest rise of a cell whose middle lies within reach of a place; 0 if there is none."""
+    found = [
+        z
+        for row, line in enumerate(rises)
+        for col, z in enumerate(line)
+        if not math.isnan(z)
+        and math.hypot(x0 + col * posting - place[0], y0 + row * posting - place[1]) <= reach
+    ]
+    return max(found) if found else 0.0
+
+
+def scale(rocks: list, height_ratio: float) -> float:
+    """Height over radius; rocks are (radius, existence, top, density)."""
+    logs = []
+    for radius, there, top, density in rocks:
+        samples = density * math.pi * radius * radius
+        if there > 0.5 and top > 0.0 and samples >= 1.5:
+            logs.append(math.log(top / radius / math.sqrt(1.0 - math.log(2.0) / samples)))
+    told = math.log(2.0 * height_ratio)
+    if not logs:
+        return math.exp(told)
+    logs.sort()
+    half = len(logs) // 2
+    middle = logs[half] if len(logs) % 2 else 0.5 * (logs[half - 1] + logs[half])
+    weight = 0.5 * len(logs)
+    return math.exp(max((weight * middle + told) / (weight + 1.0), told))
+
+
+def hazard(
+    mean: float, spread: float, there: float, top: float, density: float, limit: float,
+    height_ratio: float, common: float,
+) -> float:  # fmt: skip
+    """Probability that a rock is there and too high: its height log-normal, by thin slices."""
+    per_square = 0.5 * density * math.pi / (2.0 * height_ratio) ** 2
+    high = low = high_missed = low_missed = 0.0
+    n = 20000
+    for k in range(n):
+        z = -9.0 + 18.0 * (k + 0.5) / n
+        h = mean * math.exp(spread * z)
+        weight = math.exp(-0.5 * z * z) * 18.0 / n / math.sqrt(2.0 * math.pi)
+        missed = math.exp(-per_square * max(h * h - top * top, 0.0))
+        if h > limit:
+            high += weight
+            high_missed += weight * missed
+        else:
+            low += weight
+            low_missed += weight * missed
+    harmless = there * low + 1.0 - there
+    if high == 0.0:
+        return 0.0
+    ratio = high_missed / high / ((there * low_missed + 1.0 - there) / harmless)
+    odds = there * high / harmless * (common + (1.0 - common) * ratio)
+    return odds / (1.0 + odds)
+
+
+def shift(rocks: list, rises, x0: float, y0: float, posting: float, density: float) -> tuple:
+    """East, north and deviation of the one shift of rocks (x, y, height, sigma), half spheres."""
+    rows, cols = len(rises), len(rises[0])
+    top = [
+        [
+            max(
+                (
+                    rises[r][c]
+                    for r in range(rows)
+                    for c in range(cols)
+                    if math.hypot(r - row, c - col) * posting <= 0.35
+                    and not math.isnan(rises[r][c])
+                ),
+                default=-1e6,
+            )
+            for col in range(cols)
+        ]
+        for row in range(rows)
+    ]
+    every = [z for line in top for z in line]
+    sigmas = sorted(rock[3] for rock in rocks)
+    half = len(sigmas) // 2
+    common = sigmas[half] if len(sigmas) % 2 else 0.5 * (sigmas[half - 1] + sigmas[half])
+    apart = math.hypot(common, 0.5)
+    most = round(min(3.0 * apart, 4.0) / posting)
+    total, east, north, squares = 0.0, 0.0, 0.0, 0.0
+    weights = []
+    for down in range(-most, most + 1):
+        for right in range(-most, most + 1):
+            log = -0.5 * (down * down + right * right) * (posting / apart) ** 2
+            for x, y, height, _ in rocks:
+                row, col = round((y - y0) / posting), round((x - x0) / posting)
+                row = min(max(row + down, 0), rows - 1)
+                col = min(max(col + right, 0), cols - 1)
+                chance = sum(z >= 0.5 * height for z in every) / len(every)
+                chance = min(max(chance, 1e-3), 1.0 - 1e-3)
+                seen = 0.8 * (1.0 - math.exp(-0.5 * density * 0.75 * math.pi * height * height))
+                if top[row][col] >= 0.5 * height:
+                    log += math.log((seen + (1.0 - seen) * chance) / chance)
+                else:
+                    log += math.log(1.0 - seen)
+            weights.append((log, right * posting, down * posting))
+    highest_log = max(w[0] for w in weights)
+    for log, right, down in weights:
+        total += math.exp(log - highest_log)
+        east += math.exp(log - highest_log) * right
+        north += math.exp(log - highest_log) * down
+    east, north = east / total, north / total
+    for log, right, down in weights:
+        squares += math.exp(log - highest_log) * ((right - east) ** 2 + (down - north) ** 2)
+    return east, north, max(math.sqrt(0.5 * squares / total), 0.1)

@@ -41,6 +41,60 @@ def test_it_never_rises_with_the_height_nor_falls_with_a_ratio(ratio, height, mo
     assert thinning(bad, (1, 1)).at(height)[0, 0] >= here.at(height)[0, 0] - 1e-12
 
 
+def unseen(height, where=None, *, number=2.0, density=10.0):
+    """Return rocks above heights that samples have missed."""
+    h = np.asarray(height, np.float64)
+    each = number * np.exp(-4.0 * h - density * h * h)
+    if where is not None:
+        return np.broadcast_to(each, (int(where.sum()),)) if not h.ndim else each
+    return np.broadcast_to(each, (1, 1)).copy()
+
+
+@given(ratios, st.floats(0.0, 0.8), st.booleans())
+def test_what_is_left_of_each_size_equals_a_plain_sum(ratio, height, raster):
+    h = np.full((1, 1), height) if raster else np.array(height)
+    found = thinning(ratio, (1, 1)).left(unseen, h)[0, 0]
+    told = [float(np.float32(r)) for r in ratio]
+    expected = plain.left_by_size(
+        height, list(DIAMETERS), told, 0.05, 0.5, lambda x: float(unseen(x)[0, 0])
+    )
+    assert found == pytest.approx(expected, rel=2e-3)
+
+
+@given(
+    ratios, st.floats(0.0, 0.8), st.floats(0.0, 0.5), st.integers(0, 2), st.floats(0.0, 2.0),
+    st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_none_of_a_size_are_left_for_better_evidence_than_for_worse(
+    ratio, height, more, which, worse, share
+):
+    def left(of=ratio, above=height, **changes):
+        def before(x, where=None):
+            return unseen(x, where, **changes)
+
+        return thinning(of, (1, 1)).left(before, np.array(above))[0, 0]
+
+    here, bad = left(), list(ratio)
+    bad[which] += worse
+    assert left(above=height + more) <= here + 1e-12
+    assert left(bad) >= here - 1e-12
+    assert left(number=2.0 * (1.0 + worse)) >= here - 1e-12
+    # Fewer samples have missed more of them, of large ones most.
+    assert left(density=10.0 * share) >= here - 1e-12
+
+
+def test_where_only_a_large_rock_may_be_there_are_no_more_small_ones():
+    dark = thinning((1.0, 1.0, 200.0))
+
+    def missed(x, where=None):
+        return unseen(x, where, density=40.0)
+
+    here = thinning((1.0, 1.0, 200.0), (1, 1))
+    assert here.left(missed, np.array(0.25))[0, 0] < 1.1 * missed(0.25)[0, 0]
+    # By the law's own sizes it would be 200 times as many.
+    assert dark.at(0.25)[0, 0] > 150.0
+
+
 def test_where_nothing_was_seen_all_are_left():
     here = thinning((1.0, 1.0, 1.0))
     assert not here.touched.any()

@@ -68,11 +68,25 @@ class ReliefEvidence:
         What its probability follows from; None: it does not tell.
     refit
         Last stage of its calibration; None: that of the package.
+    rises
+        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
+        where there are none. None: it does not tell.
+
+    Raises
+    ------
+    InputError
+        If the rises are not on the map's cells.
     """
 
     drawn: HazardMap
     judged: Evidence | None = None
     refit: ScenarioCalibration | None = None
+    rises: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        wanted = self.drawn.grid.shape
+        if self.rises is not None and self.rises.shape != wanted:
+            raise InputError("evidence.rises", self.rises.shape, f"a raster {wanted}")
 
 
 @dataclass(frozen=True)
@@ -93,11 +107,15 @@ class RockEvidence:
         Rocks that are tracked, or may be.
     clear
         Gives the probability that none of such rocks reaches into the footprint (rows, cols).
+    unseen
+        Probability that a rock that is not tracked reaches in (rows, cols); None: it does not tell.
+    expected
+        How many rocks that matter should have been found.
 
     Raises
     ------
     InputError
-        If the ratio is not on the map's cells, or not of as many classes.
+        If the ratio or `unseen` is not on the map's cells, or the ratio not of as many classes.
     """
 
     drawn: HazardMap
@@ -105,8 +123,13 @@ class RockEvidence:
     ratio: NDArray[np.float32]
     tracks: RockTracks
     clear: Callable[[RockTracks], Array]
+    unseen: NDArray[np.float32] | None = None
+    expected: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.unseen is not None and self.unseen.shape != self.drawn.grid.shape:
+            wanted_here = f"a raster {self.drawn.grid.shape}"
+            raise InputError("evidence.unseen", self.unseen.shape, wanted_here)
         wanted = (len(self.diameter), *self.drawn.grid.shape)
         if self.ratio.shape != wanted:
             raise InputError("evidence.ratio", self.ratio.shape, f"a raster {wanted}")

@@ -7,6 +7,10 @@ so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so
 regression judges what is left. Rocks that are tracked are multiplied up, each with the
 odds that the elevations leave it (`existence_given_relief`).
 
+Where they leave a doubt that the eye for rocks settles, what both have seen of the ground itself
+counts instead, if it is more (`clear_ground`): both forms fall with worse evidence of either eye,
+and so does the greater of them.
+
 So the map is that of the elevations, bit for bit, where the other eye saw nothing; where no
 elevation was measured it is the other eye's, times what the mission expects of the ground.
 """
@@ -16,11 +20,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.clear_ground import believed, clear_ground
+from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
@@ -30,6 +38,11 @@ from lunarsim.safety.calibration import calibrated_safety
 from lunarsim.safety.ensemble import HOPELESS, SURE
 from lunarsim.safety.thinning import Thinning
 
+Array = NDArray[np.float64]
+
+# Before it is measured, height over radius is taken to be so many times what is expected: shadows
+# tell radii too small rather than too large.
+_USUAL = 1.2
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
 
@@ -72,7 +85,7 @@ def fused_map(
 ) -> HazardMap:
     """Return the map of two eyes, either of which may have seen nothing yet.
 
-    It lies on the cells of the elevations' map, if there is one.
+    It has the cells of the elevations' map, if there is one, moved to where the rocks have them.
 
     Parameters
     ----------
@@ -92,24 +105,72 @@ def fused_map(
         return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
     if rocks is None:
         return relief.drawn
+    relief, rocks = _placed(relief, rocks, terms)
     drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
+    clear, level = _clear(relief, rocks, terms)
     p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
     surely_not = known & (p <= HOPELESS)
-    tracks = rocks.tracks
-    there = replace(tracks, existence=existence_given_relief(tracks, relief, terms.lander))
-    clear = on_grid(rocks.clear(there), rocks.drawn.grid, drawn.grid, 1.0, "least")
     p = (p * clear).astype(np.float32)
     seen = drawn.observed
+    # Rocks are as high there as where both eyes have seen some.
+    unmeasured = np.minimum(alone.p_safe, np.float32(terms.relief_prior) * clear)
     elevation = drawn.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
     return replace(
         drawn,
-        p_safe=np.where(seen, p, alone.p_safe),
+        p_safe=np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32)),
         observed=seen | alone.observed,
         elevation=elevation,
-        in_domain=seen & known & ((p >= SURE) | surely_not),
+        in_domain=seen & known & (level <= p) & ((p >= SURE) | surely_not),
     )
+
+
+def _placed(
+    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
+) -> tuple[ReliefEvidence, RockEvidence]:
+    """Return evidence of both eyes where it lies by that of the other, see `registered`."""
+    if relief.rises is None or relief.judged is None:
+        return relief, rocks
+    ratio = terms.height_ratio
+    tracks, shift = registered(
+        rocks.tracks, relief.rises, relief.judged.density, relief.drawn.grid,
+        _USUAL * 2.0 * ratio, ratio,
+    )  # fmt: skip
+    if shift is None:
+        return relief, rocks
+    return (
+        replace(relief, drawn=_moved(relief.drawn, shift.of_elevations)),
+        replace(rocks, drawn=_moved(rocks.drawn, shift.of_rocks), tracks=tracks),
+    )
+
+
+def _moved(drawn: HazardMap, by: Array) -> HazardMap:
+    """Return a map moved by (2,), m."""
+    return replace(drawn, grid=drawn.grid.moved(by)) if by.any() else drawn
+
+
+def _clear(
+    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
+) -> tuple[Array, FloatMap]:
+    """Return the probability that no tracked rock matters, and `clear_ground` (rows, cols).
+
+    Where the samples are told, rocks are as high as both eyes have them (`heights_of`); else they
+    have the outlines that the eye for rocks gives them, and count by what rises elevations show.
+    """
+    tracks, grid, lander = rocks.tracks, relief.drawn.grid, terms.lander
+    nothing = np.zeros(grid.shape, np.float32)
+    if relief.rises is None or relief.judged is None:
+        there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
+        return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least"), nothing
+    heights = heights_of(
+        tracks, relief.rises, relief.judged.density, grid, lander, terms.height_ratio,
+        terms.rocks.shape,
+    )  # fmt: skip
+    clear = clear_of(tracks, heights, grid, lander)
+    if not believed(rocks, tracks, heights, lander.roughness_limit):
+        return clear, nothing
+    return clear, clear_ground(relief, rocks, clear, terms.relief_prior)
 
 
 def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
@@ -132,6 +193,9 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
     ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
     for n, diameter in enumerate(rocks.diameter):
         left = np.maximum(rocks.ratio[n], np.float32(COMMON))
+        if (left == 1.0).all():
+            ratio[n] = 1.0
+            continue
         left = on_grid(left, rocks.drawn.grid, grid, 1.0, "greatest")
         mean = mean_over_discs(left, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING

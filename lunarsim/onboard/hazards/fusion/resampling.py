@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -36,7 +37,16 @@ def on_grid(
         return layer
     width = 2 * int(np.ceil(max(0.5 * to.posting / of.posting, 1.0))) + 1
     near = _WORST[worst](layer, width, mode="nearest")
+    row, col, inside = _places(of, to)
+    return np.asarray(np.where(inside, near[row, col], outside), layer.dtype)
+
+
+@lru_cache(maxsize=2)
+def _places(of: Grid, to: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Return rows, columns of one grid under the cells of another, and which lie on it."""
     xy = to.centres()
     row, col = of.cell(xy)
-    found = near[np.clip(row, 0, of.rows - 1), np.clip(col, 0, of.cols - 1)]
-    return np.asarray(np.where(of.contains(xy), found, outside), layer.dtype)
+    found = np.clip(row, 0, of.rows - 1), np.clip(col, 0, of.cols - 1), of.contains(xy)
+    for layer in found:
+        layer.flags.writeable = False
+    return found

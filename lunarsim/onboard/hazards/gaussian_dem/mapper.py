@@ -34,6 +34,8 @@ from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 Array = NDArray[np.float64]
+# A scan lies higher or lower than those before if it does by so many deviations, and by that, m.
+_SURELY, _LEAST_STEP = 5.0, 0.01
 Judgement = Literal["calibrated", "level", "planes"]
 
 
@@ -169,6 +171,7 @@ class GaussianDemMapper(HazardMapper):
         self._early = EarlyGround()
         self._map = HazardMap.unobserved(grid)
         self._judged: Evidence | None = None
+        self._rises: NDArray[np.float32] | None = None
         self._interval = interval
         self._time, self._due, self._stale = 0.0, -np.inf, False
 
@@ -183,12 +186,26 @@ class GaussianDemMapper(HazardMapper):
         measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
         early = self._early.takes(estimate.tilt_sigma)
+        self._raise_to(points)
         taken = (self._turning if early else self._samples).add(
             points,
             measurement.height_sigma(estimate.attitude),
             measurement.spacing(estimate.attitude),
         )
         self._stale |= taken > 0
+
+    def _raise_to(self, points: Array) -> None:
+        """Raise all samples to the height of a new scan, if that is surely another.
+
+        The lander's height drifts by decimetres from scan to scan; samples of two heights side by
+        side would be steps all over the map. The newest is the height that the lander goes by.
+        """
+        found = self.pool.height_of(points)
+        if found is None or abs(found[0]) < max(_SURELY * found[1], _LEAST_STEP):
+            return
+        self._samples, self._turning = (
+            one.raised(found[0]) for one in (self._samples, self._turning)
+        )
 
     @property
     def pool(self) -> SamplePool:
@@ -221,14 +238,16 @@ class GaussianDemMapper(HazardMapper):
         Of the tests that know no calibration, the map alone.
         """
         drawn = self.hazard_map()
-        return None if self.blank else ReliefEvidence(drawn, self._judged, self.refit)
+        if self.blank:
+            return None
+        return ReliefEvidence(drawn, self._judged, self.refit, self._rises)
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
         self._time = time
 
     def _draw(self, dem: PooledDem) -> HazardMap:
-        self._judged = None
+        self._judged = self._rises = None
         if not len(dem.sampling.rises):
             return HazardMap.unobserved(self.grid)
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
@@ -236,7 +255,7 @@ class GaussianDemMapper(HazardMapper):
         if self.safety == "calibrated":
             evidence = evidence_of(dem, self.lander, self.rocks)
             p, known = calibrated_safety(evidence, refit=self.refit)
-            self._judged = evidence
+            self._judged, self._rises = evidence, dem.sampling.of_cells
             return HazardMap(
                 self.grid, p, evidence.observed, dem.mean, dem.variance, in_domain=known
             )
@@ -256,7 +275,7 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._turning = self._about(centre)
         self.grid = self._samples.grid
         self._map, self._stale = HazardMap.unobserved(self.grid), not self.blank
-        self._judged = None
+        self._judged = self._rises = None
         self._due = -np.inf
 
     def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:

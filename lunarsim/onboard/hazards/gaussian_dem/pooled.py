@@ -58,12 +58,15 @@ class Sampling:
         Middle one of the samples' standard deviations, m.
     rises
         Heights of the samples above the ground about them (n,), m.
+    of_cells
+        The same, each at its cell (rows, cols), m; NaN where there is none.
     """
 
     density: Array
     spacing: float
     noise: float
     rises: Array
+    of_cells: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -131,16 +134,22 @@ def _sampling(
 ) -> Sampling:
     if not len(vertices):
         nothing = np.zeros(pool.grid.shape)
-        return Sampling(nothing, np.inf, np.inf, np.zeros(0))
+        unknown = np.full(pool.grid.shape, np.nan, np.float32)
+        return Sampling(nothing, np.inf, np.inf, np.zeros(0), unknown)
     middle = float(np.median(spacing))
     # Over some four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
     taken = ndimage.uniform_filter(np.isfinite(pool.spacing).astype(np.float64), window)
+    rises = vertices[:, 2] - squares.heights(planes, vertices)
+    of_cells = np.full(pool.grid.shape, np.nan, np.float32)
+    # Vertices come in the order of their cells.
+    of_cells[np.nonzero(pool.centroid[..., 0])] = rises
     return Sampling(
         np.maximum(taken, 0.0) / pool.grid.posting**2,
         middle,
         float(np.sqrt(np.median(noise))),
-        vertices[:, 2] - squares.heights(planes, vertices),
+        rises,
+        of_cells,
     )
 
 

@@ -30,6 +30,11 @@ Index = NDArray[np.int64]
 _LONGEST = 1e4
 # Ranges are not known better than this, whatever a sensor says.
 _LEAST_SIGMA = 1e-4
+# Cells that two scans share for a height of one above the other to be told.
+_FEWEST = 30
+# Standard deviation of normal values over their median absolute deviation, and of their median over
+# that of their mean.
+_MAD, _MEDIAN = 1.4826, 1.2533
 
 
 class SamplePool:
@@ -111,6 +116,36 @@ class SamplePool:
         # A cloud beside the grid leaves it as empty as it was.
         self.base = base if own.any() else self.base
         return int(count)
+
+    def height_of(self, points: ArrayLike) -> tuple[float, float] | None:
+        """Return how high points stand above the samples of the same cells, and its deviation.
+
+        The median of the differences and its standard deviation, m; None where too few cells have
+        both. What stands in a cell, and where in it the points lie, differs either way.
+
+        Parameters
+        ----------
+        points
+            East, north, up (n, 3), m; rows with NaN are left out.
+        """
+        cloud = np.asarray(points, dtype=np.float64)
+        cloud = cloud[np.isfinite(cloud).all(axis=1)]
+        (row, col), keep = _cells(self.grid, cloud)
+        known = self.centroid[row, col]
+        both = known[:, 0] > 0.0
+        if np.count_nonzero(both) < _FEWEST or self.base is None:
+            return None
+        off = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
+        middle = float(np.median(off))
+        spread = _MAD * float(np.median(np.abs(off - middle)))
+        return middle, _MEDIAN * spread / float(np.sqrt(len(off)))
+
+    def raised(self, by: float) -> SamplePool:
+        """Return the same samples, all so much higher, m."""
+        out = SamplePool(self.grid)
+        out.base = None if self.base is None else self.base + by
+        out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
+        return out
 
     def about(self, centre: ArrayLike) -> SamplePool:
         """Return the same samples on a grid about another point (2,) or (3,), m.

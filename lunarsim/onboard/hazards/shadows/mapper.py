@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import poisson
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -22,6 +21,7 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid, sensors_of
 from lunarsim.onboard.hazards.published import RockEvidence
+from lunarsim.onboard.hazards.shadows.plausible import too_few
 from lunarsim.onboard.hazards.shadows.probability_map import (
     HazardPrior,
     ProbabilityMap,
@@ -60,9 +60,6 @@ _MARGIN = 3.0
 # much, rad.
 _CHECKS = 0.5
 _SHADOWS_OFF = float(np.deg2rad(5.0))
-# A map on which fewer rocks were found than this share of those that should have been, and fewer
-# than chance explains, is not in its domain.
-_FEW, _RARE = 0.25, 1e-6
 # A map on which nothing is less safe than this calls all of it safe.
 _UNSAFE = 0.5
 # Point spread of a camera of which nothing is known, pixels.
@@ -371,6 +368,7 @@ class ShadowMapper(HazardMapper):
         return RockEvidence(
             drawn, self.probability.evidence.tested, ratio, rocks_of(self.tracker),
             partial(self.probability.clear_of, footprint=self.footprint),
+            self.probability.unseen(self.footprint), self.probability.expected_rocks(),
         )  # fmt: skip
 
     def _plausible(self, drawn: HazardMap) -> HazardMap:
@@ -382,7 +380,7 @@ class ShadowMapper(HazardMapper):
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
         found = int(self.tracker.large_rocks(prior.least_diameter, self.grid))
-        few = bool(found < _FEW * expected and poisson.cdf(found, expected) < _RARE)
+        few = too_few(found, expected)
         unsafe = drawn.observed & (drawn.p_safe < _UNSAFE)
         all_safe = bool(drawn.observed.any() and not unsafe.any())
         if (few or all_safe) and not self._all_safe:

@@ -267,6 +267,16 @@ class ProbabilityMap:
             (rocks.existence * large)[at],
         )  # fmt: skip
 
+    def unseen(self, footprint: float) -> NDArray[np.float32]:
+        """Return the probability that a rock that is not tracked reaches in (rows, cols).
+
+        Parameters
+        ----------
+        footprint
+            As for `probability`.
+        """
+        return self._residual(footprint).astype(np.float32)
+
     def ratios(self) -> NDArray[np.float32]:
         """Return `ClearEvidence.ratios` on the map's cells (sizes, rows, cols)."""
         return np.stack([self._fine(of_size, 1.0) for of_size in self.evidence.ratios()])

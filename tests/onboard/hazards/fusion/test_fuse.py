@@ -13,7 +13,10 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
+from lunarsim.onboard.hazards.fusion.clear_ground import believed
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map, thinning_of
+from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
@@ -54,7 +57,7 @@ def clear(rocks: RockTracks) -> np.ndarray:
     return out
 
 
-def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID) -> RockEvidence:
+def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID, **more) -> RockEvidence:
     """Return what an eye for rocks knows: one ratio everywhere, or as the array (rows, cols)."""
     whole = np.empty((len(DIAMETERS), *of.shape), np.float32)
     whole[:] = ratio
@@ -64,7 +67,7 @@ def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID) -> RockEvidence:
         np.full(of.shape, seen),
         np.zeros(of.shape, np.float32),
     )
-    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear)
+    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear, **more)
 
 
 # --- one eye, or one that saw nothing ----------------------------------------------------------
@@ -136,6 +139,149 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
             if np.hypot(x - east, y - north) < FOOTPRINT + r:
                 expected *= 1.0 - there
         assert both.p_safe[row, col] == pytest.approx(expected, rel=1e-5)
+
+
+SAMPLED = np.zeros(GRID.shape, np.float32)
+
+
+def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
+    own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), rises=SAMPLED)
+    known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
+    both = fused_map(own, eyes(0.3, known), TERMS)
+    thinned = replace(own.judged, thinning=thinning_of(eyes(0.3), GRID, TERMS))
+    p, _ = calibrated_safety(thinned)
+    heights = heights_of(known, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
+    expected = p * clear_of(known, heights, GRID, LANDER)
+    assert both.p_safe == pytest.approx(expected, rel=1e-5)
+    assert (expected < 0.99 * p).any()
+
+
+def test_where_no_elevation_was_measured_rocks_are_as_high_as_where_they_were():
+    seen = np.ones(GRID.shape, bool)
+    seen[:, 5:] = False
+    rock = tracks((3.5, 2.0, 0.6, 0.9))
+    told = replace(relief(seen=seen, density=1e-6), rises=np.full(GRID.shape, np.nan, np.float32))
+    both = fused_map(told, eyes(0.1, rock, p=0.97), TERMS)
+    heights = heights_of(rock, told.rises, told.judged.density, GRID, LANDER, TERMS.height_ratio)
+    clear = clear_of(rock, heights, GRID, LANDER)
+    assert both.p_safe[:, 5:] == pytest.approx(0.9 * np.minimum(0.97, clear)[:, 5:], rel=1e-5)
+    assert (both.p_safe[:, 5:] < 0.5).any()
+
+
+@given(
+    st.floats(0.0, 0.5), st.floats(0.15, 0.6), st.floats(1.0, 60.0), st.floats(0.0, 0.4),
+    st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
+    there, radius, density, top, worse
+):
+    def p(e=there, d=density, t=top):
+        own = relief(rough=0.2)
+        judged = replace(own.judged, density=np.full(GRID.shape, d))
+        own = replace(own, judged=judged, rises=np.full(GRID.shape, t, np.float32))
+        return fused_map(own, eyes(0.3, tracks((2.0, 2.0, radius, e))), TERMS).p_safe
+
+    before = p()
+    assert (p(e=there + worse * (0.5 - there)) <= before + 1e-6).all()
+    assert (p(d=density / (1.0 + worse)) <= before + 1e-6).all()
+    assert (p(t=top + worse) <= before + 1e-6).all()
+
+
+# Samples so few on ground so rocky that elevations alone doubt all of it.
+DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -1.0}
+
+
+def raster(value: float) -> np.ndarray:
+    return np.full(GRID.shape, value, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("slope", "rough", "level"), [(0.5, 0.5, 1.0), (0.85, 0.2, 0.5), (0.2, 0.9, 0.25), (1.1, 0, 0)]
+)
+def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, level):
+    own = replace(relief(slope=slope, rough=rough, **DOUBTED), rises=SAMPLED)
+    rock = tracks((0.1, 0.2, 0.5, 0.7))
+    told = eyes(1.0, rock, unseen=raster(0.2))
+    both, without = (fused_map(own, e, TERMS) for e in (told, replace(told, unseen=None)))
+    heights = heights_of(rock, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
+    clear = clear_of(rock, heights, GRID, LANDER)
+    expected = np.maximum(0.9 * 0.8 * clear * level, without.p_safe)
+    assert both.p_safe == pytest.approx(expected, rel=1e-5)
+    if level > 0.2:
+        assert (both.p_safe > without.p_safe).any()
+    raised = both.p_safe > without.p_safe
+    assert not both.in_domain[raised].any()
+    # Where the camera has not looked it says nothing of the ground.
+    blind = replace(told, drawn=replace(told.drawn, observed=np.zeros(GRID.shape, bool)))
+    assert np.array_equal(fused_map(own, blind, TERMS).p_safe, without.p_safe)
+
+
+def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
+    own = replace(relief(**DOUBTED), rises=SAMPLED)
+    unlikely = replace(eyes().drawn, in_domain=np.zeros(GRID.shape, bool))
+    for radius, counts in ((0.2, False), (0.3, True)):
+        rocks = tracks(*((0.3 * k, 3.9, radius, 0.9) for k in range(12)))
+        found = replace(eyes(1.0, rocks, unseen=raster(0.2), expected=40.0), drawn=unlikely)
+        both, without = (fused_map(own, e, TERMS) for e in (found, replace(found, unseen=None)))
+        assert (both.p_safe > without.p_safe).any() == counts, radius
+
+
+def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
+    rocks = tracks(*((0.3 * k, 2.0, 0.2, 0.9) for k in range(12)))
+    for rise, known in ((0.0, False), (0.4, True)):
+        own = relief(**DOUBTED)
+        judged = replace(own.judged, density=np.full(GRID.shape, 30.0))
+        own = replace(own, judged=judged, rises=raster(rise))
+        placed, _ = registered(rocks, own.rises, judged.density, GRID, 1.2, 0.5)
+        heights = heights_of(placed, own.rises, judged.density, GRID, LANDER, 0.5)
+        found = replace(eyes(1.0, rocks, expected=40.0))
+        found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
+        assert believed(found, placed, heights, LANDER.roughness_limit) == known
+
+
+def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts():
+    own = relief(slope=0.5, rough=0.5)
+    low = replace(own.drawn, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
+    own = replace(own, drawn=low, rises=SAMPLED)
+    both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)
+    assert both.p_safe == pytest.approx(0.72)
+    assert not both.in_domain.any()
+    assert fused_map(own, eyes(1.0), TERMS).in_domain.all()
+
+
+@given(
+    st.floats(0.0, 1.2), st.floats(0.0, 1.2), st.floats(0.0, 1.0), st.floats(0.0, 0.5),
+    st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_less_level_or_clear_ground_is_never_safer(slope, rough, unseen, there, worse):
+    here = {"slope": slope, "rough": rough, "unseen": unseen, "there": there}
+
+    def p(**changes):
+        e = here | changes
+        own = replace(relief(slope=e["slope"], rough=e["rough"], **DOUBTED), rises=SAMPLED)
+        rock = tracks((2.0, 2.0, 0.4, e["there"]))
+        return fused_map(own, eyes(1.0, rock, unseen=raster(e["unseen"])), TERMS).p_safe
+
+    before = p()
+    for change in (
+        {"slope": slope + worse}, {"rough": rough + worse},
+        {"unseen": unseen + worse * (1.0 - unseen)}, {"there": there + worse * (0.5 - there)},
+    ):  # fmt: skip
+        assert (p(**change) <= before + 1e-6).all(), change
+
+
+def test_the_map_lies_where_rocks_that_are_near_have_the_elevations():
+    wide = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
+    own = relief(rough=0.2)
+    places = np.array([[1.0, 1.0], [2.0, 3.0], [3.5, 1.5], [1.0, 3.5]])
+    rises = raster(0.0)
+    for x, y in places + [0.5, 0.0]:
+        rises[round(2 * y), round(2 * x)] = 0.5
+    rocks = tracks(*((x, y, 0.5, 0.9) for x, y in places))
+    both = fused_map(replace(own, rises=rises), eyes(0.3, rocks), TERMS)
+    assert both.grid.x0 == pytest.approx(wide.x0 - 0.5, abs=0.15)
+    assert both.grid.y0 == pytest.approx(wide.y0, abs=0.15)
+    assert both.grid.shape == wide.shape
 
 
 def test_what_is_left_under_a_footprint_is_the_mean_over_it():
@@ -278,5 +424,7 @@ def test_evidence_of_other_cells_than_the_map_is_refused():
     good = eyes()
     with pytest.raises(InputError, match=r"evidence\.ratio"):
         replace(good, ratio=good.ratio[:, :4])
+    with pytest.raises(InputError, match=r"evidence\.unseen"):
+        replace(good, unseen=np.zeros((2, 2), np.float32))
     with pytest.raises(InputError, match=r"rocks\.sigma"):
         replace(tracks(ROCK), sigma=np.zeros(2))

@@ -25,12 +25,14 @@ LIDAR = FlashLidar(rows=32, cols=32)
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def flash(mapper: GaussianDemMapper, east: float = 0.0, tilt_sigma: float = 1.0) -> None:
-    """Look straight down on level ground from 50 m."""
+def flash(
+    mapper: GaussianDemMapper, east: float = 0.0, tilt_sigma: float = 1.0, up: float = 0.0
+) -> None:
+    """Look straight down on level ground from 50 m; by the lander's estimate it stands `up`, m."""
     down = LIDAR.directions()
     mount = np.diag([1.0, -1.0, -1.0])
     scan = LidarScan(0.0, 50.0 / down[:, 2], down, mount, np.full(len(down), 0.01), (32, 32))
-    here = np.array([east, 0.0, 50.0])
+    here = np.array([east, 0.0, 50.0 + up])
     own = np.diag([1.0] * 6 + [tilt_sigma**2] * 3)
     mapper.update(scan, Estimate(0.0, here, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, own))
 
@@ -241,3 +243,51 @@ def test_a_tilt_that_nobody_knows_is_not_taken_for_known():
     assert early.takes(1.0)
     assert not early.takes(0.0)
     assert not early.takes(1.0)
+
+
+def test_scans_of_another_height_are_laid_on_each_other():
+    mapper = GaussianDemMapper(GRID, Lander())
+    for east, up in ((0.0, 0.0), (0.11, 0.3), (0.23, -0.2)):
+        flash(mapper, east=east, up=up)
+    drawn = mapper.hazard_map()
+    seen = drawn.elevation[drawn.observed]
+    assert seen == pytest.approx(-0.2, abs=1e-6)
+    assert len(seen) > 20
+
+
+def test_scans_of_the_same_height_leave_each_other_as_they_are():
+    apart, both = GaussianDemMapper(GRID, Lander()), SamplePool(GRID)
+    for east in (0.0, 0.11):
+        flash(apart, east=east, up=0.004)
+        flash(one := GaussianDemMapper(GRID, Lander()), east=east, up=0.004)
+        both = both.with_those_of(one.pool)
+    assert np.allclose(apart.pool.centroid, both.centroid, atol=1e-6)
+    assert apart.pool.base == pytest.approx(both.base)
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_samples_of_a_tilt_that_is_not_known_are_raised_too(early):
+    mapper = GaussianDemMapper(GRID, Lander())
+    flash(mapper, tilt_sigma=1.0 if early else 1e-6)
+    flash(mapper, east=0.11, tilt_sigma=1e-6, up=0.5)
+    rise, sigma = mapper.pool.height_of(np.array([[0.1 * k, 0.2, 0.5] for k in range(-30, 30)]))
+    assert abs(rise) < 1e-6
+    assert sigma < 1e-6
+
+
+def test_the_height_of_points_is_the_median_over_cells_that_have_samples():
+    rng = np.random.default_rng(2)
+    pool = SamplePool(GRID)
+    assert pool.height_of(rng.normal(size=(99, 3))) is None
+    xy = rng.uniform(-3.5, 3.5, (400, 2))
+    pool.add(np.column_stack((xy, np.zeros(400))), 0.01, 0.3)
+    z = rng.normal(0.25, 0.02, 300)
+    z[:60] += 3.0
+    points = np.column_stack((rng.uniform(-3.5, 3.5, (300, 2)), z))
+    rise, sigma = pool.height_of(np.vstack((points, [[np.nan, 0.0, 0.0], [90.0, 0.0, 0.0]])))
+    rows, cols = GRID.cell(points[:, :2])
+    known = pool.centroid[rows, cols, 0] > 0.0
+    assert rise == pytest.approx(np.median(z[known]))
+    assert sigma == pytest.approx(1.2533 * 0.02 / np.sqrt(known.sum()), rel=0.7)
+    assert pool.height_of(points[:20]) is None
+    assert pool.raised(0.3).height_of(points)[0] == pytest.approx(rise - 0.3)

@@ -1,0 +1,170 @@
+"""How high rocks stand that one eye tracks and another has sampled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion.association import COMMON
+from lunarsim.onboard.hazards.fusion.heights import (
+    Heights,
+    clear_of,
+    height_scale,
+    heights_of,
+    highest,
+)
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
+from tests.reference import fusion as plain
+
+LANDER = Lander()
+LIMIT = LANDER.roughness_limit
+GRID = Grid(-3.0, 2.0, 0.25, 30, 26)
+
+
+def tracks(*rocks, sigma=0.05) -> RockTracks:
+    """Return rocks, each of (x, y, radius, existence)."""
+    table = np.array(rocks, np.float64).reshape(-1, 4)
+    n = len(table)
+    return RockTracks(table[:, :2], np.full(n, sigma), table[:, 2], np.full(n, 0.0016), table[:, 3])
+
+
+def heights(rocks, top=0.0, density=8.0) -> Heights:
+    """Return what rocks are on a map all of whose samples stand equally high."""
+    rises = np.full(GRID.shape, top, np.float32)
+    return heights_of(rocks, rises, np.full(GRID.shape, float(density)), GRID, LANDER, 0.5)
+
+
+# --- samples about a rock ----------------------------------------------------------------------
+
+
+@given(
+    st.integers(0, 10_000), st.floats(-4.0, 5.0), st.floats(1.0, 10.0), st.floats(0.05, 0.8),
+    st.floats(0.0, 0.6),
+)  # fmt: skip
+def test_the_highest_sample_about_a_rock_equals_a_plain_loop(seed, x, y, radius, sigma):
+    rng = np.random.default_rng(seed)
+    rises = rng.normal(0.0, 0.2, GRID.shape).astype(np.float32)
+    rises[rng.random(GRID.shape) < 0.7] = np.nan
+    found = highest(tracks((x, y, radius, 0.9), sigma=sigma), rises, GRID)[0]
+    reach = 1.4 * radius + min(sigma, 0.3) + 0.1
+    expected = plain.highest(
+        rises.astype(float).tolist(), GRID.x0, GRID.y0, GRID.posting, (x, y), reach
+    )
+    assert found == pytest.approx(expected)
+
+
+# --- the scale ---------------------------------------------------------------------------------
+
+some_rocks = st.lists(
+    st.tuples(st.floats(0.1, 0.8), st.floats(0.0, 1.0), st.floats(-0.1, 0.9), st.floats(0.0, 30.0)),
+    max_size=9,
+)
+
+
+@given(some_rocks, st.floats(0.3, 1.0))
+def test_the_scale_equals_a_plain_median(rocks, ratio):
+    table = np.array(rocks, np.float64).reshape(-1, 4)
+    assert height_scale(*table.T, ratio) == pytest.approx(plain.scale(rocks, ratio))
+
+
+def test_rocks_read_as_too_small_are_found_to_be_so():
+    rng = np.random.default_rng(1)
+    true = rng.uniform(0.3, 0.6, 40)
+    density = np.full(40, 20.0)
+    # The highest of so many samples on a half sphere.
+    count = rng.poisson(density * np.pi * true**2)
+    top = np.array([
+        h * np.sqrt(rng.random(max(n, 1)).max()) for h, n in zip(true, count, strict=True)
+    ])  # fmt: skip
+    found = height_scale(0.7 * true, np.ones(40), top, density, 0.5)
+    assert found == pytest.approx(1.0 / 0.7, rel=0.1)
+    # Samples fall short; nothing makes rocks lower than the mission expects.
+    assert height_scale(0.7 * true, np.ones(40), 0.1 * top, density, 0.5) == 1.0
+    assert height_scale(true[:0], true[:0], true[:0], true[:0], 0.4) == pytest.approx(0.8)
+
+
+# --- the height of each ------------------------------------------------------------------------
+
+
+@given(
+    st.floats(0.1, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 0.4), st.floats(0.0, 2.0)
+)  # fmt: skip
+def test_the_probability_that_a_rock_is_too_high_equals_a_plain_sum(radius, there, top, density):
+    # So few samples that the scale is what the mission expects.
+    rock = tracks((0.0, 5.0, radius, there))
+    found = heights(rock, top, density)
+    assert found.scale == 1.0
+    spread = np.hypot(0.12, 0.04 / radius)
+    expected = plain.hazard(radius, spread, there, top, density, LIMIT, 0.5, COMMON)
+    assert found.hazard[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_samples_that_show_nothing_leave_what_both_eyes_miss():
+    rock = tracks((0.0, 5.0, 0.6, 0.8))
+    dense = heights(rock, 0.0, 400.0).hazard[0]
+    odds = COMMON * 0.8 / 0.2
+    assert dense == pytest.approx(odds / (1.0 + odds), rel=1e-3)
+    # One that they show keeps its odds: the elevations count it already.
+    assert heights(rock, LIMIT, 1e-9).hazard[0] == pytest.approx(0.8, abs=1e-3)
+    assert heights(replace(rock, existence=np.array([0.4])), LIMIT, 1.0).hazard[0] <= 0.4
+
+
+@given(
+    st.floats(0.1, 0.6), st.floats(0.0, 0.5), st.floats(0.0, 0.4), st.floats(0.0, 60.0),
+    st.floats(0.0, 0.5), st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_worse_evidence_never_makes_a_rock_less_likely(radius, there, top, density, more, share):
+    def hazard(e=there, t=top, d=density):
+        return heights(tracks((0.0, 5.0, radius, e)), t, d).hazard[0]
+
+    before = hazard()
+    assert hazard(e=min(there + more, 0.5)) >= before - 1e-12
+    assert hazard(t=top + more) >= before - 1e-12
+    assert hazard(d=share * density) >= before - 1e-12
+
+
+def test_off_the_map_samples_say_nothing():
+    away = tracks((40.0, 5.0, 0.6, 0.8))
+    assert heights(away, 0.0, 400.0).hazard[0] == pytest.approx(0.8, abs=1e-3)
+
+
+# --- under the lander --------------------------------------------------------------------------
+
+
+def test_a_rock_counts_as_far_as_it_is_too_high():
+    wide = Grid.centred((0.0, 0.0), 8.0, 0.1)
+    rock = tracks((0.0, 0.0, 0.4, 0.6), sigma=1e-6)
+    reach = np.sqrt(0.4**2 - LIMIT**2)
+    clear = clear_of(rock, Heights(1.0, np.array([0.6]), np.array([reach])), wide, LANDER)
+    far = np.hypot(*np.moveaxis(wide.centres(), -1, 0))
+    # Places among radii are known to a fifth of one.
+    edge, soft = LANDER.leg_radius + reach, 3.0 * np.hypot(0.2 * 0.4, 0.15 * reach + 0.02)
+    assert clear[far < edge - soft] == pytest.approx(0.4, abs=0.02)
+    assert clear[far > edge + 1.4 * soft] == pytest.approx(1.0, abs=1e-3)
+    rare = clear_of(rock, Heights(1.0, np.array([1e-5]), np.array([reach])), wide, LANDER)
+    assert (rare == 1.0).all()
+
+
+def test_rocks_of_flat_tops_are_too_high_as_far_as_they_reach():
+    rock = tracks((0.0, 5.0, 0.5, 0.9))
+    rises, density = np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape)
+    round_one, flat = (
+        heights_of(rock, rises, density, GRID, LANDER, 0.5, shape).reach[0]
+        for shape in ("ellipsoid", "cube")
+    )
+    assert round_one < flat == pytest.approx(0.5, rel=0.1)
+    assert round_one == pytest.approx(np.sqrt(0.5**2 - LIMIT**2), rel=0.1)
+
+
+def test_rises_of_other_cells_than_the_map_are_refused():
+    unseen = HazardMap.unobserved(GRID)
+    with pytest.raises(InputError, match=r"evidence\.rises"):
+        ReliefEvidence(unseen, rises=np.zeros((2, 2), np.float32))

@@ -1,0 +1,106 @@
+"""Rocks of one eye, moved to where the elevations of another show them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion.registration import registered, shift_of
+from lunarsim.onboard.hazards.published import RockTracks
+from tests.reference import fusion as plain
+
+SMALL = Grid(1.0, -2.0, 0.25, 16, 15)
+WIDE = Grid.centred((0.0, 0.0), 30.0, 0.25)
+
+
+def tracks(xy, radius, sigma) -> RockTracks:
+    n = len(xy)
+    return RockTracks(
+        np.asarray(xy, float), np.full(n, sigma), np.full(n, radius), np.full(n, 0.01),
+        np.full(n, 0.99),
+    )  # fmt: skip
+
+
+def bumps(xy, grid, height, density, rng) -> np.ndarray:
+    """Return samples of half spheres, at random cells, so many on a square metre."""
+    rises = rng.normal(0.0, 0.02, grid.shape)
+    for place in xy:
+        far = np.hypot(*np.moveaxis(grid.centres() - place, -1, 0))
+        rises = np.maximum(rises, np.sqrt(np.clip(height**2 - far**2, 0.0, None)))
+    rises[rng.random(grid.shape) > density * grid.posting**2] = np.nan
+    return rises.astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_shift_equals_a_plain_loop(seed):
+    rng = np.random.default_rng(seed)
+    west, east, south, north = SMALL.extent
+    xy = rng.uniform((west, south), (east, north), (4, 2))
+    rises = bumps(xy + [0.5, -0.25], SMALL, 0.4, 6.0, rng)
+    rocks = tracks(xy, 0.4, 0.3)
+    found = shift_of(rocks, rises, np.full(SMALL.shape, 6.0), SMALL, 1.0, 0.5)
+    expected = plain.shift(
+        [(x, y, 0.4, 0.3) for x, y in xy], rises.astype(float).tolist(), SMALL.x0, SMALL.y0,
+        SMALL.posting, 6.0,
+    )  # fmt: skip
+    assert (*found.by, found.sigma) == pytest.approx(expected, abs=1e-6)
+    assert found.common == pytest.approx(0.3)
+
+
+def test_rocks_are_moved_to_where_the_elevations_show_them():
+    rng = np.random.default_rng(3)
+    true = rng.uniform(-12.0, 12.0, (30, 2))
+    off = np.array([-1.75, 0.5])
+    rises = bumps(true, WIDE, 0.4, 3.0, rng)
+    before = tracks(true - off, 0.4, 1.5)
+    after, shift = registered(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
+    assert shift.by == pytest.approx(off, abs=0.2)
+    moved = after.xy - before.xy
+    # Elevations have drifted by half a metre, more or less, the rocks by three times that.
+    assert moved == pytest.approx(np.broadcast_to(0.9 * shift.by, (30, 2)))
+    assert shift.of_elevations == pytest.approx(-0.1 * shift.by)
+    assert (after.sigma < 0.3).all()
+    assert np.array_equal(after.radius, before.radius)
+
+
+def test_where_the_elevations_tell_nothing_places_are_as_they_were():
+    rng = np.random.default_rng(4)
+    before = tracks(rng.uniform(-12.0, 12.0, (30, 2)), 0.4, 1.0)
+    rises = np.full(WIDE.shape, np.nan, np.float32)
+    after, shift = registered(before, rises, np.zeros(WIDE.shape), WIDE, 1.0, 0.5)
+    assert not shift.by.any()
+    assert np.array_equal(after.xy, before.xy)
+    assert after.sigma == pytest.approx(before.sigma, rel=0.05)
+
+
+def test_few_rocks_tell_no_shift():
+    few = tracks([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0]], 0.4, 1.0)
+    rises = np.zeros(WIDE.shape, np.float32)
+    same, shift = registered(few, rises, np.ones(WIDE.shape), WIDE, 1.0, 0.5)
+    assert same is few
+    assert shift is None
+    assert shift_of(few, rises, np.ones(WIDE.shape), WIDE, 1.0, 0.5) is None
+
+
+def test_no_place_becomes_less_well_known():
+    rng = np.random.default_rng(5)
+    true = rng.uniform(-12.0, 12.0, (12, 2))
+    rises = bumps(true, WIDE, 0.4, 3.0, rng)
+    for sigma in (0.05, 0.3, 2.0):
+        after, _ = registered(
+            tracks(true, 0.4, sigma), rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5
+        )
+        assert (after.sigma <= max(sigma, 0.15) + 1e-12).all()
+
+
+def test_from_near_it_is_the_elevations_that_are_moved():
+    rng = np.random.default_rng(6)
+    true = rng.uniform(-12.0, 12.0, (30, 2))
+    off = np.array([0.5, -0.75])
+    # The rocks lie where they are, the elevations where the lander took itself to be.
+    rises = bumps(true + off, WIDE, 0.4, 3.0, rng)
+    before = tracks(true, 0.4, 0.1)
+    after, shift = registered(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
+    assert shift.of_elevations == pytest.approx(-off, abs=0.2)
+    assert after.xy == pytest.approx(true, abs=0.1)
