@@ -418,10 +418,15 @@ def _look(
     )
 
 
+def shadow_stretch(sun: Array) -> float:
+    """Return how much longer shadows are under a low Sun (3,) than under 20 deg; 1 for others."""
+    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
+    return max(float(longer), 1.0)
+
+
 def look_stretch(sun: Array) -> float:
     """Return how much more centres differ from look to look along a low Sun (3,); 1 for others."""
-    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
-    return max(float(longer), 1.0) ** _LOOK_POWER
+    return shadow_stretch(sun) ** _LOOK_POWER
 
 
 def _sun_frame(sun: Array) -> Array:

@@ -180,14 +180,14 @@ def bare_share(elevation: float) -> float:
     )
     sun = direction_from_angles(0.0, elevation)
     above = np.array([0.0, 0.0, 1.0])
-    reach = _reach(elevation)
+    reach = shadow_reach(elevation)
     dark = [
         _dark_patch(RockOnLevelGround(field, k), sun, above, reach)[-1] for k in range(len(field))
     ]
     return float(np.mean(np.array(dark) < _BARE_AREA))
 
 
-def _reach(elevation: float) -> float:
+def shadow_reach(elevation: float) -> float:
     """Return how far away from the Sun the patch of a rock of radius 1 may reach."""
     return 1.6 * (1.0 + 1.0 / float(np.tan(elevation))) + 0.5
 
@@ -201,7 +201,7 @@ def _tabulate(elevation: float, shapes: RockModel) -> Array:
     table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
-    reach = _reach(elevation)
+    reach = shadow_reach(elevation)
     for i, azimuth in enumerate(_AZIMUTHS):
         for j, depression in enumerate(_DEPRESSIONS):
             camera = direction_from_angles(azimuth, depression)

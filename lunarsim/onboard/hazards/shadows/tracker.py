@@ -19,7 +19,12 @@ from lunarsim.onboard.navigation.planar import positive, squared_distance
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.rock_sight import Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import Detections, look_stretch, unit_vector
+from lunarsim.onboard.perception.detector import (
+    Detections,
+    look_stretch,
+    shadow_stretch,
+    unit_vector,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
@@ -205,14 +210,16 @@ class RockTracker:
             )
         if not np.hypot(*unit_vector(sun)[:2]) > 0.0:
             raise InputError("sun", sun, "a direction off the zenith, by which shadows fall")
-        # Under a low Sun looks are vague along it alone: they begin rocks from as far as under 20 deg.
-        self._longer = look_stretch(sun)
+        # Under a low Sun looks are vague along it alone: they begin rocks from as far as under 20
+        # deg. What the model of shadows has wrong along it grows as the shadows do.
+        self._longer, longer = look_stretch(sun), shadow_stretch(sun)
         if self._time is not None:
             self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
+        along, across, shared = s.view_wander
         self.filter.turn(
-            sun, *s.view_wander,
-            closing=s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
+            sun, longer * along, across, longer * shared,
+            closing=longer * s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
         )  # fmt: skip
 
     def large_rocks(self, diameter: float, grid: Grid) -> int:
