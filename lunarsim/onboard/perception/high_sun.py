@@ -42,6 +42,8 @@ _LEAST_SUM, _LEAST_GAP = 0.3, 0.3
 # By how much, rad, axes and faces differ besides chance under the true shape of rocks: shapes under
 # which they differ by more count for less. No angle is known better than that of faces.
 _AXES_OFF, _FACES_OFF = float(np.deg2rad(8.0)), float(np.deg2rad(2.5))
+# Where a face that looks at the camera draws black and grey round, it may be by this share more.
+_DRAWN = 0.2
 # Angles are taken anew under the Sun that they tell of until they move by no more than this, rad.
 _ENOUGH, _TURNS = float(np.deg2rad(2.0)), 4
 # Shapes that explain the picture worse than this share of chance has it say that none of them does.
@@ -70,6 +72,8 @@ def turn_by_grey(
         Share by which a pixel that counts as bright is brighter than lit ground.
     """
     at, gap = _gaps(seen, view, points, cut)
+    if len(at) == 0:
+        return _NOTHING
     gap = gap / abs(gap)
     # Axes as vectors at twice their angle from the east.
     towards = _level(sun)
@@ -118,7 +122,9 @@ def _under(
     for one, share in zip(models, shares, strict=True):
         direction, axis = lit_faces(one, *seen_at)
         faces = gap * np.conj(towards * direction)
-        told.append(_of_one_shape(faces, axes * np.conj(towards**2 * axis), float(share)))
+        beside = abs(np.angle(-direction))
+        drawn = _DRAWN * float(np.average(beside, weights=abs(direction) + 1e-9))
+        told.append(_of_one_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn))
     return _together(told, len(gap))
 
 
@@ -154,9 +160,13 @@ class _Told:
     weight: float
 
 
-def _of_one_shape(faces: Complex, axes: Complex, share: float) -> _Told:
-    """Return what faces and axes (n,), from where they should be, tell of the Sun."""
+def _of_one_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _Told:
+    """Return what faces and axes (n,), from where they should be, tell of the Sun.
+
+    `drawn` is how far faces may be off as a whole, 1 sigma, rad.
+    """
     angle, sigma = mean_angle(faces)
+    sigma = float(np.hypot(sigma, drawn))
     if not np.isfinite(sigma):
         return _Told(0.0, np.inf, 0.0, share)
     along = np.real(faces * np.exp(-1j * angle))
