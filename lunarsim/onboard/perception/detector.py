@@ -426,7 +426,7 @@ def shadow_stretch(sun: Array) -> float:
 
 def look_stretch(sun: Array) -> float:
     """Return how much more centres differ from look to look along a low Sun (3,); 1 for others."""
-    return shadow_stretch(sun) ** _LOOK_POWER
+    return float(shadow_stretch(sun) ** _LOOK_POWER)
 
 
 def _sun_frame(sun: Array) -> Array:

@@ -22,7 +22,7 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
-from lunarsim.onboard.perception.direction import SunAngle
+from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
 
 Array = NDArray[np.float64]

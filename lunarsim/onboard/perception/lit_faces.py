@@ -114,9 +114,7 @@ def _seen(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[complex,
     return gap / max(abs(gap), 1e-9), axis
 
 
-def _look(
-    scene: RockOnLevelGround, sun: Array, camera: Array
-) -> tuple[Complex, Array]:
+def _look(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[Complex, Array]:
     """Return places on the ground (n,) and how bright they look, over lit ground, through optics.
 
     A rock is seen in front of the ground behind it.

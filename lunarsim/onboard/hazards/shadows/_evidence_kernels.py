@@ -20,13 +20,24 @@ def _between(coarse, i, j, u, v, k):
 
 
 @kernel(inline=True)
-def _core_seen(core, coarse, i, j, u, v, axes):
-    """Take the points of a shadow's core (points, 3), for a radius of 1, along the sensor's axes."""
+def _along_sensor(core, coarse, i, j, u, v, position, axes):
+    """Return a place along the sensor's axes; write the points of the core there (points, 3).
+
+    They are those of a shadow's core for a radius of 1.
+    """
     for k in range(core.shape[0]):
         e = _between(coarse, i, j, u, v, POINTS + 2 * k)
         n = _between(coarse, i, j, u, v, POINTS + 2 * k + 1)
         for c in range(3):
             core[k, c] = axes[0, c] * e + axes[1, c] * n
+    e = _between(coarse, i, j, u, v, EAST) - position[0]
+    n = _between(coarse, i, j, u, v, NORTH) - position[1]
+    h = _between(coarse, i, j, u, v, HEIGHT) - position[2]
+    return (
+        axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * h,
+        axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * h,
+        axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * h,
+    )
 
 
 @kernel()
@@ -106,13 +117,7 @@ def look(
                 if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
                     continue
                 if not known:
-                    east = _between(coarse, vi, uj, u, v, EAST) - position[0]
-                    north = _between(coarse, vi, uj, u, v, NORTH) - position[1]
-                    up = _between(coarse, vi, uj, u, v, HEIGHT) - position[2]
-                    x = axes[0, 0] * east + axes[1, 0] * north + axes[2, 0] * up
-                    y = axes[0, 1] * east + axes[1, 1] * north + axes[2, 1] * up
-                    z = axes[0, 2] * east + axes[1, 2] * north + axes[2, 2] * up
-                    _core_seen(core, coarse, vi, uj, u, v, axes)
+                    x, y, z = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
                     known = True
                 count, tracked = _dark_points(
                     core, x, y, z, radii[s], fx, fy, cx, cy, labels, largest
