@@ -22,8 +22,8 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
-from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
+from lunarsim.onboard.perception.sun_angle import SunAngle
 
 Array = NDArray[np.float64]
 
