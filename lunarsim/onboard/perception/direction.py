@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -132,7 +134,8 @@ def turn_from_sun(
     agree = len(faces) > 0 and bool(abs(faces.mean()) > _AGREE)
     if model.elevation >= LEAST_ELEVATION:
         grey = turn_by_grey(seen, view, points, sun, model, cut)
-        return more_certain(grey, _by_faces(faces)) if agree else grey
+        found = more_certain(grey, _by_faces(faces)) if agree else grey
+        return replace(found, high_sun=True)
     faces = faces if agree else faces[large]
     axis, axis_sigma = mean_angle(_axes(seen, view, points, sun, model))
     found = _by_faces(faces)

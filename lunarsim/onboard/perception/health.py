@@ -125,8 +125,8 @@ class HealthSettings:
         How well that angle must be known to tell, rad, and by how many standard deviations that it
         is not half a turn more.
     wrong_turn, wrong_by
-        What the Sun may be wrong by, rad. One that is less well known shows the Sun in its place
-        too, if it is so many standard deviations from that.
+        What the Sun may be wrong by, rad. Under a high Sun an angle that is less well known shows
+        it in its place too, if it is so many standard deviations from that.
     """
 
     blur_sigma: float = 0.6
@@ -299,8 +299,12 @@ class PictureHealth:
         if self.tells(turn) and abs(turn.angle) >= s.least_turn:
             self.sun.seen = False
             return Fault.SUN_ELSEWHERE
-        right = turn.side >= s.least_side and abs(turn.angle) <= s.most_turn
-        self.sun.seen |= right and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
+        known = self.tells(turn) or (
+            turn.high_sun
+            and turn.side >= s.least_side
+            and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
+        )
+        self.sun.seen |= bool(known and abs(turn.angle) <= s.most_turn)
         return None if self.sun.seen else Fault.SUN_UNPROVEN
 
 

@@ -38,12 +38,15 @@ class SunAngle:
         not on the other: what tells an angle from one that is half a turn more.
     number
         Of rocks by which the side is told.
+    high_sun
+        Whether it was told under a high Sun, where it is known less well however many rocks tell.
     """
 
     angle: float
     sigma: float
     side: float
     number: int
+    high_sun: bool = False
 
 
 def mean_angle(vectors: Complex) -> tuple[float, float]:

@@ -72,9 +72,9 @@ def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wr
     health = PictureHealth()
     limit = np.degrees(health.settings.wrong_turn) / health.settings.wrong_by
 
-    def proven(angle, sigma, side=6.0):
+    def proven(angle, sigma, side=6.0, high=True):
         scene = PictureHealth(sun=SunProof())
-        told = SunAngle(np.radians(angle), np.radians(sigma), side, 50)
+        told = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
         scene.after_detection(_seen(), told, 0.01)
         return scene.sun.seen
 
@@ -82,6 +82,8 @@ def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wr
     assert proven(9.0, 5.0) and not proven(9.0, 0.95 * limit)
     assert not proven(0.0, 5.0, side=3.0)
     assert not proven(float("nan"), float("inf"))
+    # Under a lower Sun it will soon be known better.
+    assert not proven(0.0, 0.95 * limit, high=False) and proven(0.0, 4.9, high=False)
 
 
 def _seen():
