@@ -198,3 +198,20 @@ def test_a_low_sun_begins_rocks_from_as_far_away_as_a_higher_one(elevation):
         begun.append(tracker.filter.count / len(seen))
     assert begun[0] > 0.5
     assert begun[1] > 0.6 * begun[0]
+
+
+@pytest.mark.parametrize(("elevation", "longer"), [(20.0, 1.0), (10.0, 2.064), (45.0, 1.0)])
+def test_what_the_model_has_wrong_of_long_shadows_grows_with_them(elevation, longer, monkeypatch):
+    tracker = tracker_at((0.0, 0.0, 60.0))
+    given = []
+    monkeypatch.setattr(
+        tracker.filter,
+        "turn",
+        lambda sun, *wander, closing, pixel: given.append((*wander, closing)),
+    )
+    terrain, sun = flat_terrain(400.0, 10.0), direction_from_angles(1.2, np.radians(elevation))
+    state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))
+    tracker.update(detect_rocks(counts, camera, state, sun), camera, sun, 0.0)
+    along, across, shared = tracker.settings.view_wander
+    expected = (longer * along, across, longer * shared, longer * tracker.settings.range_wander)
+    assert given == [pytest.approx(expected, rel=1e-3)]
