@@ -27,7 +27,9 @@ class RockPopulation(RockModel):
         have blocks, m: they come from below the regolith, 4 to 5 m thick on maria (Lunar
         Sourcebook 1991, ch. 7), which craters reach from about 25 m on. Metre-sized blocks outlast
         such craters (median 40 to 80 Myr: Basilevsky et al. 2013), so all ages have them.
-
+    fillet
+        Height of the soil banked against rocks over theirs above the ground: a part of the relief,
+        so it shows where its posts are a fraction of a rock apart.
     cube_area
         Area by which a cube of side D counts in the law's cover: its own, D^2, as Golombek counts
         the ground that rocks cover; or that of the disc of its side, so that cubes cover 4 / pi of
@@ -41,6 +43,7 @@ class RockPopulation(RockModel):
     max_diameter: float = quantity(3.0, "m", gt=0, help="of the rocks drawn")
     clustered: float = quantity(0.0, ge=0, le=1, help="share of them that lies about craters")
     block_crater: float = quantity(25.0, "m", gt=0, help="least diameter of craters with blocks")
+    fillet: float = quantity(0.0, ge=0, le=0.5, help="height of soil banked against them, a share")
     cube_area: Literal["square", "disc"] = quantity(
         "square", help="area by which cubes count: their own, or that of the disc of their side"
     )

@@ -86,3 +86,18 @@ def _first_step_below(
     if below.size == 0 or below[0] == 0 or not known[below[0] - 1]:
         return math.nan, math.nan
     return steps[below[0] - 1], steps[below[0]]
+
+
+def soil_about(rocks, share, ground, reach, point):
+    """Height of the soil banked against rocks at one point, rock by rock."""
+    most = 0.0
+    for k in range(len(rocks)):
+        over = share * max(float(rocks.base[k] + rocks.height[k] - ground[k]), 0.0)
+        east, north = point[0] - rocks.x[k], point[1] - rocks.y[k]
+        turned = complex(east, north) * np.exp(-1j * rocks.yaw[k])
+        away = abs(complex(turned.real / rocks.a[k], turned.imag / rocks.b[k]))
+        if away <= 1.0:
+            most = max(most, over)
+        elif away < 1.0 + reach:
+            most = max(most, over * ((1.0 + reach - away) / reach) ** 2)
+    return most

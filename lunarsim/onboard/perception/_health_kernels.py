@@ -19,6 +19,8 @@ SLOPES = 5
 # Sums over the bright pixels beside a patch (weight, column, row) and over its own (number, column,
 # row).
 WEIGHT, BRIGHT_U, BRIGHT_V, PIXELS, DARK_U, DARK_V = range(6)
+# Sums over the black pixels of a patch and over the grey ones in it and the bright ones beside it.
+BLACK, BLACK_U, BLACK_V, LIT, LIT_U, LIT_V = range(6)
 _DIAGONAL = math.sqrt(0.5)
 
 
@@ -168,4 +170,53 @@ def two_sides(image, patch, ring, count, cut):
                 out[k, WEIGHT] += more
                 out[k, BRIGHT_U] += more * j
                 out[k, BRIGHT_V] += more * i
+    return out
+
+
+@kernel()
+def black_and_lit(relative, above, patch, ring, count, black, grey, most, cut):
+    """Return where the black of each patch lies and where what is lit in and beside it does.
+
+    Parameters
+    ----------
+    relative
+        Brightness over that of the slopes close by, in which black and grey are told (height,
+        width).
+    above
+        Brightness over that of what is lit close by, in which bright is told (height, width).
+    patch, ring, count
+        See `two_sides`.
+    black
+        Level below which a pixel of the patch is black, by so much.
+    grey, most
+        Level above which it is lit, by what it has more, at most `most`.
+    cut
+        See `two_sides`.
+
+    Returns
+    -------
+    out
+        (count + 1, 6), by the columns above.
+    """
+    out = np.zeros((count + 1, 6))
+    height, width = patch.shape
+    for i in range(height):
+        for j in range(width):
+            k = patch[i, j]
+            if k != 0:
+                dark = black - relative[i, j]
+                if dark > 0.0:
+                    out[k, BLACK] += dark
+                    out[k, BLACK_U] += dark * j
+                    out[k, BLACK_V] += dark * i
+                more = min(relative[i, j] - grey, most)
+            else:
+                k = ring[i, j]
+                if k == 0:
+                    continue
+                more = min(above[i, j] - 1.0 - cut, 1.0)
+            if more > 0.0:
+                out[k, LIT] += more
+                out[k, LIT_U] += more * j
+                out[k, LIT_V] += more * i
     return out

@@ -35,7 +35,7 @@ class DetectionRates:
 
     missed: tuple[float, float, float] = (1.456, -0.419, 0.0556)
     false: tuple[float, float, float] = (0.203, -0.088, 0.0109)
-    cleared: tuple[float, float, float] = (1.030, -0.386, 0.0299)
+    cleared: tuple[float, float, float] = (1.0, -0.347, 0.018)
 
     def __post_init__(self) -> None:
         for name in ("missed", "false", "cleared"):

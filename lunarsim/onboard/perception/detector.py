@@ -412,11 +412,21 @@ def _look(
     than the shadow is longer: it runs into others too, and over ground that is not quite level.
     """
     wide = np.maximum(radius / np.sqrt(along * across), 0.25)
-    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
-    spans = np.column_stack((max(float(longer), 1.0) ** _LOOK_POWER * along, across))
+    spans = np.column_stack((look_stretch(sun) * along, across))
     return np.asarray(
         spans * np.hypot(settings.look_sigma, np.divide(settings.look_small, wide[:, None]))
     )
+
+
+def shadow_stretch(sun: Array) -> float:
+    """Return how much longer shadows are under a low Sun (3,) than under 20 deg; 1 for others."""
+    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
+    return max(float(longer), 1.0)
+
+
+def look_stretch(sun: Array) -> float:
+    """Return how much more centres differ from look to look along a low Sun (3,); 1 for others."""
+    return float(shadow_stretch(sun) ** _LOOK_POWER)
 
 
 def _sun_frame(sun: Array) -> Array:

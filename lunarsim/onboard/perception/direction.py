@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,9 +12,19 @@ from lunarsim.errors import InputError
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _health_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
+from lunarsim.onboard.perception.high_sun import more_certain, turn_by_grey
+from lunarsim.onboard.perception.lit_faces import LEAST_ELEVATION
 from lunarsim.onboard.perception.segmentation import lit_ground
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.onboard.perception.sun_angle import (
+    USUAL_NUMBER,
+    SunAngle,
+    above_slopes,
+    doubled,
+    mean_angle,
+    seen_from,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -30,15 +40,11 @@ _EXCESS, _LEAST_BRIGHT, _LEAST_GAP = 0.05, 0.3, 0.7
 _FACE_AHEAD, _FACE_UP = 0.6, 0.5
 # Ways from face to shadow that seem shorter than this, in radii, tell nothing.
 _LEAST_WAY = 0.7
-# Directions of single shadows scatter by what is found as if so many more had been seen to scatter
-# by so much, rad: few may agree by chance.
-_USUAL_SCATTER, _USUAL_NUMBER = float(np.deg2rad(25.0)), 4
 # Patches of fewer pixels across have no axis, nor those that should be rounder than this; axes
 # known to this angle tell better than faces, rad.
 _AXIS_Q, _LEAST_AXIS, _AXIS_KNOWN = 4.0, 0.15, float(np.deg2rad(3.0))
-# Patches of fewer pixels across have no face that is told from bright ground behind them. A face is
-# brighter than what is lit within so many pixels, of which none counts as brighter than this.
-_FACE_Q, _FACE_ABOUT, _FACE_MOST = 3.0, 7, 1.2
+# Patches of fewer pixels across have no face that is told from bright ground behind them.
+_FACE_Q = 3.0
 # Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
 # bright ground lies on any side.
 _AGREE = 0.8
@@ -88,30 +94,6 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = 
     return out
 
 
-@dataclass(frozen=True)
-class SunAngle:
-    """By what angle shadows fall beside where the Sun should throw them.
-
-    Attributes
-    ----------
-    angle
-        On the ground, rad, from -pi to pi; NaN if nothing tells.
-    sigma
-        Standard deviation of what chance makes of it, were its side certain; infinite if nothing
-        tells.
-    side
-        By how many standard deviations of chance lit faces lie on this side of the shadows and
-        not on the other: what tells an angle from one that is half a turn more.
-    number
-        Of rocks by which the side is told.
-    """
-
-    angle: float
-    sigma: float
-    side: float
-    number: int
-
-
 def turn_from_sun(
     seen: Detections,
     view: View,
@@ -128,6 +110,7 @@ def turn_from_sun(
     than the ground close about are the rock's lit face: from there to the middle of the patch,
     compared with where the model has the patch and with a face half way up the rock, is the whole
     angle.
+    Under a high Sun, faces are no brighter than the ground: see `turn_by_grey`.
     Ground that faces the Sun is bright too, but lies on any side of a rock; so the mean over rocks
     counts, not what a single one says.
 
@@ -146,44 +129,41 @@ def turn_from_sun(
     noise
         Of a pixel over the brightness of lit ground.
     """
-    axes = _axes(seen, view, points, sun, model)
-    faces, large = _faces(seen, view, points, sun, model, noise)
-    if not (len(faces) and abs(faces.mean()) > _AGREE):
-        faces = faces[large]
-    axis, axis_sigma = _mean_angle(axes)
-    angle, sigma = _mean_angle(faces)
+    cut = max(_EXCESS, 4.0 * noise)
+    faces, large = _faces(seen, view, points, sun, model, cut)
+    agree = len(faces) > 0 and bool(abs(faces.mean()) > _AGREE)
+    if model.elevation >= LEAST_ELEVATION:
+        grey = turn_by_grey(seen, view, points, sun, model, cut)
+        found = more_certain(grey, _by_faces(faces)) if agree else grey
+        return replace(found, high_sun=True)
+    faces = faces if agree else faces[large]
+    axis, axis_sigma = mean_angle(_axes(seen, view, points, sun, model))
+    found = _by_faces(faces)
     if np.isfinite(axis_sigma) and len(faces):
         # Axes come back after half a turn: their angles are doubled.
         axis, raw = 0.5 * axis, 0.5 * axis_sigma
         axis_sigma = float(np.hypot(raw, _AXIS_OFF))
-        if raw < _AXIS_KNOWN or axis_sigma < sigma:
-            angle = axis if np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0 else axis + np.pi
-            sigma = axis_sigma
+        if raw < _AXIS_KNOWN or axis_sigma < found.sigma:
+            same = np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0
+            found = _told(faces, axis if same else axis + np.pi, axis_sigma)
+    return found
+
+
+def _by_faces(faces: NDArray[np.complex128]) -> SunAngle:
+    """Return what lit faces (n,) tell."""
+    angle, sigma = mean_angle(faces)
+    return _told(faces, angle, sigma)
+
+
+def _told(faces: NDArray[np.complex128], angle: float, sigma: float) -> SunAngle:
+    """Return an angle with what faces (n,) say of its side."""
     if not np.isfinite(sigma):
         return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
     along = np.real(faces * np.exp(-1j * angle))
     # Of directions that are any, half of the square lies along a line.
-    spread = np.sqrt(0.5 * (len(faces) + _USUAL_NUMBER))
+    spread = np.sqrt(0.5 * (len(faces) + USUAL_NUMBER))
     wrapped = float(np.angle(np.exp(1j * angle)))
     return SunAngle(wrapped, sigma, float(along.sum() / spread), len(faces))
-
-
-def _mean_angle(vectors: NDArray[np.complex128]) -> tuple[float, float]:
-    """Return the angle of the mean of vectors (n,) and its standard deviation, rad.
-
-    Not known, NaN and infinite, where the mean is no longer than chance makes it.
-    """
-    n = len(vectors)
-    if n < 3:
-        return float("nan"), float("inf")
-    mean = vectors.mean()
-    length = abs(mean)
-    across = np.imag(vectors * np.conj(mean) / max(length, 1e-12))
-    usual = _USUAL_NUMBER * float((abs(vectors) ** 2).mean()) * np.sin(_USUAL_SCATTER) ** 2
-    spread = np.sqrt(((across**2).sum() + usual) / (n + _USUAL_NUMBER))
-    if not length > 2.0 * spread / np.sqrt(n):
-        return float("nan"), float("inf")
-    return float(np.angle(mean)), float(spread / np.sqrt(n) / length)
 
 
 def _axes(
@@ -194,21 +174,12 @@ def _axes(
     The vectors are the longer, the longer patches should be and are.
     """
     at = np.flatnonzero((seen.q >= _AXIS_Q) & np.isfinite(points).all(1))
-    azimuth, depression = _seen_from(view, points[at], sun)
+    azimuth, depression = seen_from(view, points[at], sun)
     unit = model.patch(azimuth, depression)
-    should = _doubled(unit.length, unit.width, unit.skew)
-    found = _doubled(seen.length[at], seen.width[at], seen.skew[at])
+    should = doubled(unit.length, unit.width, unit.skew)
+    found = doubled(seen.length[at], seen.width[at], seen.skew[at])
     tell = abs(should) > _LEAST_AXIS
     return np.asarray((found * np.conj(should))[tell])
-
-
-def _doubled(length: Array, width: Array, skew: Array) -> NDArray[np.complex128]:
-    """Return the axes of patches (n,) as vectors at twice their angle from the Sun's azimuth.
-
-    Their length is 0 for round patches, 1 for lines.
-    """
-    along, across = length**2 / 12.0, width**2 / 12.0
-    return np.asarray((along - across + 2j * skew) / np.maximum(along + across, 1e-12))
 
 
 def _faces(
@@ -217,15 +188,14 @@ def _faces(
     points: Array,
     sun: Array,
     model: ShadowModel | ShapeMixture,
-    noise: float,
+    cut: float,
 ) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
     """Return directions from lit faces to shadows (n,), of length 1, from where they should be.
 
     And of which the shadow is large enough to be told from bright ground (n,).
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
-    cut = max(_EXCESS, 4.0 * noise)
-    sums = kernels.two_sides(_above_slopes(seen), seen.rock, ring, len(seen), cut)[1:]
+    sums = kernels.two_sides(above_slopes(seen), seen.rock, ring, len(seen), cut)[1:]
     bright = sums[:, kernels.WEIGHT] > _LEAST_BRIGHT
     at = np.flatnonzero(bright & np.isfinite(points).all(1))
     sums = sums[at]
@@ -242,24 +212,6 @@ def _faces(
     return np.asarray(turned[far]), np.asarray(seen.q[at][far] >= _FACE_Q)
 
 
-def _above_slopes(seen: Detections) -> NDArray[np.float32]:
-    """Return brightness over that of what is lit within a few pixels (height, width).
-
-    A slope is no brighter than its surroundings; the face of a rock is.
-    """
-    lit = (seen.labels == 0).astype(np.float32)
-    side, few = (_FACE_ABOUT, _FACE_ABOUT), np.float32(0.02)
-    total = cv2.blur(cv2.multiply(cv2.min(seen.relative, _FACE_MOST), lit), side)
-    return np.asarray(cv2.divide(seen.relative, (total + few) / (cv2.blur(lit, side) + few)))
-
-
-def _seen_from(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
-    """Return azimuth of the camera from the Sun's and depression of the sight of points (n, 3)."""
-    sight = points - view.position
-    azimuth = np.arctan2(-sight[:, 0], -sight[:, 1]) - np.arctan2(sun[0], sun[1])
-    return azimuth, np.arctan2(-sight[:, 2], np.hypot(sight[:, 0], sight[:, 1]))
-
-
 def _expected_gap(
     view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> Array:
@@ -267,7 +219,7 @@ def _expected_gap(
     towards = sun[:2] / np.hypot(sun[0], sun[1])
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position
-    unit = model.patch(*_seen_from(view, points, sun))
+    unit = model.patch(*seen_from(view, points, sun))
     dark = unit.along[:, None] * towards + unit.side[:, None] * left
     # What is above the ground is seen before ground that lies farther off.
     lean = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)

@@ -22,8 +22,8 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
-from lunarsim.onboard.perception.direction import SunAngle
 from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
+from lunarsim.onboard.perception.sun_angle import SunAngle
 
 Array = NDArray[np.float64]
 
@@ -124,6 +124,9 @@ class HealthSettings:
     turn_sigma, least_side
         How well that angle must be known to tell, rad, and by how many standard deviations that it
         is not half a turn more.
+    wrong_turn, wrong_by
+        What the Sun may be wrong by, rad. Under a high Sun an angle that is less well known shows
+        it in its place too, if it is so many standard deviations from that.
     """
 
     blur_sigma: float = 0.6
@@ -140,6 +143,8 @@ class HealthSettings:
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))
     least_side: float = 4.0
+    wrong_turn: float = float(np.deg2rad(30.0))
+    wrong_by: float = 3.5
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
@@ -148,7 +153,8 @@ class HealthSettings:
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
         for name in ("least_lit", "most_noise", "least_shadows", "most_width", "most_smear",
-                     "most_turn", "least_turn", "turn_sigma", "least_side"):  # fmt: skip
+                     "most_turn", "least_turn", "turn_sigma", "least_side", "wrong_turn",
+                     "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
 
@@ -290,11 +296,15 @@ class PictureHealth:
 
     def _sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings
-        if self.tells(turn):
-            if abs(turn.angle) >= s.least_turn:
-                self.sun.seen = False
-                return Fault.SUN_ELSEWHERE
-            self.sun.seen |= bool(abs(turn.angle) <= s.most_turn)
+        if self.tells(turn) and abs(turn.angle) >= s.least_turn:
+            self.sun.seen = False
+            return Fault.SUN_ELSEWHERE
+        known = self.tells(turn) or (
+            turn.high_sun
+            and turn.side >= s.least_side
+            and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
+        )
+        self.sun.seen |= bool(known and abs(turn.angle) <= s.most_turn)
         return None if self.sun.seen else Fault.SUN_UNPROVEN
 
 

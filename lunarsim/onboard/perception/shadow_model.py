@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
+from lunarsim.onboard.perception._table_kernels import interpolated
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.level_ground import RockOnLevelGround
 
@@ -119,10 +119,7 @@ class ShadowModel:
             )
         self.elevation = elevation
         self.shapes = shapes or RockModel()
-        self._table = RegularGridInterpolator(
-            (_AZIMUTHS, _DEPRESSIONS), _tabulate(round(elevation, 3), self.shapes)
-        )
-
+        self._table = _tabulate(round(elevation, 3), self.shapes)
         drawn = self.shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
         self.height = float(np.mean(drawn.base + drawn.height))
         round_or_square = self.shapes.shape in {"hemisphere", "cube"}
@@ -145,8 +142,10 @@ class ShadowModel:
         turn = np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
         down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
         turn, down = np.broadcast_arrays(turn, down)
-        rows = self._table(np.column_stack((abs(turn).ravel(), down.ravel())))
-        along, side, length, width, skew, *rest = (c.reshape(turn.shape) for c in rows.T)
+        columns = interpolated(
+            self._table, _AZIMUTHS, _DEPRESSIONS, abs(turn).ravel(), down.ravel()
+        )
+        along, side, length, width, skew, *rest = (c.reshape(turn.shape) for c in columns)
         side, skew = (np.where(turn < 0.0, -v, v) for v in (side, skew))
         return ShadowPatch(along, side, length, width, skew, *rest)
 
@@ -180,14 +179,14 @@ def bare_share(elevation: float) -> float:
     )
     sun = direction_from_angles(0.0, elevation)
     above = np.array([0.0, 0.0, 1.0])
-    reach = _reach(elevation)
+    reach = shadow_reach(elevation)
     dark = [
         _dark_patch(RockOnLevelGround(field, k), sun, above, reach)[-1] for k in range(len(field))
     ]
     return float(np.mean(np.array(dark) < _BARE_AREA))
 
 
-def _reach(elevation: float) -> float:
+def shadow_reach(elevation: float) -> float:
     """Return how far away from the Sun the patch of a rock of radius 1 may reach."""
     return 1.6 * (1.0 + 1.0 / float(np.tan(elevation))) + 0.5
 
@@ -201,7 +200,7 @@ def _tabulate(elevation: float, shapes: RockModel) -> Array:
     table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
-    reach = _reach(elevation)
+    reach = shadow_reach(elevation)
     for i, azimuth in enumerate(_AZIMUTHS):
         for j, depression in enumerate(_DEPRESSIONS):
             camera = direction_from_angles(azimuth, depression)

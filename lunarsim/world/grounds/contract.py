@@ -11,7 +11,14 @@ from lunarsim.rng import Streams
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.terrain import AgedCraters, Clusters, Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain import (
+    AgedCraters,
+    Clusters,
+    Heightfield,
+    Terrain,
+    add_fillets,
+    place_rocks,
+)
 from lunarsim.world.terrain.placement import NOWHERE
 
 MOST_POSTS = 20_000
@@ -69,7 +76,7 @@ def strewn(
             middles = found.x[old], found.y[old]
             clusters = Clusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
         field = place_rocks(relief, diameters, rng, model=rocks.model(), clusters=clusters)
-    return Terrain(relief, field)
+    return Terrain(add_fillets(relief, field, rocks.fillet), field)
 
 
 def check_posts(size: float, posting: float) -> None:

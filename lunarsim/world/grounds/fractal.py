@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import Streams
@@ -22,13 +23,23 @@ class FractalGround(Roughness):
     ----------
     size, posting
         Side of the square and distance of the posts, m.
+    detail
+        Posting of the same ground with roughness and small craters below `posting`, m, for sensors
+        that come so near that they would see its facets; None: none are added.
     """
 
     size: float = quantity(160.0, "m", gt=0, help="side of the square")
     posting: float = quantity(0.25, "m", gt=0, help="of the relief")
+    detail: float | None = quantity(
+        None, "m", gt=0, help="finer posting, with roughness and craters below the other"
+    )
 
     def __post_init__(self) -> None:
         check_posts(self.size, self.posting)
+        if self.detail is not None:
+            if not self.detail < self.posting:
+                raise InputError("detail", self.detail, f"less than posting_m, {self.posting:g}")
+            check_posts(self.size, self.detail)
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""
@@ -42,4 +53,5 @@ class FractalGround(Roughness):
 
 @lru_cache(maxsize=4)
 def _relief(ground: FractalGround) -> Heightfield:
-    return ground.procedural(Grid.centred((0.0, 0.0), ground.size, ground.posting))
+    grid = Grid.centred((0.0, 0.0), ground.size, ground.posting)
+    return ground.procedural(grid, detail=ground.detail)

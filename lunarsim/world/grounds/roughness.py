@@ -15,6 +15,7 @@ from lunarsim.world.terrain import (
     CraterLaw,
     Heightfield,
     add_craters,
+    add_fine_roughness,
     fractal_relief,
 )
 
@@ -32,6 +33,9 @@ _PRESETS: dict[str, tuple[float, float, float]] = {
     "highland": (0.95, np.deg2rad(8.6), 0.079),
     "polar": (0.983, np.deg2rad(13.2), 0.079),
 }
+
+# Craters of fewer posts across are none.
+_POSTS_ACROSS = 4.0
 
 
 @dataclass(frozen=True)
@@ -68,17 +72,39 @@ class Roughness:
         help="all depths alike, or worn by diffusion: most shallow, small ones from the start",
     )
 
-    def procedural(self, grid: Grid, largest: float | None = None) -> Heightfield:
-        """Return fractal relief, with craters (the largest as given, m) if any are asked for."""
+    def procedural(
+        self, grid: Grid, largest: float | None = None, *, detail: float | None = None
+    ) -> Heightfield:
+        """Return fractal relief, with craters (the largest as given, m) if any are asked for.
+
+        With a `detail` it is the same ground at posts so far apart, m, rough down to them, with
+        craters from four posts up.
+        """
         hurst, slope, density = self._figures()
         rng = np.random.default_rng(_RELIEF_SEED)
         relief = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
+        if detail is not None:
+            fine = np.random.default_rng([_RELIEF_SEED, 2])
+            relief = add_fine_roughness(relief, detail, fine, hurst=hurst, rms_slope=slope)
+            relief = self._small_craters(relief, fine, density)
         if density == 0.0:
             return relief
         if self.crater_ageing == "diffusion":
             return self.craters(relief, largest).on(relief)
         law = CraterLaw(density, self.crater_saturation)
         return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
+
+    def _small_craters(
+        self, relief: Heightfield, rng: np.random.Generator, density: float
+    ) -> Heightfield:
+        """Return relief with craters too small to be drawn at coarser posts."""
+        least, most = _POSTS_ACROSS * relief.grid.posting, self.crater_min_diameter
+        if density == 0.0 or least >= most:
+            return relief
+        law = CraterLaw(density, self.crater_saturation)
+        if self.crater_ageing == "even":
+            return add_craters(relief, rng, minimum=least, maximum=most, law=law)
+        return AgedCraters.draw(relief, rng, minimum=least, maximum=most, law=law).on(relief)
 
     def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
         """Return the craters of a relief of this grid that are worn by diffusion.

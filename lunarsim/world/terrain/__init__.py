@@ -2,6 +2,8 @@
 
 from lunarsim.world.terrain.crater_ages import AgedCraters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile
+from lunarsim.world.terrain.fillets import add_fillets
+from lunarsim.world.terrain.fine_relief import add_fine_roughness
 from lunarsim.world.terrain.hazard_field import hazard_field
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.placement import Clusters, place_rocks
@@ -17,6 +19,8 @@ __all__ = [
     "Terrain",
     "add_craters",
     "add_detail",
+    "add_fillets",
+    "add_fine_roughness",
     "crater_profile",
     "fractal_relief",
     "hazard_field",

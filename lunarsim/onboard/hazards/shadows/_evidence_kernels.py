@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from lunarsim._jit import kernel, prange
 from lunarsim.models._pinhole_kernels import to_pixel
 
@@ -17,24 +19,42 @@ def _between(coarse, i, j, u, v, k):
     return top + v * (low - top)
 
 
+@kernel(inline=True)
+def _along_sensor(core, coarse, i, j, u, v, position, axes):
+    """Return a place along the sensor's axes; write the points of the core there (points, 3).
+
+    They are those of a shadow's core for a radius of 1.
+    """
+    for k in range(core.shape[0]):
+        e = _between(coarse, i, j, u, v, POINTS + 2 * k)
+        n = _between(coarse, i, j, u, v, POINTS + 2 * k + 1)
+        for c in range(3):
+            core[k, c] = axes[0, c] * e + axes[1, c] * n
+    e = _between(coarse, i, j, u, v, EAST) - position[0]
+    n = _between(coarse, i, j, u, v, NORTH) - position[1]
+    h = _between(coarse, i, j, u, v, HEIGHT) - position[2]
+    return (
+        axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * h,
+        axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * h,
+        axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * h,
+    )
+
+
 @kernel()
-def _dark_points(
-    coarse, i, j, u, v, east, north, up, radius, axes, fx, fy, cx, cy, labels, largest
-):  # fmt: skip
+def _dark_points(core, x0, y0, z0, radius, fx, fy, cx, cy, labels, largest):
     """Return how many points of a shadow's core are dark, and how many of these are explained.
 
-    -1 if one is out of view. Dark is what may be the shadow of so large a rock.
+    -1 if one is out of view. Dark is what may be the shadow of so large a rock. The place lies at
+    (x0, y0, z0) along the sensor's axes.
     """
     high, wide = labels.shape
     dark = explained = 0
-    for k in range(POINTS, coarse.shape[2], 2):
-        e = east + radius * _between(coarse, i, j, u, v, k)
-        n = north + radius * _between(coarse, i, j, u, v, k + 1)
-        z = axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * up
+    for k in range(core.shape[0]):
+        z = z0 + radius * core[k, 2]
         if z <= 0.0:
             return -1, 0
-        x = axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * up
-        y = axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * up
+        x = x0 + radius * core[k, 0]
+        y = y0 + radius * core[k, 1]
         px, py = to_pixel(x, y, z, fx, fy, cx, cy)
         if not (px >= 0.0 and py >= 0.0 and px <= wide - 1 and py <= high - 1):
             return -1, 0
@@ -79,7 +99,9 @@ def look(
         Factor by which a look must be sharper than those before to be taken.
     """
     sizes, rows, cols = lit.shape
+    points = (coarse.shape[2] - POINTS) // 2
     for i in prange(rows):
+        core = np.empty((points, 3))
         vi = min(i // every, coarse.shape[0] - 2)
         v = i / every - vi
         for j in range(cols):
@@ -88,18 +110,20 @@ def look(
             sharpness = _between(coarse, vi, uj, u, v, SHARPNESS)
             if not sharpness > 0.0:
                 continue
-            east = _between(coarse, vi, uj, u, v, EAST) - position[0]
-            north = _between(coarse, vi, uj, u, v, NORTH) - position[1]
-            up = _between(coarse, vi, uj, u, v, HEIGHT) - position[2]
+            # Before any size asks for them nothing is worked out.
+            known = False
+            x = y = z = 0.0
             for s in range(sizes):
                 if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
                     continue
-                count, known = _dark_points(
-                    coarse, vi, uj, u, v, east, north, up, radii[s], axes, fx, fy, cx, cy, labels,
-                    largest,
-                )  # fmt: skip
+                if not known:
+                    x, y, z = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
+                    known = True
+                count, tracked = _dark_points(
+                    core, x, y, z, radii[s], fx, fy, cx, cy, labels, largest
+                )
                 if count >= least:
                     dark[s, i, j] = sharpness
-                    explained[s, i, j] = 2 * known > count
+                    explained[s, i, j] = 2 * tracked > count
                 elif count >= 0:
                     lit[s, i, j] = sharpness

@@ -10,20 +10,21 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
+from lunarsim.onboard.hazards.shadows.ground_errors import ground_covariance, ground_spread
 from lunarsim.onboard.hazards.shadows.tentative import Tentative
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.picture_watch import Remedy
-from lunarsim.onboard.navigation.planar import (
-    inverse,
-    largest_eigenvalue,
-    positive,
-    squared_distance,
-)
+from lunarsim.onboard.navigation.planar import positive, squared_distance
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.rock_sight import Sight
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import Detections, unit_vector
+from lunarsim.onboard.perception.detector import (
+    Detections,
+    look_stretch,
+    shadow_stretch,
+    unit_vector,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
@@ -96,12 +97,17 @@ class RockTracker:
         self._young = np.empty(0, bool)
         # Where rocks stood when their motion was last asked for; NaN for those begun since.
         self._stood = np.empty((0, 2))
+        self._longer = 1.0
         self._time: float | None = None
+
+    @property
+    def _now(self) -> float:
+        return -np.inf if self._time is None else self._time
 
     def add_known(
         self, xy: ArrayLike, sigma: ArrayLike, radius: ArrayLike, radius_sigma: ArrayLike
     ) -> None:
-        """Begin with rocks known beforehand, as from orbit.
+        """Begin with rocks known beforehand.
 
         Parameters
         ----------
@@ -173,7 +179,7 @@ class RockTracker:
             self.explained[:] = False
         points = self.filter.ground_points(camera, seen.pixel)
         born = self._birth(~close, seen, points, camera, radius_variance)
-        on_ground = _ground_covariance(points, seen.pixel_covariance, self.filter, camera)
+        on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
         self._keep_tentative(~close & ~born, seen, points, on_ground, radius_variance)
         self._merge()
         small = self.filter.radius < _SHRUNK * s.least_radius
@@ -198,18 +204,22 @@ class RockTracker:
     def _pass_time(self, camera: CameraModel, sun: Array, time: float) -> None:
         """Let rocks wander since the last image."""
         s = self.settings
-        if not (-np.inf if self._time is None else self._time) <= time < np.inf:
+        if not self._now <= time < np.inf:
             raise InputError(
                 "picture.time", time, f"at least {self._time} s: time does not run backwards"
             )
         if not np.hypot(*unit_vector(sun)[:2]) > 0.0:
             raise InputError("sun", sun, "a direction off the zenith, by which shadows fall")
+        # Under a low Sun looks are vague along it alone: they begin rocks from as far as under 20
+        # deg. What the model of shadows has wrong along it grows as the shadows do.
+        self._longer, longer = look_stretch(sun), shadow_stretch(sun)
         if self._time is not None:
             self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
+        along, across, shared = s.view_wander
         self.filter.turn(
-            sun, *s.view_wander,
-            closing=s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
+            sun, longer * along, across, longer * shared,
+            closing=longer * s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
         )  # fmt: skip
 
     def large_rocks(self, diameter: float, grid: Grid) -> int:
@@ -356,8 +366,8 @@ class RockTracker:
         """
         s = self.settings
         # Where it shows must be known to a fraction of the distance between rocks.
-        spread = _spread(points, seen.look_covariance, self.filter, camera)
-        sharp = spread < np.maximum(s.birth_sigma, seen.radius / 3)
+        spread = ground_spread(points, seen.look_covariance, self.filter, camera)
+        sharp = spread < self._near_enough(seen.radius)
         fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
         fresh &= positive(seen.look_covariance)
@@ -376,12 +386,15 @@ class RockTracker:
         real = 1.0 - self.rates.false_positive(seen.q[new])
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
-        now = -np.inf if self._time is None else self._time
-        self.corrected = np.concatenate((self.corrected, np.full(new.size, now)))
+        self.corrected = np.concatenate((self.corrected, np.full(new.size, self._now)))
         self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
         self._young = np.concatenate((self._young, np.ones(new.size, bool)))
         self._stood = np.concatenate((self._stood, np.full((new.size, 2), np.nan)))
         return born
+
+    def _near_enough(self, radius: Array) -> Array:
+        """Return within what standard deviation looks must show rocks (n,) to begin them, m."""
+        return np.asarray(self._longer * np.maximum(self.settings.birth_sigma, radius / 3))
 
     def _begin_anew(
         self, rock: Index, d: Index, seen: Detections, camera: CameraModel, variance: Array
@@ -397,15 +410,15 @@ class RockTracker:
         good = np.isfinite(points).all(1) & positive(look)
         good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
         # One that says next to nothing is waited out, and no look is chosen by how well it shows.
-        vague = _spread(points, look, self.filter, camera)
-        good &= vague <= _VAGUE * np.maximum(self.settings.birth_sigma, seen.radius[d] / 3)
+        vague = ground_spread(points, look, self.filter, camera)
+        good &= vague <= _VAGUE * self._near_enough(seen.radius[d])
         rock, d = rock[good], d[good]
         self.filter.begin_anew(
             rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
         )
         self._young[rock] = False
         self._stood[rock] = np.nan
-        self.corrected[rock] = -np.inf if self._time is None else self._time
+        self.corrected[rock] = self._now
 
     def _merge(self) -> None:
         """Drop the less seen of two rocks of which one's centre lies in the other."""
@@ -461,24 +474,6 @@ class RockTracker:
             self._established = self._established[keep]
             self._young = self._young[keep]
             self._stood = self._stood[keep]
-
-
-def _ground_covariance(
-    points: Array, pixel_covariance: Array, rocks: RockFilter, camera: CameraModel
-) -> Array:
-    """Return covariances of pixels (n, 2, 2) at points (n, 3) of the ground (n, 2, 2), m^2."""
-    if len(points) == 0:
-        return np.empty((0, 2, 2))
-    back = inverse(rocks.sight(camera, points).by_rock[:, :, :2])
-    return np.asarray(back @ pixel_covariance @ np.swapaxes(back, 1, 2))
-
-
-def _spread(points: Array, look: Array, rocks: RockFilter, camera: CameraModel) -> Array:
-    """Return how well looks show points (n, 3), 1 sigma along the worse way (n,), m; NaN: not."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(
-            np.sqrt(largest_eigenvalue(_ground_covariance(points, look, rocks, camera)))
-        )
 
 
 def _in_view(sight: Sight, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:

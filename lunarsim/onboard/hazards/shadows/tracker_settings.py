@@ -23,7 +23,7 @@ class TrackerSettings:
         Least q of a detection that begins a rock.
     birth_sigma
         Greatest standard deviation of its place on the ground, m; for large rocks a third of the
-        radius.
+        radius. Under a low Sun more, by `look_stretch`.
     radius_wander
         Share by which the measured radius changes in a second as the view turns.
     radius_doubt

@@ -7,8 +7,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
+from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.rocks.field import RockField
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Terrain
 from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
 from tests.worlds import flat_terrain
@@ -177,3 +179,39 @@ def test_places_are_known_as_those_of_the_rocks_about_are():
     found = tracker.place_sigma(where)
     assert found[0] == pytest.approx(np.hypot(0.1, shared), rel=0.02)
     assert found[1] == pytest.approx(np.hypot(0.5, shared), rel=0.02)
+
+
+@pytest.mark.parametrize("elevation", [5.0, 10.0])
+def test_a_low_sun_begins_rocks_from_as_far_away_as_a_higher_one(elevation):
+    """Looks are vague along the Sun alone then, and across no more than under 20 deg."""
+    terrain, place = rocks_on_a_plane("cube", seed=3, count=40), (-20.0, 40.0, 150.0)
+    begun = []
+    for height in (20.0, elevation):
+        sun = direction_from_angles(1.2, np.radians(height))
+        state, camera, counts = picture(terrain, place, (1.2, height))
+        seen = detect_rocks(
+            counts, camera, state, sun, model=ShadowModel(np.radians(height), RockModel("cube"))
+        )
+        assert len(seen) > 25
+        tracker = tracker_at(place)
+        tracker.update(seen, camera, sun, 0.0)
+        begun.append(tracker.filter.count / len(seen))
+    assert begun[0] > 0.5
+    assert begun[1] > 0.6 * begun[0]
+
+
+@pytest.mark.parametrize(("elevation", "longer"), [(20.0, 1.0), (10.0, 2.064), (45.0, 1.0)])
+def test_what_the_model_has_wrong_of_long_shadows_grows_with_them(elevation, longer, monkeypatch):
+    tracker = tracker_at((0.0, 0.0, 60.0))
+    given = []
+    monkeypatch.setattr(
+        tracker.filter,
+        "turn",
+        lambda sun, *wander, closing, pixel: given.append((*wander, closing)),
+    )
+    terrain, sun = flat_terrain(400.0, 10.0), direction_from_angles(1.2, np.radians(elevation))
+    state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))
+    tracker.update(detect_rocks(counts, camera, state, sun), camera, sun, 0.0)
+    along, across, shared = tracker.settings.view_wander
+    expected = (longer * along, across, longer * shared, longer * tracker.settings.range_wander)
+    assert given == [pytest.approx(expected, rel=1e-3)]

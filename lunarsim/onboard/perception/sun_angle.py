@@ -1,0 +1,94 @@
+"""By what angle shadows fall beside where a Sun would throw them: what measurements of it share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.perception.detector import Detections
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+# Directions of single shadows scatter by what is found as if so many more had been seen to scatter
+# by so much, rad: few may agree by chance.
+_USUAL_SCATTER, USUAL_NUMBER = float(np.deg2rad(25.0)), 4
+# A face is brighter than what is lit within so many pixels, of which none counts as brighter than
+# this.
+_FACE_ABOUT, _FACE_MOST = 7, 1.2
+
+
+@dataclass(frozen=True)
+class SunAngle:
+    """By what angle shadows fall beside where the Sun should throw them.
+
+    Attributes
+    ----------
+    angle
+        On the ground, rad, from -pi to pi; NaN if nothing tells.
+    sigma
+        Standard deviation of what chance makes of it, were its side certain; infinite if nothing
+        tells.
+    side
+        By how many standard deviations of chance lit faces lie on this side of the shadows and
+        not on the other: what tells an angle from one that is half a turn more.
+    number
+        Of rocks by which the side is told.
+    high_sun
+        Whether it was told under a high Sun, where it is known less well however many rocks tell.
+    """
+
+    angle: float
+    sigma: float
+    side: float
+    number: int
+    high_sun: bool = False
+
+
+def mean_angle(vectors: Complex) -> tuple[float, float]:
+    """Return the angle of the mean of vectors (n,) and its standard deviation, rad.
+
+    Not known, NaN and infinite, where the mean is no longer than chance makes it.
+    """
+    n = len(vectors)
+    if n < 3:
+        return float("nan"), float("inf")
+    mean = vectors.mean()
+    length = abs(mean)
+    across = np.imag(vectors * np.conj(mean) / max(length, 1e-12))
+    usual = USUAL_NUMBER * float((abs(vectors) ** 2).mean()) * np.sin(_USUAL_SCATTER) ** 2
+    spread = np.sqrt(((across**2).sum() + usual) / (n + USUAL_NUMBER))
+    if not length > 2.0 * spread / np.sqrt(n):
+        return float("nan"), float("inf")
+    return float(np.angle(mean)), float(spread / np.sqrt(n) / length)
+
+
+def doubled(length: Array, width: Array, skew: Array) -> Complex:
+    """Return the axes of patches (n,) as vectors at twice their angle from the Sun's azimuth.
+
+    Their length is 0 for round patches, 1 for lines.
+    """
+    along, across = length**2 / 12.0, width**2 / 12.0
+    return np.asarray((along - across + 2j * skew) / np.maximum(along + across, 1e-12))
+
+
+def above_slopes(seen: Detections) -> NDArray[np.float32]:
+    """Return brightness over that of what is lit within a few pixels (height, width).
+
+    A slope is no brighter than its surroundings; the face of a rock is.
+    """
+    lit = (seen.labels == 0).astype(np.float32)
+    side, few = (_FACE_ABOUT, _FACE_ABOUT), np.float32(0.02)
+    total = cv2.blur(cv2.multiply(cv2.min(seen.relative, _FACE_MOST), lit), side)
+    return np.asarray(cv2.divide(seen.relative, (total + few) / (cv2.blur(lit, side) + few)))
+
+
+def seen_from(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
+    """Return azimuth of the camera from the Sun's and depression of the sight of points (n, 3)."""
+    sight = points - view.position
+    azimuth = np.arctan2(-sight[:, 0], -sight[:, 1]) - np.arctan2(sun[0], sun[1])
+    return azimuth, np.arctan2(-sight[:, 2], np.hypot(sight[:, 0], sight[:, 1]))

@@ -1,0 +1,146 @@
+"""The Sun's azimuth by grey beside black, under a Sun so high that lit faces are no brighter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import direction_from_angles
+from lunarsim.onboard.perception import _health_kernels as kernels
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.health import Fault, PictureHealth, SunProof
+from lunarsim.onboard.perception.high_sun import more_certain
+from lunarsim.onboard.perception.lit_faces import lit_faces
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.onboard.perception.sun_angle import SunAngle
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import sample_diameters
+from lunarsim.world.terrain import Terrain, place_rocks
+from tests.shadow_scene import picture
+from tests.worlds import flat_terrain
+
+# Shape, camera's azimuth from the Sun's, elevation of the Sun (deg).
+SCENES = [("cube", 180.0, 45.0), ("cube", 180.0, 60.0), ("ellipsoid", 0.0, 45.0)]
+AZIMUTH = 1.2
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene(request):
+    shape, beside, elevation = request.param
+    rng = np.random.default_rng(77)
+    relief = flat_terrain(260.0, 2.0).relief
+    diameters = sample_diameters(260.0**2, 0.06, 0.3, 3.0, rng)
+    model = RockModel(shape, burial=(0.0, 0.0))
+    terrain = Terrain(relief, place_rocks(relief, diameters, rng, model=model))
+    back = direction_from_angles(AZIMUTH + np.radians(beside), np.radians(65.0))
+    state, camera, counts = picture(terrain, 70.0 * back, (AZIMUTH, elevation))
+    return state, camera, counts, elevation
+
+
+def looked_at(scene, off):
+    """Return the angle found under a Sun taken to be `off` (deg) beside, and the verdict."""
+    state, camera, counts, elevation = scene
+    sun = direction_from_angles(AZIMUTH + np.radians(off), np.radians(elevation))
+    model, health = ShapeMixture(np.radians(elevation)), PictureHealth(sun=SunProof())
+    first = health.before_detection(counts, camera, state)
+    seen = detect_rocks(counts, camera, state, sun, model=model)
+    points = np.column_stack((seen.ground, np.zeros(len(seen))))
+    noise = first.figures["noise"]
+    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    return turn, health.after_detection(seen, turn, noise).fault
+
+
+def test_a_high_sun_is_told_to_be_in_its_place(scene):
+    turn, fault = looked_at(scene, 0.0)
+    assert abs(np.degrees(turn.angle)) < 10.0
+    assert turn.side > 5.0
+    assert fault is None
+
+
+@pytest.mark.parametrize("off", [30.0, -30.0, 90.0, 180.0])
+def test_a_high_sun_that_is_elsewhere_is_not_believed(scene, off):
+    turn, fault = looked_at(scene, off)
+    assert fault in {Fault.SUN_ELSEWHERE, Fault.SUN_UNPROVEN}
+    if np.isfinite(turn.angle):
+        beside = np.angle(np.exp(1j * (turn.angle - np.radians(off))))
+        assert abs(np.degrees(beside)) < 12.0
+
+
+def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wrong_by():
+    health = PictureHealth()
+    limit = np.degrees(health.settings.wrong_turn) / health.settings.wrong_by
+
+    def proven(angle, sigma, side=6.0, high=True):
+        scene = PictureHealth(sun=SunProof())
+        told = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
+        scene.after_detection(_seen(), told, 0.01)
+        return scene.sun.seen
+
+    assert proven(0.0, 0.95 * limit) and not proven(0.0, 1.05 * limit)
+    assert proven(9.0, 5.0) and not proven(9.0, 0.95 * limit)
+    assert not proven(0.0, 5.0, side=3.0)
+    assert not proven(float("nan"), float("inf"))
+    # Under a lower Sun it will soon be known better.
+    assert not proven(0.0, 0.95 * limit, high=False) and proven(0.0, 4.9, high=False)
+
+
+def _seen():
+    rng = np.random.default_rng(5)
+    relief = flat_terrain(200.0, 2.0).relief
+    rocks = place_rocks(
+        relief, np.full(200, 1.2), rng, model=RockModel("cube", burial=(0.0, 0.0))
+    )  # fmt: skip
+    state, camera, counts = picture(Terrain(relief, rocks), (0.0, -20.0, 60.0), (AZIMUTH, 45.0))
+    sun = direction_from_angles(AZIMUTH, np.radians(45.0))
+    return detect_rocks(counts, camera, state, sun)
+
+
+def test_of_two_measurements_the_better_counts_and_none_if_they_contradict():
+    good, poor = SunAngle(0.1, 0.05, 6.0, 30), SunAngle(0.0, 0.2, 3.0, 9)
+    none = SunAngle(float("nan"), float("inf"), 0.0, 0)
+    assert more_certain(good, poor) is good and more_certain(poor, good) is good
+    assert more_certain(none, poor) is poor
+    assert not np.isfinite(more_certain(good, SunAngle(1.5, 0.1, 6.0, 30)).sigma)
+
+
+def test_faces_of_half_spheres_lie_towards_the_sun():
+    """By symmetry; seen from the side they lean away from the camera, since they stand higher."""
+    model = ShadowModel(np.radians(45.0))
+    turn = np.radians([0.0, 180.0, 120.0, -120.0])
+    direction, axis = lit_faces(model, turn, np.radians([90.0, 60.0, 60.0, 60.0]))
+    assert direction[:2] == pytest.approx([-1.0, -1.0], abs=0.08)
+    assert direction[2] == pytest.approx(np.conj(direction[3]), abs=0.05)
+    # The camera stands to the right of the Sun: what is lit leans to the left.
+    assert direction[2].imag < -0.02
+    # The patch of a half sphere under so high a Sun is broader than long.
+    assert axis[0].real < -0.2 and axis[0].imag == pytest.approx(0.0, abs=0.05)
+
+
+def test_black_and_lit_equal_plain_sums():
+    rng = np.random.default_rng(6)
+    relative, above = (1.3 * rng.random((2, 30, 36))).astype(np.float32)
+    patch, ring = np.zeros((2, 30, 36), np.uint16)
+    patch[5:12, 6:14], patch[15:25, 20:30] = 1, 2
+    ring[3:14, 4:16], ring[13:27, 18:32] = 1, 2
+    found = kernels.black_and_lit(relative, above, patch, ring, 2, 0.35, 0.15, 0.5, 0.1)
+    v, u = np.mgrid[:30, :36]
+    for k in (1, 2):
+        own, beside = patch == k, (ring == k) & (patch == 0)
+        black = np.where(own, np.clip(0.35 - relative.astype(float), 0.0, None), 0.0)
+        lit = np.where(own, np.clip(relative.astype(float) - 0.15, 0.0, 0.5), 0.0)
+        lit += np.where(beside, np.clip(above.astype(float) - 1.1, 0.0, 1.0), 0.0)
+        sums = [(w * c).sum() for w in (black, lit) for c in (1.0, u, v)]
+        assert found[k] == pytest.approx(sums, rel=1e-5)
+    assert not found[0].any()
+
+
+def test_ground_without_rocks_tells_nothing_of_a_high_sun():
+    sun = direction_from_angles(AZIMUTH, np.radians(45.0))
+    terrain = flat_terrain(260.0, 2.0)
+    state, camera, counts = picture(terrain, (0.0, 0.0, 70.0), (AZIMUTH, 45.0))
+    seen = detect_rocks(counts, camera, state, sun)
+    model = ShadowModel(np.radians(45.0))
+    turn = turn_from_sun(seen, camera.view(state), np.empty((0, 3)), sun, model, 0.01)
+    assert not np.isfinite(turn.sigma) and turn.number == 0
