@@ -42,6 +42,7 @@ def shadows() -> None:
     _detection(model, elevation, rng)
     _images(rng)
     _update_alone()
+    _looks(elevation)
     _maps(model)
     _flights()
 
@@ -166,6 +167,41 @@ def _update_alone() -> None:
         f"    500 rocks, 150 seen, the update alone, one thread: {ours:.1f} ms; filterpy's dense "
         f"update of the same states {peer:.1f} ms, {peer / ours:.1f} times"
     )
+
+
+def _looks(elevation: float) -> None:
+    """Time what a picture says of ground without rocks, seen first and seen again."""
+    import numpy as np
+
+    from lunarsim.frames import direction_from_angles
+    from lunarsim.grid import Grid
+    from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
+    from lunarsim.onboard.perception.detection_rates import DetectionRates
+    from lunarsim.onboard.perception.detector import detect_rocks
+    from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+    from lunarsim.vehicle import State
+    from lunarsim.world import World
+    from lunarsim.world.light import Light
+
+    model, sun = ShapeMixture(elevation), direction_from_angles(0.0, elevation)
+    _, camera, _ = _rock_filter(1)
+    place, level = np.array([-20.0, 10.0, 80.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    state = State(place, np.zeros(3), level, np.zeros(3), 1.0)
+    world = World(square(0.0, 700, 2.0, 120.0), 1.622, Light(0.0, elevation))
+    counts = camera.expose(world, state, 0.0, np.random.default_rng(0)).counts
+    seen, view = detect_rocks(counts, camera, state, sun, model=model), camera.view(state)
+    sizes = 0.5 * 1.2 ** np.arange(10)
+    evidence = ClearEvidence(
+        Grid.centred((0.0, 0.0), 104.0, 0.2), model, sizes, np.ones(10), DetectionRates()
+    )
+
+    def look(anew: bool) -> None:
+        if anew:
+            evidence.forget()
+        evidence.see(view, sun, seen, lambda xy: np.zeros(len(xy)))
+
+    first, again = median_ms(lambda: look(True), 7), median_ms(lambda: look(False), 7)
+    print(f"  look at {evidence.lit.shape} places: {first:.1f} ms, once more {again:.1f} ms")
 
 
 def _maps(model) -> None:
