@@ -149,13 +149,12 @@ def shift(rocks: list, rises, x0: float, y0: float, posting: float, density: flo
     sigmas = sorted(rock[3] for rock in rocks)
     half = len(sigmas) // 2
     common = sigmas[half] if len(sigmas) % 2 else 0.5 * (sigmas[half - 1] + sigmas[half])
-    apart = math.hypot(common, 0.5)
-    most = round(min(3.0 * apart, 4.0) / posting)
+    most = round(min(3.0 * common, 4.0) / posting)
     total, east, north, squares = 0.0, 0.0, 0.0, 0.0
     weights = []
     for down in range(-most, most + 1):
         for right in range(-most, most + 1):
-            log = -0.5 * (down * down + right * right) * (posting / apart) ** 2
+            log = -0.5 * (down * down + right * right) * (posting / max(common, 0.1)) ** 2
             for x, y, height, _ in rocks:
                 row, col = round((y - y0) / posting), round((x - x0) / posting)
                 row = min(max(row + down, 0), rows - 1)

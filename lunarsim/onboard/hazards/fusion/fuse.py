@@ -85,7 +85,7 @@ def fused_map(
 ) -> HazardMap:
     """Return the map of two eyes, either of which may have seen nothing yet.
 
-    It has the cells of the elevations' map, if there is one, moved to where the rocks have them.
+    It lies on the cells of the elevations' map, if there is one.
 
     Parameters
     ----------
@@ -105,7 +105,6 @@ def fused_map(
         return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
     if rocks is None:
         return relief.drawn
-    relief, rocks = _placed(relief, rocks, terms)
     drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
     clear, level = _clear(relief, rocks, terms)
     p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
@@ -126,49 +125,26 @@ def fused_map(
     )
 
 
-def _placed(
-    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
-) -> tuple[ReliefEvidence, RockEvidence]:
-    """Return evidence of both eyes where it lies by that of the other, see `registered`."""
-    if relief.rises is None or relief.judged is None:
-        return relief, rocks
-    ratio = terms.height_ratio
-    tracks, shift = registered(
-        rocks.tracks, relief.rises, relief.judged.density, relief.drawn.grid,
-        _USUAL * 2.0 * ratio, ratio,
-    )  # fmt: skip
-    if shift is None:
-        return relief, rocks
-    return (
-        replace(relief, drawn=_moved(relief.drawn, shift.of_elevations)),
-        replace(rocks, drawn=_moved(rocks.drawn, shift.of_rocks), tracks=tracks),
-    )
-
-
-def _moved(drawn: HazardMap, by: Array) -> HazardMap:
-    """Return a map moved by (2,), m."""
-    return replace(drawn, grid=drawn.grid.moved(by)) if by.any() else drawn
-
-
 def _clear(
     relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
 ) -> tuple[Array, FloatMap]:
     """Return the probability that no tracked rock matters, and `clear_ground` (rows, cols).
 
-    Where the samples are told, rocks are as high as both eyes have them (`heights_of`); else they
-    have the outlines that the eye for rocks gives them, and count by what rises elevations show.
+    Where the samples are told, rocks are where they lie in the elevations (`registered`) and as
+    high as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks
+    gives them, and count by what rises the elevations show.
     """
     tracks, grid, lander = rocks.tracks, relief.drawn.grid, terms.lander
     nothing = np.zeros(grid.shape, np.float32)
     if relief.rises is None or relief.judged is None:
         there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
         return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least"), nothing
-    heights = heights_of(
-        tracks, relief.rises, relief.judged.density, grid, lander, terms.height_ratio,
-        terms.rocks.shape,
-    )  # fmt: skip
-    clear = clear_of(tracks, heights, grid, lander)
-    if not believed(rocks, tracks, heights, lander.roughness_limit):
+    seen = relief.rises, relief.judged.density, grid
+    ratio = terms.height_ratio
+    placed = registered(tracks, *seen, _USUAL * 2.0 * ratio, ratio)
+    heights = heights_of(placed, *seen, lander, ratio, terms.rocks.shape)
+    clear = clear_of(placed, heights, grid, lander)
+    if not believed(rocks, placed, heights, lander.roughness_limit):
         return clear, nothing
     return clear, clear_ground(relief, rocks, clear, terms.relief_prior)
 

@@ -7,10 +7,6 @@ rock that so many samples have met shows a rise of half its height with a probab
 one lies there with that of any place, f. A rock with a rise speaks for a shift by
 ``log((h + (1 - h) f) / f)``, one without against it by ``log(1 - h)``. With the shift's own spread
 that gives its mean and its covariance: where the elevations tell nothing, both are what they were.
-
-Nor do elevations lie where the lander takes itself to be by now: its place has drifted since they
-were scanned. Of the shift the rocks are moved by the share that their own variance has in both, and
-the elevations back by the rest: from far the rocks, from near the elevations.
 """
 
 from __future__ import annotations
@@ -35,10 +31,6 @@ _INDEPENDENT, _TRUE = 0.5, 0.8
 _DEVIATIONS, _FARTHEST = 3.0, 4.0
 # A shift is no better known than that, nor is a rock among the others, m.
 _LEAST, _APART = 0.1, 0.15
-# How far off elevations are by the drift since they were scanned, an axis, m.
-_DRIFT = 0.5
-# No shift is told below this, cells.
-_SMALL = 1e-3
 # Fewer rocks tell no shift.
 _FEWEST = 3
 _LEAST_RADIUS = 0.05
@@ -56,22 +48,12 @@ class Shift:
     sigma
         How well it is known, an axis, m.
     common
-        How well the place of all rocks together was known before, m.
+        How well it was known before, m.
     """
 
     by: Array
     sigma: float
     common: float
-
-    @property
-    def of_rocks(self) -> Array:
-        """By how much the rocks are off, of that (2,), m."""
-        return np.asarray(self.by * self.common**2 / (self.common**2 + _DRIFT**2))
-
-    @property
-    def of_elevations(self) -> Array:
-        """By how much the elevations are to be moved the other way (2,), m."""
-        return np.asarray(self.of_rocks - self.by)
 
 
 def registered(
@@ -81,8 +63,8 @@ def registered(
     grid: Grid,
     scale: float,
     height_ratio: float,
-) -> tuple[RockTracks, Shift | None]:
-    """Return rocks where they lie, and the shift that tells it; as they were with too few.
+) -> RockTracks:
+    """Return rocks where the elevations have them; with too few as they were.
 
     Parameters
     ----------
@@ -102,10 +84,10 @@ def registered(
     """
     shift = shift_of(tracks, rises, density, grid, scale, height_ratio)
     if shift is None:
-        return tracks, None
+        return tracks
     own = np.sqrt(np.maximum(tracks.sigma**2 - shift.common**2, 0.0) + _APART**2)
     sigma = np.minimum(np.hypot(own, shift.sigma), np.maximum(tracks.sigma, _APART))
-    return replace(tracks, xy=tracks.xy + shift.of_rocks, sigma=sigma), shift
+    return replace(tracks, xy=tracks.xy + shift.by, sigma=sigma)
 
 
 def shift_of(
@@ -132,10 +114,9 @@ def shift_of(
     area = _TOP * np.pi * (height / (2.0 * height_ratio)) ** 2
     shows = _TRUE * -np.expm1(-_INDEPENDENT * density[row, col] * area)
     hit, miss = np.log((shows + (1.0 - shows) * chance) / chance), np.log1p(-shows)
-    apart = float(np.hypot(common, _DRIFT))
-    steps = _steps(min(_DEVIATIONS * apart, _FARTHEST), grid.posting)
+    steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
     far = grid.posting * steps
-    log = -0.5 * (far[:, None] ** 2 + far**2) / apart**2
+    log = -0.5 * (far[:, None] ** 2 + far**2) / max(common, _LEAST) ** 2
     for r, c, h, yes, no in zip(row, col, _SHOWS * height, hit, miss, strict=True):
         # Beyond the edge lies what lies at it.
         near = top[
@@ -149,8 +130,6 @@ def shift_of(
         along = weight.sum(axis=axis)
         by.append(float(along @ far))
         variance.append(float(along @ (far - by[-1]) ** 2))
-    if max(abs(v) for v in by) < _SMALL * grid.posting:
-        by = [0.0, 0.0]
     return Shift(np.array(by), max(float(np.sqrt(np.mean(variance))), _LEAST), common)
 
 

@@ -232,7 +232,7 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
         own = relief(**DOUBTED)
         judged = replace(own.judged, density=np.full(GRID.shape, 30.0))
         own = replace(own, judged=judged, rises=raster(rise))
-        placed, _ = registered(rocks, own.rises, judged.density, GRID, 1.2, 0.5)
+        placed = registered(rocks, own.rises, judged.density, GRID, 1.2, 0.5)
         heights = heights_of(placed, own.rises, judged.density, GRID, LANDER, 0.5)
         found = replace(eyes(1.0, rocks, expected=40.0))
         found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
@@ -268,20 +268,6 @@ def test_less_level_or_clear_ground_is_never_safer(slope, rough, unseen, there, 
         {"unseen": unseen + worse * (1.0 - unseen)}, {"there": there + worse * (0.5 - there)},
     ):  # fmt: skip
         assert (p(**change) <= before + 1e-6).all(), change
-
-
-def test_the_map_lies_where_rocks_that_are_near_have_the_elevations():
-    wide = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
-    own = relief(rough=0.2)
-    places = np.array([[1.0, 1.0], [2.0, 3.0], [3.5, 1.5], [1.0, 3.5]])
-    rises = raster(0.0)
-    for x, y in places + [0.5, 0.0]:
-        rises[round(2 * y), round(2 * x)] = 0.5
-    rocks = tracks(*((x, y, 0.5, 0.9) for x, y in places))
-    both = fused_map(replace(own, rises=rises), eyes(0.3, rocks), TERMS)
-    assert both.grid.x0 == pytest.approx(wide.x0 - 0.5, abs=0.15)
-    assert both.grid.y0 == pytest.approx(wide.y0, abs=0.15)
-    assert both.grid.shape == wide.shape
 
 
 def test_what_is_left_under_a_footprint_is_the_mean_over_it():

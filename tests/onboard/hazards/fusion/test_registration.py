@@ -54,12 +54,8 @@ def test_rocks_are_moved_to_where_the_elevations_show_them():
     off = np.array([-1.75, 0.5])
     rises = bumps(true, WIDE, 0.4, 3.0, rng)
     before = tracks(true - off, 0.4, 1.5)
-    after, shift = registered(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
-    assert shift.by == pytest.approx(off, abs=0.2)
-    moved = after.xy - before.xy
-    # Elevations have drifted by half a metre, more or less, the rocks by three times that.
-    assert moved == pytest.approx(np.broadcast_to(0.9 * shift.by, (30, 2)))
-    assert shift.of_elevations == pytest.approx(-0.1 * shift.by)
+    after = registered(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
+    assert after.xy - before.xy == pytest.approx(np.broadcast_to(off, (30, 2)), abs=0.2)
     assert (after.sigma < 0.3).all()
     assert np.array_equal(after.radius, before.radius)
 
@@ -68,18 +64,15 @@ def test_where_the_elevations_tell_nothing_places_are_as_they_were():
     rng = np.random.default_rng(4)
     before = tracks(rng.uniform(-12.0, 12.0, (30, 2)), 0.4, 1.0)
     rises = np.full(WIDE.shape, np.nan, np.float32)
-    after, shift = registered(before, rises, np.zeros(WIDE.shape), WIDE, 1.0, 0.5)
-    assert not shift.by.any()
-    assert np.array_equal(after.xy, before.xy)
+    after = registered(before, rises, np.zeros(WIDE.shape), WIDE, 1.0, 0.5)
+    assert after.xy == pytest.approx(before.xy, abs=1e-9)
     assert after.sigma == pytest.approx(before.sigma, rel=0.05)
 
 
 def test_few_rocks_tell_no_shift():
     few = tracks([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0]], 0.4, 1.0)
     rises = np.zeros(WIDE.shape, np.float32)
-    same, shift = registered(few, rises, np.ones(WIDE.shape), WIDE, 1.0, 0.5)
-    assert same is few
-    assert shift is None
+    assert registered(few, rises, np.ones(WIDE.shape), WIDE, 1.0, 0.5) is few
     assert shift_of(few, rises, np.ones(WIDE.shape), WIDE, 1.0, 0.5) is None
 
 
@@ -88,19 +81,7 @@ def test_no_place_becomes_less_well_known():
     true = rng.uniform(-12.0, 12.0, (12, 2))
     rises = bumps(true, WIDE, 0.4, 3.0, rng)
     for sigma in (0.05, 0.3, 2.0):
-        after, _ = registered(
+        after = registered(
             tracks(true, 0.4, sigma), rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5
         )
         assert (after.sigma <= max(sigma, 0.15) + 1e-12).all()
-
-
-def test_from_near_it_is_the_elevations_that_are_moved():
-    rng = np.random.default_rng(6)
-    true = rng.uniform(-12.0, 12.0, (30, 2))
-    off = np.array([0.5, -0.75])
-    # The rocks lie where they are, the elevations where the lander took itself to be.
-    rises = bumps(true + off, WIDE, 0.4, 3.0, rng)
-    before = tracks(true, 0.4, 0.1)
-    after, shift = registered(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
-    assert shift.of_elevations == pytest.approx(-off, abs=0.2)
-    assert after.xy == pytest.approx(true, abs=0.1)
