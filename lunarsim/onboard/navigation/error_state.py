@@ -140,11 +140,14 @@ class ErrorState:
     @property
     def p(self) -> Array:
         """Covariance of all errors, with room for more behind them."""
+        self._settle()
+        return self._p
+
+    def _settle(self) -> None:
+        """Take in what has been put off: of the head it has been taken in at once."""
         if self._put_off.rows:
-            # Of the head, what measurements told has been taken in at once.
             with BLAS.limit(limits=1, user_api="blas"):
                 self._put_off.settle(self._p[self.head :, self.head :])
-        return self._p
 
     @property
     def covariance(self) -> Array:
@@ -227,7 +230,7 @@ class ErrorState:
         time in proportion to the number of errors, and not to its square.
         """
         if not np.array_equal(tail, self._rests):
-            _ = self.p  # What was put off is of those that rested till now.
+            self._settle()  # What was put off is of those that rested till now.
             self._rests = tail
 
     def _awake(self) -> Index | None:
@@ -329,7 +332,7 @@ class ErrorState:
         p[n:, :n] = p[:n, n:].T
         self._put_off.add(np.ascontiguousarray(w[:, n:]), awake)
         if self._put_off.full:
-            _ = self.p
+            self._settle()
 
     def inform(
         self,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lunarsim.frames import direction_from_angles
-from lunarsim.onboard.perception.shadow_model import ShadowModel, shadow_reach
+from lunarsim.onboard.perception.shadow_model import ShadowModel, ground_about, shadow_reach
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.level_ground import RockOnLevelGround
 
@@ -115,23 +115,13 @@ def _seen(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[complex,
 
 
 def _look(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[Complex, Array]:
-    """Return places on the ground (n,) and how bright they look, over lit ground, through optics.
-
-    A rock is seen in front of the ground behind it.
-    """
-    step, reach = 1.0 / _DETAIL, shadow_reach(float(np.arcsin(sun[2])))
-    lean = 2.0 * camera[:2] / camera[2]
-    x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
-    y = np.arange(min(-reach, -lean[1] - 1.6), max(0.0, -lean[1]) + 1.6, step)
-    xx, yy = np.meshgrid(x, y)
-    ground = np.column_stack((xx.ravel(), yy.ravel(), np.zeros(xx.size)))
-    start = ground + 60.0 * camera
-    distance, normal = scene.cast(start, np.broadcast_to(-camera, start.shape))
-    point = start - distance[:, None] * camera + 1e-4 * normal
+    """Return places on the ground (n,) and how bright they look, over lit ground, through optics."""
+    reach = shadow_reach(float(np.arcsin(sun[2])))
+    shape, ground, point, normal = ground_about(scene, camera, reach, 1.0 / _DETAIL)
     brightness = np.clip(normal @ sun, 0.0, None) / sun[2]
     at = np.flatnonzero(brightness > 0.0)
     shaded = np.isfinite(scene.cast(point[at], np.broadcast_to(sun, (at.size, 3)))[0])
     brightness[at[shaded]] = 0.0
-    image = brightness.reshape(xx.shape)
+    image = brightness.reshape(shape)
     blurred = cv2.GaussianBlur(image, (0, 0), _BLUR * _DETAIL, borderType=cv2.BORDER_REPLICATE)
     return ground[:, 1] - 1j * ground[:, 0], blurred.ravel()

@@ -209,6 +209,43 @@ def _tabulate(elevation: float, shapes: RockModel) -> Array:
     return table
 
 
+def ground_about(
+    scene: RockOnLevelGround, camera: Array, reach: float, step: float
+) -> tuple[tuple[int, int], Array, Array, Array]:
+    """Return what a camera sees where the ground about a rock of radius 1 lies.
+
+    A rock is seen in front of the ground behind it: its dark face shows there up to its height over
+    the tangent of the depression.
+
+    Parameters
+    ----------
+    scene
+        The rock; the Sun is in the north.
+    camera
+        Direction towards it (3,).
+    reach
+        How far the shadow may reach, to the south.
+    step
+        From place to place.
+
+    Returns
+    -------
+    shape
+        Rows and columns of the places.
+    ground, point, normal
+        Places on the ground (n, 3), the points that are seen there, lifted off a little, and the
+        normals at them.
+    """
+    lean = 2.0 * camera[:2] / camera[2]
+    x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
+    y = np.arange(min(-reach, -lean[1] - 1.6), max(0.0, -lean[1]) + 1.6, step)
+    xx, yy = np.meshgrid(x, y)
+    ground = np.column_stack((xx.ravel(), yy.ravel(), np.zeros(xx.size)))
+    start = ground + 60.0 * camera
+    distance, normal = scene.cast(start, np.broadcast_to(-camera, start.shape))
+    return xx.shape, ground, start - distance[:, None] * camera + 1e-4 * normal, normal
+
+
 def _dark_patch(
     scene: RockOnLevelGround, sun: Array, camera: Array, reach: float
 ) -> tuple[float, ...]:
@@ -217,15 +254,7 @@ def _dark_patch(
     The Sun is in the north, so `along` is y and `across`, to its left, is -x.
     """
     step = 1.0 / _DETAIL
-    # The dark face shows on the ground behind the rock, up to its height / tan(depression).
-    lean = 2.0 * camera[:2] / camera[2]
-    x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
-    y = np.arange(min(-reach, -lean[1] - 1.6), max(0.0, -lean[1]) + 1.6, step)
-    xx, yy = np.meshgrid(x, y)
-    ground = np.column_stack((xx.ravel(), yy.ravel(), np.zeros(xx.size)))
-    start = ground + 60.0 * camera
-    distance, normal = scene.cast(start, np.broadcast_to(-camera, start.shape))
-    point = start - distance[:, None] * camera + 1e-4 * normal
+    _, ground, point, normal = ground_about(scene, camera, reach, step)
     lit = normal @ sun > 0.0
     shaded = np.ones(len(point), bool)
     towards = np.broadcast_to(sun, (int(lit.sum()), 3))

@@ -42,14 +42,15 @@ _RADII, _ASIDE, _FARTHEST = 1.4, 0.1, 0.3
 # Rocks tell the scale from so many samples on; each counts by this share of the mission's word.
 _LEAST_SAMPLES, _WORTH = 1.5, 0.5
 # Samples of one cell are averaged, and neighbours share errors: so many of them count.
-_INDEPENDENT = 0.5
+INDEPENDENT = 0.5
 # What no look averages out: spread of a height, as a share, and of a place, an axis, in radii.
 _SPREAD, _PLACE = 0.12, 0.2
 # Spread of how far the part of a rock reaches that is too high, as a share and m.
 _REACH_SPREAD, _LEAST_SPREAD = 0.15, 0.02
 # Heights that are tried, over the limit.
 _TRIED = np.geomspace(0.04, 16.0, 160)
-_LEAST_RADIUS = 0.05
+# No rock is taken to be smaller, m.
+LEAST_RADIUS = 0.05
 _DISTANCES = 65
 # A rock's reach ends where its probability is below this, and rarer rocks are left out.
 _TAIL, _RARE = 3.9, 1e-4
@@ -103,7 +104,7 @@ def heights_of(
     height_ratio, shape
         Height over diameter, and shape, of the rocks that the mission expects.
     """
-    radius = np.maximum(tracks.radius, _LEAST_RADIUS)
+    radius = np.maximum(tracks.radius, LEAST_RADIUS)
     dense = _at(density, grid, tracks.xy)
     top = highest(tracks, rises, grid)
     scale = height_scale(radius, tracks.existence, top, dense, height_ratio)
@@ -112,7 +113,7 @@ def heights_of(
     spread = np.hypot(_SPREAD, np.sqrt(tracks.radius_variance) / radius)
     prior = np.exp(-0.5 * (np.log(tried / (scale * radius)[:, None]) / spread[:, None]) ** 2)
     prior /= prior.sum(axis=1, keepdims=True)
-    per_square = _INDEPENDENT * dense * np.pi / (2.0 * height_ratio) ** 2
+    per_square = INDEPENDENT * dense * np.pi / (2.0 * height_ratio) ** 2
     above = np.maximum(tried**2 - np.maximum(top, 0.0)[:, None] ** 2, 0.0)
     left = prior * np.exp(-per_square[:, None] * above)
     high = tried > limit

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion.heights import INDEPENDENT, LEAST_RADIUS
 from lunarsim.onboard.hazards.published import RockTracks
 
 Array = NDArray[np.float64]
@@ -25,15 +26,14 @@ Array = NDArray[np.float64]
 # Rocks are compared with the highest rise so near, m, of half their height or more; a half
 # ellipsoid is that high over three quarters of its area.
 _NEAR, _SHOWS, _TOP = 0.35, 0.5, 0.75
-# Samples of one cell are averaged: so many of them count. So many rocks are where they seem to be.
-_INDEPENDENT, _TRUE = 0.5, 0.8
+# So many rocks are where they seem to be.
+_TRUE = 0.8
 # Shifts are tried to so many deviations, but not beyond, m.
 _DEVIATIONS, _FARTHEST = 3.0, 4.0
 # A shift is no better known than that, nor is a rock among the others, m.
 _LEAST, _APART = 0.1, 0.15
 # Fewer rocks tell no shift.
 _FEWEST = 3
-_LEAST_RADIUS = 0.05
 _RAREST = 1e-3
 
 
@@ -106,13 +106,13 @@ def shift_of(
     if np.count_nonzero(inside) < _FEWEST:
         return None
     row, col = (np.asarray(v) for v in grid.cell(tracks.xy[inside]))
-    height = scale * np.maximum(tracks.radius[inside], _LEAST_RADIUS)
+    height = scale * np.maximum(tracks.radius[inside], LEAST_RADIUS)
     common = float(np.median(tracks.sigma[inside]))
     top = _highest_near(rises, grid.posting)
     chance = 1.0 - np.searchsorted(np.sort(top, axis=None), _SHOWS * height) / top.size
     chance = np.clip(chance, _RAREST, 1.0 - _RAREST)
     area = _TOP * np.pi * (height / (2.0 * height_ratio)) ** 2
-    shows = _TRUE * -np.expm1(-_INDEPENDENT * density[row, col] * area)
+    shows = _TRUE * -np.expm1(-INDEPENDENT * density[row, col] * area)
     hit, miss = np.log((shows + (1.0 - shows) * chance) / chance), np.log1p(-shows)
     steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
     far = grid.posting * steps
