@@ -115,7 +115,7 @@ def _seen(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[complex,
 
 
 def _look(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[Complex, Array]:
-    """Return places on the ground (n,) and how bright they look, over lit ground, through optics."""
+    """Return places on the ground (n,) and their brightness over that of lit ground, blurred."""
     reach = shadow_reach(float(np.arcsin(sun[2])))
     shape, ground, point, normal = ground_about(scene, camera, reach, 1.0 / _DETAIL)
     brightness = np.clip(normal @ sun, 0.0, None) / sun[2]
