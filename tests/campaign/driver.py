@@ -1,5 +1,7 @@
 """A campaign of surrogate flights in a process of its own, which tests kill.
 
+Workers load this module too: what only the driver needs is loaded late.
+
 python -m tests.campaign.driver FOLDER JSON
 """
 
@@ -12,12 +14,6 @@ import signal
 import sys
 from pathlib import Path
 from typing import Any
-
-from lunarsim.campaign import store
-from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.engines.local import LocalEngine
-from lunarsim.campaign.run import run
-from tests.campaign import subset_surrogate, surrogate
 
 # Rows of a part, so that a short campaign has several.
 PART_ROWS = 20
@@ -42,8 +38,26 @@ def die_at(when: str, name: str, count: int) -> None:
     Path.replace = replace  # type: ignore[method-assign]
 
 
+def _plan(options: dict[str, Any]) -> Any:
+    from tests.campaign.surrogate import plan
+
+    return plan(**options)
+
+
+def _chains(subset: str) -> Any:
+    # Brings statistics along, which take longer to load than all of a short campaign.
+    from tests.campaign.subset_surrogate import planned
+
+    return planned(subset)
+
+
 def main() -> None:
     """Fly."""
+    from lunarsim.campaign import store
+    from lunarsim.campaign.engines.inline import InlineEngine
+    from lunarsim.campaign.engines.local import LocalEngine
+    from lunarsim.campaign.run import run
+
     folder, options = Path(sys.argv[1]), json.loads(sys.argv[2])
     store.PART_ROWS = options.pop("part_rows", PART_ROWS)
     if "die" in options:
@@ -54,8 +68,7 @@ def main() -> None:
     jobs = options.pop("jobs", 2)
     engine = LocalEngine(jobs) if jobs else InlineEngine()
     subset = options.pop("subset", None)
-    plan = surrogate.plan(**options) if subset is None else subset_surrogate.planned(subset)
-    ran = run(plan, engine, folder)
+    ran = run(_plan(options) if subset is None else _chains(subset), engine, folder)
     print(ran.state, ran.flown, ran.before, ran.failed)
 
 

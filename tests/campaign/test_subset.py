@@ -21,7 +21,8 @@ from lunarsim.campaign.subset import Level
 from lunarsim.campaign.subset_share import chains_of, share_of, variance_of
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from tests.campaign.subset_surrogate import BETA, EAST, planned, spec
+from tests.campaign.limit_states import BETA, EAST
+from tests.campaign.subset_surrogate import planned, spec
 
 
 def in_memory(function: str, seed: int, flights: int, **more: object):
