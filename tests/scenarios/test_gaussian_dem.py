@@ -51,12 +51,10 @@ def test_table_5_beats_the_paper_everywhere(tmp_path):
     assert len(re.findall(r"yes │ +yes │", run("--table", "5"))) == 9
 
 
-def test_unknown_table_is_refused():
-    done = subprocess.run(
-        [sys.executable, str(SCRIPT), "--table", "9"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
+def test_unknown_table_is_refused(script):
+    done = CliRunner().invoke(script("gaussian_dem", "tables").main, ["--table", "9"])
+    assert done.exit_code == 2
+    assert "Traceback" not in done.output
 
 
 def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):

@@ -78,7 +78,8 @@ def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(s
     study = script("landers", "thrusters_and_map")
     world = {**study.WORLD, "terrain": {**study.WORLD["terrain"], "size_m": 160.0}}
     sensors = {**world["sensors"], "flash": {"kind": "flash-lidar", "rows": 48, "cols": 48}}
-    monkeypatch.setattr(study, "WORLD", {**world, "sensors": sensors})
+    dem = {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}
+    monkeypatch.setattr(study, "WORLD", {**world, "sensors": sensors, "mappers": {"dem": dem}})
     ideal, jets = (study.fly(study.Task(way, 0, 3)) for way in ("ideal", "phase-plane"))
     assert ideal.figures["thruster_kg"] == 0.0
     assert jets.figures["thruster_kg"] > 0.2

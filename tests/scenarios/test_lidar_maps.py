@@ -140,9 +140,14 @@ def small_world(script, monkeypatch, tmp_path):
     """The comparison of mappers on one small world."""
     flown = script("lidar_maps", "flown")
     compare = script("lidar_maps", "compare_mappers")
+    # A short way down; as in the study the lander is told its place.
     small = Scenario.load(SCENARIOS / "golombek.toml").changed(
-        terrain={"size_m": 110.0}, target={"scatter_m": [10.0, 10.0]}
-    )
+        terrain={"size_m": 90.0}, target={"scatter_m": [10.0, 10.0]},
+        start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
+        sensors={**flown.PLACED["sensors"], "flash": {"rows": 128, "cols": 128}},
+        tasking={"flash": {"altitudes_m": [220.0, 120.0]}},
+        mappers={"dem": {"posting_m": 0.4, "size_m": 70.0}},
+    )  # fmt: skip
     small.save(tmp_path / "small.toml")
     monkeypatch.setattr(flown, "SCENARIOS", tmp_path)
     worlds = {"small": ("small.toml", {"rocks": {"cover": 0.04}})}

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.evaluation.consistency import Consistency
+from lunarsim.scenario import Scenario
 from tests.conftest import SCENARIOS
 
 
@@ -30,6 +31,12 @@ def test_consistency_is_printed_and_written_by_epoch(script, tmp_path):
         out,
         "--set",
         "start_knowledge.position_m=1e-4",
+        "--set",
+        "terrain.size_m=300",
+        "--set",
+        "start.position_m=[-300,0,250]",
+        "--set",
+        "start.velocity_m_s=[18,0,-12]",
     ]
     text = run(study.main, *words)
     assert "NEES over degrees of freedom" in text
@@ -103,6 +110,12 @@ def test_a_study_that_is_judged_ends_with_1_where_errors_are_not_what_is_said(sc
 def test_flights_with_faults_are_written_and_added_up(script, tmp_path, monkeypatch):
     faults, out = script("navigation", "faults"), tmp_path / "faults.json"
     monkeypatch.setattr(faults, "RELIEFS", (4.0,))
+    # Less ground, known well enough to come down on it, and a shorter way down.
+    Scenario.load(SCENARIOS / "instruments.toml").changed(
+        terrain={"size_m": 300.0}, start_knowledge={"position_m": 5.0},
+        start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
+    ).save(tmp_path / "instruments.toml")  # fmt: skip
+    monkeypatch.setattr(faults, "SCENARIOS", tmp_path)
     words = ["--flights", 1, "--only", "none", "--only", "velocimeter dead", "--json", out]
     assert "velocimeter dead" in run(faults.main, *words)
     flown = json.loads(out.read_text())

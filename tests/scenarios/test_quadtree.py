@@ -38,7 +38,7 @@ def small(script, monkeypatch, tmp_path):
 
 def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path):
     experiment = small("hazard_field")
-    monkeypatch.setattr(experiment, "TIMES", (4.0, 8.0))
+    monkeypatch.setattr(experiment, "TIMES", (2.0, 4.0))
     out, file = tmp_path / "out", tmp_path / "all.json"
     arguments = ["--seed", "5", "--out", str(out), "--json", str(file)]
     done = CliRunner().invoke(experiment.main, arguments)

@@ -11,6 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 import lunarsim_envs
+from lunarsim.scenario import Scenario
+from tests.worlds import SMALL_FLIGHT
 
 assert lunarsim_envs.__name__
 
@@ -32,15 +34,19 @@ def same(first, second):
     ("env", "agent", "more", "settings"),
     [
         ("Guidance-v0", "apollo", (), {}),
-        ("Retarget-v0", "random", ("--perception", "truth"), {"perception": "truth"}),
+        (
+            "Retarget-v0", "random", ("--perception", "truth", "--scenario", "small.toml"),
+            {"perception": "truth", "scenario": "small.toml"},
+        ),
         (
             "Guidance-v0", "random", ("--observation", "position", "--observation", "time_left"),
             {"observation": ("position", "time_left")},
         ),
         (
             "Retarget-v0", "random",
-            ("--perception", "truth", "--action", "stretch", "--action", "site"),
-            {"perception": "truth", "action": ("stretch", "site")},
+            ("--perception", "truth", "--scenario", "small.toml", "--action", "stretch",
+             "--action", "site"),
+            {"perception": "truth", "scenario": "small.toml", "action": ("stretch", "site")},
         ),
     ],
 )  # fmt: skip
@@ -49,6 +55,7 @@ def test_what_was_recorded_is_flown_again(
 ):
     # From the folder that one works in, as documents tell it.
     monkeypatch.chdir(tmp_path)
+    Scenario.from_dict(SMALL_FLIGHT).save("small.toml")
     out = Path("new/some")
     done = recorded(script, env, "--agent", agent, "--episodes", 2, "--out", out, *more)
     assert done.exit_code == 0, done.output
