@@ -146,9 +146,12 @@ def test_laws_are_compared_as_policies_are(scenario, by_law):
 
 
 def test_several_policies_and_laws_are_every_pair(scenario):
+    seen = []
     result = compare(
-        scenario, ["no-divert", "safest"], flights=1, seed=4, guidance=["apollo", "e-guidance"]
-    )
+        scenario, ["no-divert", "safest"], flights=1, seed=4, guidance=["apollo", "e-guidance"],
+        progress=seen.append,
+    )  # fmt: skip
+    assert sum(seen) == 4, "progress counts flights"
     assert [row["policy"] for row in result.shown] == [
         "no-divert, apollo", "no-divert, e-guidance", "safest, apollo", "safest, e-guidance",
     ]  # fmt: skip
