@@ -92,6 +92,11 @@ class View:
     height: int
 
     @property
+    def into(self) -> Array:
+        """Matrix (3, 3) from ENU to the sensor's axes."""
+        return self.axes.T
+
+    @property
     def pinhole(self) -> Pinhole:
         """Its projection."""
         return Pinhole(self.fx, self.fy, self.cx, self.cy)

@@ -98,7 +98,7 @@ CONTRACTS: dict[str, Contract] = {
         "where it is safe to land",
         {
             "gaussian-dem": "lunarsim.onboard.hazards.gaussian_dem.mapper:GaussianDemMapping",
-            "shadow": "lunarsim.onboard.hazards.shadows.mapper:ShadowMapping",
+            "shadow": "lunarsim.onboard.hazards.shadows.mapping:ShadowMapping",
             "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapping",
             "fused": "lunarsim.onboard.hazards.fusion.mapper:FusedMapping",
         },

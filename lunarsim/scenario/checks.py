@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from lunarsim.messages.measurements import InertialSamples, LidarScan, Navigatio
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.hazards.fusion import FusedMapping
 from lunarsim.onboard.hazards.mapper import check_map, sensors_of
+from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.parts import loadable
 
 
@@ -176,8 +177,10 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
         mapper = part.make()
         field = f"mappers.{name}"
         if isinstance(mapper, FusedMapping):
-            _check_sources(field, mapper, scenario)
+            _check_others(field, mapper.chosen, scenario)
             continue
+        if isinstance(mapper, ShadowMapping):
+            _check_others(field, mapper.check_ground, scenario)
         _check_map(field, mapper, scenario)
         _check_eyes(field, mapper, sensors)
         wanted = getattr(mapper, "navigation", None)
@@ -207,10 +210,10 @@ def _check_eyes(field: str, mapper: Any, sensors: dict[str, Any]) -> None:
             )  # fmt: skip
 
 
-def _check_sources(field: str, fused: FusedMapping, scenario: Tables) -> None:
-    """Refuse a fused map that cannot be made of the mappers that there are."""
+def _check_others(field: str, check: Callable[[dict[str, Any]], Any], scenario: Tables) -> None:
+    """Refuse a mapper that asks for others that there are not, or that cannot tell it."""
     try:
-        fused.chosen({name: part.make() for name, part in scenario.mappers.items()})
+        check({name: part.make() for name, part in scenario.mappers.items()})
     except InputError as error:
         raise InputError(f"{field}.{error.field}", error.value, error.expected) from None
 

@@ -159,6 +159,14 @@ WRONG = {
         {"decisions": {"map": "dam"}},
         "decisions.map", "dam", "did you mean 'dem'?",
     ),
+    "shadows along ground that nobody measures": (
+        {"mappers": {"dem": DEM, "rocks": {"kind": "shadow", "sensor": "flash", "ground": "dam"}}},
+        "mappers.rocks.ground", "dam", "did you mean 'dem'?",
+    ),
+    "shadows along the ground of the map that they make": (
+        {"mappers": {"dem": DEM, "rocks": {"kind": "shadow", "ground": "rocks"}}},
+        "mappers.rocks.ground", "rocks", "known: dem",
+    ),
     "a fused map of one that is not there": (
         {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dam"]}}},
         "mappers.all.of", "dam", "did you mean 'dem'?",

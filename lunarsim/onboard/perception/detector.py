@@ -15,6 +15,7 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
+from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
 from lunarsim.onboard.perception.shadow_model import (
     LEAST_ELEVATION,
@@ -192,7 +193,7 @@ def detect_rocks(
     pose: Pose,
     sun: ArrayLike,
     *,
-    ground: float = 0.0,
+    ground: float | GroundPlane = 0.0,
     model: ShadowModel | ShapeMixture | None = None,
     settings: DetectorSettings | None = None,
 ) -> Detections:
@@ -212,23 +213,22 @@ def detect_rocks(
     sun
         Direction towards the Sun (3,), ENU, of unit length.
     ground
-        Elevation of the plane on which rocks are taken to stand, m.
+        Plane on which rocks are taken to stand, or the elevation of a level one, m.
     model
-        Shapes of rocks; left out: half spheres.
+        Shapes of rocks, under the Sun's elevation above level ground; left out: half spheres.
     settings
         What counts as a shadow.
 
     Returns
     -------
     detections
-        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees (as at
-        the zenith or below the horizon), or nothing but sky.
+        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees, or sky.
 
     Raises
     ------
     InputError
-        If the image has another shape than the camera's or is not numeric, the pose is not finite
-        or no rotation, or the Sun's direction is not a unit vector.
+        If the image is not numeric or has not the camera's shape, the pose is not finite or no
+        rotation, or the Sun's direction is not a unit vector.
     """
     settings = settings or DetectorSettings()
     direction = unit_vector(sun)
@@ -238,13 +238,14 @@ def detect_rocks(
             "image", np.shape(image), f"the camera's size ({camera.height}, {camera.width})"
         )
     shade = segment(image, gamma=settings.gamma, window=settings.window)
-    view = camera.view(pose)
-    labels, table = _patches(shade, camera, view, direction, ground, settings)
-    if len(table) == 0 or not throws_shadows(direction):
+    plane = ground if isinstance(ground, GroundPlane) else GroundPlane(float(ground))
+    view, onto = plane.view(camera.view(pose)), plane.direction(direction)
+    labels, table = _patches(shade, camera, view, onto, settings)
+    if len(table) == 0 or not throws_shadows(onto):
         seen = _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
     else:
-        known = _mixture_of(model, float(np.arcsin(direction[2])))
-        seen = _measure(labels, table, view, direction, ground, known, settings, shade)
+        known = _mixture_of(model, direction, plane)
+        seen = _measure(labels, table, view, onto, known, settings, shade)
     return seen if shade.left_out is None else _with_gaps(seen, shade.left_out, len(table) + 1)
 
 
@@ -268,10 +269,14 @@ def unit_vector(sun: ArrayLike) -> Array:
     return direction
 
 
-def _mixture_of(model: ShadowModel | ShapeMixture | None, elevation: float) -> ShapeMixture:
-    if isinstance(model, ShapeMixture):
-        return model
-    return ShapeMixture.known(model or _half_spheres(elevation))
+def _mixture_of(
+    model: ShadowModel | ShapeMixture | None, sun: Array, plane: GroundPlane
+) -> ShapeMixture:
+    """Return what shadows on a plane are read by, the Sun's direction that over level ground."""
+    if not isinstance(model, ShapeMixture):
+        elevation = float(np.clip(np.arcsin(sun[2]), LEAST_ELEVATION, MOST_ELEVATION))
+        model = ShapeMixture.known(model or _half_spheres(elevation))
+    return model if plane.level else model.under(float(np.arcsin(plane.direction(sun)[2])))
 
 
 def _check_pose(pose: Pose) -> None:
@@ -320,7 +325,6 @@ def _patches(
     camera: CameraModel,
     view: View,
     sun: Array,
-    ground: float,
     settings: DetectorSettings,
 ) -> tuple[NDArray[np.int32], Array]:
     """Return the label image and the table of its patches (n, columns), label 1 first."""
@@ -342,7 +346,7 @@ def _patches(
         y,
         view.position,
         view.axes,
-        float(ground),
+        0.0,
         east,
         north,
     )[1:]
@@ -357,12 +361,11 @@ def _measure(
     table: Array,
     view: View,
     sun: Array,
-    ground: float,
     model: ShapeMixture,
     settings: DetectorSettings,
     shade: Segmentation,
 ) -> Detections:
-    """Turn the table of patches into rocks."""
+    """Turn the table of patches into rocks: the view is that above ground at height 0."""
     k = kernels
     noise = (
         (table[:, k.PIXELS] < settings.least_pixels)
@@ -378,7 +381,7 @@ def _measure(
     length, width = t[:, k.LENGTH], t[:, k.WIDTH]
     read = model.read(length, width, azimuth, depression, along_px, across_px, settings.pixel_sigma)
     unit = read.unit
-    share = _share(read, view, ground, depression, t[:, k.PIXELS])
+    share = _share(read, view, t)
     rocks = _Radius.if_merged(read, share)
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
@@ -386,7 +389,7 @@ def _measure(
     look = _look(settings, rocks.radius, along_px, across_px, sun)
     offset, spread = _place(t, rocks, unit, look)
     offset = offset @ frame.T
-    pixel, turned = _to_pixels(offset, ground - view.position[2], view, frame)
+    pixel, turned = _to_pixels(offset, view, frame)
     covariance, white = _spread(turned, spread), _spread(turned, look)
     keep = ~terrain & (unit.length >= _LEAST_LENGTH)
     height = model.height * length / np.maximum(unit.length, _LEAST_LENGTH)
@@ -449,12 +452,15 @@ def _place(table: Array, rocks: _Radius, unit: ShadowPatch, look: Array) -> tupl
     return centre, np.sqrt(look**2 + lever**2 + shape**2)
 
 
-def _share(read: Reading, view: View, ground: float, depression: Array, pixels: Array) -> Array:
+def _share(read: Reading, view: View, table: Array) -> Array:
     """Return what share of the pixels that they should have patches (n,) have."""
-    slant = (view.position[2] - ground) / np.maximum(np.sin(depression), 1e-3)
-    pixel = slant / np.sqrt(view.fx * view.fy)
-    expected = read.radius**2 * read.unit.area * np.sin(depression) / pixel**2
-    return np.asarray(pixels / np.maximum(expected, 1e-9) / _USUAL)
+    sight = np.column_stack((table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table))))
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    # What ground falls away by along lines of sight, and how far away it is.
+    steep = np.maximum(-(sight @ view.axes[2]), 1e-3)
+    pixel = view.position[2] / steep / np.sqrt(view.fx * view.fy)
+    expected = read.radius**2 * read.unit.area * steep / pixel**2
+    return np.asarray(table[:, kernels.PIXELS] / np.maximum(expected, 1e-9) / _USUAL)
 
 
 @dataclass(frozen=True)
@@ -483,14 +489,14 @@ def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
     return back - np.arctan2(sun[0], sun[1]), depression
 
 
-def _to_pixels(offset: Array, drop: float, view: View, frame: Array) -> tuple[Array, Array]:
+def _to_pixels(offset: Array, view: View, frame: Array) -> tuple[Array, Array]:
     """Return the pixels of points on the ground (n, 2).
 
     And how they move with the points along the Sun and across (n, 2, 2).
     """
-    points = np.column_stack((offset, np.full(len(offset), drop))) @ view.axes
+    points = np.column_stack((offset, np.full(len(offset), -view.position[2]))) @ view.into.T
     # By east and north, then along the Sun and across.
-    turned = view.pinhole.jacobian(points, view.axes[:2].T) @ frame
+    turned = view.pinhole.jacobian(points, view.into[:, :2]) @ frame
     return view.pinhole.project(points), turned
 
 

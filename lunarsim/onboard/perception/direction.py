@@ -203,7 +203,7 @@ def _faces(
     gap = sums[:, [kernels.DARK_U, kernels.DARK_V]] / sums[:, [kernels.PIXELS]] - bright
     apart = np.hypot(*gap.T) > _LEAST_GAP
     at, gap = at[apart], gap[apart]
-    moves = view.pinhole.jacobian((points[at] - view.position) @ view.axes, view.axes[:2].T)
+    moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
     gap = np.linalg.solve(moves, gap[:, :, None])[:, :, 0]
     away = _expected_gap(view, points[at], sun, model)
     turned = (gap @ [1.0, 1.0j]) * np.conj(away @ [1.0, 1.0j])

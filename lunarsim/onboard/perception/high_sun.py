@@ -146,7 +146,7 @@ def _gaps(seen: Detections, view: View, points: Array, cut: float) -> tuple[Inde
     gap -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
     apart = np.hypot(*gap.T) > _LEAST_GAP
     at, gap = at[apart], gap[apart]
-    moves = view.pinhole.jacobian((points[at] - view.position) @ view.axes, view.axes[:2].T)
+    moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
     return at, np.linalg.solve(moves, gap[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
 
 

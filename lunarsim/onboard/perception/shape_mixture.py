@@ -11,13 +11,19 @@ the told shape twice the share of another.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch, bare_share
+from lunarsim.onboard.perception.shadow_model import (
+    ShadowModel,
+    ShadowPatch,
+    bare_share,
+    near_elevation,
+)
 from lunarsim.rocks.field import RockModel
 
 Array = NDArray[np.float64]
@@ -114,6 +120,19 @@ class ShapeMixture:
         one.slopes, one._start, one._count = np.zeros(1), np.ones(1), np.zeros(1)
         one._bare = np.array([model.bare])
         return one
+
+    def under(self, elevation: float) -> ShapeMixture:
+        """Return the population as it is known, its shadows under a Sun of another elevation (rad).
+
+        Elevations are taken in steps from this one's, see `near_elevation`.
+        """
+        near = near_elevation(elevation, self.elevation)
+        if near == self.elevation:
+            return self
+        other = copy(self)
+        other.elevation = near
+        other.models = tuple(model.under(near) for model in self.models)
+        return other
 
     @property
     def shares(self) -> Array:

@@ -24,10 +24,12 @@ from numpy.typing import NDArray
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.onboard.hazards.shadows.sliding import Slide
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import LOW, ShapeMixture
 
@@ -140,6 +142,7 @@ class ClearEvidence:
         heights: Heights,
         explained: NDArray[np.bool_] | None = None,
         place_sigma: Heights | None = None,
+        plane: GroundPlane = LEVEL,
     ) -> None:
         """Take in a picture.
 
@@ -161,6 +164,8 @@ class ClearEvidence:
             Gives how well points (n, 2) are known from the camera, 1 sigma an axis (n,), m. Where
             that is no better than the radius of the least rock, what is seen belongs elsewhere, and
             nothing is taken in. Left out: places are known.
+        plane
+            Along which shadows fall at every place; left out: level ground.
         """
         if len(seen) == 0:
             return
@@ -170,40 +175,34 @@ class ClearEvidence:
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
         xy = self.slide.now(np.stack(np.meshgrid(x, y), -1))
         height = heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])
-        away = view.position - np.dstack((xy, height))
-        level = np.hypot(away[..., 0], away[..., 1])
-        azimuth = np.arctan2(away[..., 0], away[..., 1]) - np.arctan2(sun[0], sun[1])
-        depression = np.arctan2(away[..., 2], level)
-        pixel = np.hypot(level, away[..., 2]) / np.sqrt(view.fx * view.fy)
-        sharpness = self.model.visible_pixels(1.0, azimuth, depression, pixel)
-        shown = away[..., 2] > 0.0
+        place = np.dstack((xy, height))
+        focal = float(np.sqrt(view.fx * view.fy))
+        azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
+        model, low, onto = self._along(plane, sun)
+        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel)
+        view, place = plane.view(view), plane.points(place)
+        shown = view.position[2] > place[..., 2]
         if place_sigma is not None:
             sigma = place_sigma(xy.reshape(-1, 2)).reshape(height.shape)
             shown &= sigma <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
-        coarse = np.dstack((sharpness, xy, height, *self._core(azimuth, depression, sun)))
+        core = _core(model, low, azimuth, depression, onto)
+        coarse = np.dstack((sharpness, place, *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
-            view.axes, view.fx, view.fy, view.cx, view.cy, seen.labels, largest, _DARK, _SHARPER,
+            view.into.T, view.fx, view.fy, view.cx, view.cy, seen.labels, largest, _DARK, _SHARPER,
         )  # fmt: skip
 
-    def _core(self, azimuth: Array, depression: Array, sun: Array) -> list[Array]:
-        """Return east and north of five points of the shadow's core, in radii, one after other.
-
-        Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
-        ground as steep as slopes are here, which is dark on any that is less so.
-        """
-        unit = self._low.patch(azimuth, depression)
-        s = sun[:2] / np.hypot(sun[0], sun[1])
-        height = np.tan(self.model.elevation)
-        length = unit.length * height / (height + self.model.slope)
-        middle = unit.along + 0.5 * (unit.length - length)
-        points = []
-        for a, b in ((0, 0), (_ALONG, 0), (-_ALONG, 0), (0, _ACROSS), (0, -_ACROSS)):
-            along, side = middle + a * length, unit.side + b * unit.width
-            points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
-        return points
+    def _along(
+        self, plane: GroundPlane, sun: Array
+    ) -> tuple[ShadowModel | ShapeMixture, ShadowModel, Array]:
+        """Return what shadows on a plane are like, of all rocks and of low ones, and the Sun."""
+        if plane.level:
+            return self.model, self._low, sun
+        onto = plane.direction(sun)
+        elevation = float(np.arcsin(onto[2]))
+        return self.model.under(elevation), self._low.under(elevation), onto
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""
@@ -314,6 +313,30 @@ class ClearEvidence:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < _MISSED) & ~self._possible(0))
+
+
+def _core(
+    model: ShadowModel | ShapeMixture,
+    low: ShadowModel,
+    azimuth: Array,
+    depression: Array,
+    sun: Array,
+) -> list[Array]:
+    """Return east and north of five points of the shadow's core, in radii, one after other.
+
+    Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
+    ground as steep as slopes are here, which is dark on any that is less so.
+    """
+    unit = low.patch(azimuth, depression)
+    s = sun[:2] / np.hypot(sun[0], sun[1])
+    height = np.tan(model.elevation)
+    length = unit.length * height / (height + model.slope)
+    middle = unit.along + 0.5 * (unit.length - length)
+    points = []
+    for a, b in ((0, 0), (_ALONG, 0), (-_ALONG, 0), (0, _ACROSS), (0, -_ACROSS)):
+        along, side = middle + a * length, unit.side + b * unit.width
+        points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
+    return points
 
 
 def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -6,33 +6,28 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
-from lunarsim.models.instruments import CameraInstrument
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid, sensors_of
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
 from lunarsim.onboard.hazards.published import RockEvidence
 from lunarsim.onboard.hazards.shadows.plausible import too_few
 from lunarsim.onboard.hazards.shadows.probability_map import (
-    HazardPrior,
     ProbabilityMap,
     rocks_of,
 )
+from lunarsim.onboard.hazards.shadows.relief_plane import MeasuredPlane
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
-from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
-from lunarsim.onboard.navigation.kinds import RockNavigation
-from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.perception.detector import (
     Detections,
     DetectorSettings,
@@ -40,17 +35,14 @@ from lunarsim.onboard.perception.detector import (
     unit_vector,
 )
 from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.health import (
     Fault,
     Health,
-    HealthSettings,
     PictureHealth,
-    SunProof,
 )
-from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.parts.quantity import quantity
-from lunarsim.rocks.population import RockExpectation
+from lunarsim.onboard.perception.sun_angle import SunAngle
 
 Array = NDArray[np.float64]
 
@@ -62,94 +54,8 @@ _CHECKS = 0.5
 _SHADOWS_OFF = float(np.deg2rad(5.0))
 # A map on which nothing is less safe than this calls all of it safe.
 _UNSAFE = 0.5
-# Point spread of a camera of which nothing is known, pixels.
-_BLUR = HealthSettings().blur_sigma
 # The model of shadows may be made for a Sun so much higher or lower, rad.
 _SUN_OFF = float(np.deg2rad(1.0))
-
-
-@dataclass(frozen=True)
-class ShadowMapping:
-    """Rocks by their shadows, tracked, as a map of the probability of hazard.
-
-    Attributes
-    ----------
-    sensor
-        Whose pictures it maps.
-    sensors
-        Names of several cameras whose pictures it maps, in place of `sensor`.
-    posting, size
-        Of the map, m.
-    hazard_diameter
-        Least diameter of a hazard, m.
-    interval
-        Between two evaluations of the map, s.
-    shapes
-        Of the rocks by which shadows are read: inferred from them, as the mission expects them, or
-        the paper's half spheres.
-    form
-        Of the probability that a tracked rock covers a place, see `cover_probability`.
-
-    Raises
-    ------
-    InputError
-        If a camera is named twice, or `sensor` is none of several.
-    """
-
-    sensor: str = quantity("camera", help="whose pictures it maps")
-    sensors: tuple[str, ...] = quantity((), help="several cameras, in place of sensor")
-    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
-    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
-    hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
-    interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
-    shapes: Literal["inferred", "told", "hemisphere"] = quantity(
-        "inferred", help="rocks by which shadows are read; the paper's are half spheres"
-    )
-    form: Literal["rice", "gaussian"] = quantity(
-        "rice", help="of the probability that a rock covers a place; the paper's is gaussian"
-    )
-
-    takes: ClassVar[type] = Picture
-    publishes: ClassVar[type] = RockEvidence
-    navigation: ClassVar[type | None] = RockNavigation
-
-    def __post_init__(self) -> None:
-        if len(set(self.sensors)) < len(self.sensors):
-            raise InputError("sensors", self.sensors, "each camera once")
-        if self.sensors and self.sensor not in ("camera", *self.sensors):
-            raise InputError("sensor", self.sensor, f"left out, or one of sensors, {self.sensors}")
-
-    def build(self, briefing: Briefing, navigation: Navigation) -> ShadowMapper:
-        """Return the mapper of one flight.
-
-        Raises
-        ------
-        InputError
-            If the Sun is too low or too high for shadows, or the map too small or too coarse.
-        """
-        if not isinstance(navigation, Navigator) or navigation.rocks is None:
-            raise InputError("navigation.kind", type(navigation).__name__, "rocks")
-        lander = briefing.lander
-        grid = map_grid(briefing.target, self.size, self.posting, lander)
-        elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
-        model = self._model(elevation, briefing.rocks)
-        settings = TrackerSettings(least_radius=0.42 * self.hazard_diameter, region=_tracked(grid))
-        rocks = navigation.rocks
-        tracker = RockTracker(rocks, model, settings=settings)
-        prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
-        probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
-        reach = lander.leg_radius + 0.5 * lander.pad_diameter
-        proof = SunProof()
-        return ShadowMapper(
-            tracker, probability, briefing.sun, reach, interval=self.interval,
-            health={name: _health_of(briefing, name, proof) for name in sensors_of(self)},
-        )  # fmt: skip
-
-    def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
-        """Return what shadows are read by, the Sun at an elevation, rad."""
-        if self.shapes == "inferred":
-            return ShapeMixture(elevation, rocks.shape)
-        return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
 
 
 @dataclass
@@ -180,6 +86,8 @@ class ShadowMapper(HazardMapper):
     health
         Judges the pictures of each camera, by the sensor's name; or one that judges all; left out:
         one with default settings.
+    relief
+        Mapper of elevations on whose ground rocks stand; None: they stand on level ground.
 
     Attributes
     ----------
@@ -202,6 +110,7 @@ class ShadowMapper(HazardMapper):
         detector: DetectorSettings | None = None,
         interval: float = 1.0,
         health: PictureHealth | Mapping[str, PictureHealth] | None = None,
+        relief: HazardMapper | None = None,
     ) -> None:
         _check_sun(sun, tracker.model.elevation)
         self.tracker = tracker
@@ -210,6 +119,7 @@ class ShadowMapper(HazardMapper):
         self.sun = np.asarray(sun, dtype=np.float64)
         self.footprint = footprint
         self.interval = interval
+        self._relief = MeasuredPlane(relief)
         self.detector = detector or DetectorSettings()
         named = dict(health) if isinstance(health, Mapping) else {"": health or PictureHealth()}
         self._cameras = {name: _Judge(one) for name, one in named.items()}
@@ -267,7 +177,7 @@ class ShadowMapper(HazardMapper):
             sun = rocks.in_frame(self.sun)
             seen = detect_rocks(
                 picture.counts, picture.camera, estimate, sun,
-                ground=self._plane(picture.camera), model=self.tracker.model,
+                ground=self._ground(picture.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
             health = self._by_shadows(seen, picture, estimate, sun, health)
@@ -280,7 +190,8 @@ class ShadowMapper(HazardMapper):
         self.seen = seen
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
-        self.tracker.update(seen, picture.camera, sun, picture.time)
+        plane = self._relief.plane() or LEVEL
+        self.tracker.update(seen, picture.camera, sun, picture.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
         self.probability.ground = self._plane(picture.camera)
@@ -288,7 +199,7 @@ class ShadowMapper(HazardMapper):
         rocks = self.tracker.filter
         self.probability.see(
             picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
-            self.tracker.explained, self.tracker.place_sigma,
+            self.tracker.explained, self.tracker.place_sigma, plane,
         )  # fmt: skip
 
     def _forget_lost_rocks(self) -> None:
@@ -303,10 +214,7 @@ class ShadowMapper(HazardMapper):
         """Judge a picture by its shadows, and the Sun by where they fall."""
         rocks = self.tracker.filter
         noise = before.figures["noise"]
-        turn = turn_from_sun(
-            seen, picture.camera.view(pose), rocks.ground_points(picture.camera, seen.pixel),
-            sun, self.tracker.model, noise,
-        )  # fmt: skip
+        turn = self._turn(seen, picture.camera, pose, sun, noise)
         after = self.health.after_detection(seen, turn, noise)
         if self.health.tells(turn) and picture.time >= self._checked + _CHECKS:
             self._checked = picture.time
@@ -314,6 +222,25 @@ class ShadowMapper(HazardMapper):
             there = after.fault is not Fault.SUN_ELSEWHERE
             rocks.judge("shadows", picture.time, Outcome(nis, 1, there))
         return Health(after.fault, before.figures | after.figures)
+
+    def _turn(
+        self, seen: Detections, camera: CameraModel, pose: Pose, sun: Array, noise: float
+    ) -> SunAngle:
+        """Measure by what angle shadows fall beside where the Sun should throw them."""
+        view, model, plane = camera.view(pose), self.tracker.model, self._relief.plane()
+        if plane is None:
+            points = self.tracker.filter.ground_points(camera, seen.pixel)
+            return turn_from_sun(seen, view, points, sun, model, noise)
+        sun = plane.direction(sun)
+        points = np.column_stack((seen.ground, np.zeros(len(seen))))
+        return turn_from_sun(
+            seen, plane.view(view), points, sun, model.under(float(np.arcsin(sun[2]))), noise
+        )
+
+    def _ground(self, camera: CameraModel) -> float | GroundPlane:
+        """Return the ground on which rocks are read: as it was measured, or a level plane."""
+        plane = self._relief.plane()
+        return self._plane(camera) if plane is None else plane
 
     def _report(self, time: float, health: Health) -> None:
         """Count pictures that do not count, and say when that begins and ends."""
@@ -405,7 +332,7 @@ class ShadowMapper(HazardMapper):
         self.probability.recentre(centre)
         self.grid = self.probability.grid
         tracker = self.tracker
-        tracker.settings = replace(tracker.settings, region=_tracked(self.grid))
+        tracker.settings = replace(tracker.settings, region=tracked_region(self.grid))
         self._map, self._mapped = HazardMap.unobserved(self.grid), -np.inf
 
     def _level(self, drawn: HazardMap) -> HazardMap:
@@ -433,14 +360,7 @@ class ShadowMapper(HazardMapper):
         }  # fmt: skip
 
 
-def _health_of(briefing: Briefing, camera: str, sun: SunProof) -> PictureHealth:
-    """Return what judges the pictures of a camera, by its own point spread."""
-    known = briefing.instruments.get(camera)
-    blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
-    return PictureHealth(HealthSettings(blur_sigma=blur), sun)
-
-
-def _tracked(grid: Grid) -> tuple[float, float, float, float]:
+def tracked_region(grid: Grid) -> tuple[float, float, float, float]:
     """Return the west, east, south and north limits of where rocks are tracked for a map, m."""
     west, east, south, north = grid.extent
     return west - _MARGIN, east + _MARGIN, south - _MARGIN, north + _MARGIN

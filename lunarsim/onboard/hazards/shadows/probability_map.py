@@ -22,6 +22,7 @@ from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cov
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections, throws_shadows, unit_vector
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.laws import golombek_cover, golombek_exponent
@@ -137,13 +138,14 @@ class ProbabilityMap:
         heights: Heights | None = None,
         explained: NDArray[np.bool_] | None = None,
         place_sigma: Heights | None = None,
+        plane: GroundPlane = LEVEL,
     ) -> None:
         """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
         `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
         tells which of the rocks seen are tracked, `place_sigma` how well places are known (n,), m;
-        left out: exactly. Under a Sun that throws no shadows to see rocks
-        by (`throws_shadows`) nothing is seen.
+        left out: exactly. Shadows fall along `plane`; left out: level ground. Under a Sun that
+        throws no shadows to see rocks by (`throws_shadows`) nothing is seen.
 
         Raises
         ------
@@ -153,7 +155,7 @@ class ProbabilityMap:
         if not throws_shadows(unit_vector(sun)):
             return
         level = heights or (lambda xy: np.full(len(xy), self.ground))
-        self.evidence.see(view, sun, seen, level, explained, place_sigma)
+        self.evidence.see(view, sun, seen, level, explained, place_sigma, plane)
 
     def _residual(self, footprint: float) -> Array:
         """Return the probability that a rock not tracked is there (rows, cols).

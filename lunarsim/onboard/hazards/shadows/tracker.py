@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.association import associate
 from lunarsim.onboard.hazards.shadows.ground_errors import ground_covariance, ground_spread
 from lunarsim.onboard.hazards.shadows.tentative import Tentative
@@ -25,7 +26,8 @@ from lunarsim.onboard.perception.detector import (
     shadow_stretch,
     unit_vector,
 )
-from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
+from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
 Array = NDArray[np.float64]
@@ -129,8 +131,11 @@ class RockTracker:
         self._young = np.concatenate((self._young, np.zeros(n, bool)))
         self._stood = np.concatenate((self._stood, np.full((n, 2), np.nan)))
 
-    def update(self, seen: Detections, camera: CameraModel, sun: Array, time: float) -> Outcome:
-        """Take in the detections of one image; return what came of the rocks' places.
+    def update(
+        self, seen: Detections, camera: CameraModel, sun: Array, time: float,
+        plane: GroundPlane = LEVEL,
+    ) -> Outcome:  # fmt: skip
+        """Take in what one image shows, shadows along a plane; return what came of the places.
 
         Raises
         ------
@@ -171,7 +176,7 @@ class RockTracker:
             s.common_pixels, s.radius_floor, s.most_off,
         )  # fmt: skip
         self._begin_anew(rock[second], d[second], seen, camera, radius_variance)
-        expected = self._judge(rock, at, seen, d, camera, sun)
+        expected = self._judge(rock, at, seen, d, camera, sun, plane)
         self.explained = np.zeros(len(seen), np.bool_)
         self.explained[d] = self.existence[rock] > _SURE
         if not self._explained(found, expected, time):
@@ -283,7 +288,14 @@ class RockTracker:
         return np.asarray(squared_distance(off, s) < _AGREEMENT)
 
     def _judge(
-        self, hit: Index, view: Index, seen: Detections, d: Index, camera: CameraModel, sun: Array
+        self,
+        hit: Index,
+        view: Index,
+        seen: Detections,
+        d: Index,
+        camera: CameraModel,
+        sun: Array,
+        plane: GroundPlane,
     ) -> Outcome:
         """Change the odds that each rock in view is one, by Bayes.
 
@@ -297,12 +309,17 @@ class RockTracker:
         false = self.rates.false_positive(seen.q[d])
         odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MOST_EVIDENCE)
         lost = np.setdiff1d(view, hit)
-        azimuth, depression, pixel = self._aspect(lost, camera, sun)
+        eye, focal = self.filter.inertial.position, float(np.sqrt(camera.fx * camera.fy))
+        azimuth, depression, pixel = aspect(self.filter.xyz[lost], eye, focal, sun, plane)
+        model = self.model
+        if not plane.level:
+            model = model.under(float(np.arcsin(plane.direction(sun)[2])))
         miss = self.rates.false_negative(
-            self.model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
+            model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
         )
         # A rock whose shadow runs into another's is no missing rock.
-        miss[self._in_the_dark(lost, azimuth, depression, seen, camera, sun)] = 1.0
+        unit = model.patch(azimuth, depression)
+        miss[self._in_the_dark(lost, unit, seen, camera, sun, plane)] = 1.0
         self._established |= (self.existence > _SURE) & (self.hits >= _SURE_HITS)
         found = float(np.count_nonzero(self._established[hit]))
         missed = float(((1.0 - miss) * self._established[lost]).sum())
@@ -312,31 +329,21 @@ class RockTracker:
             return Outcome(np.nan, 0, False)
         return Outcome(1.0, 1, found > self.settings.least_found * (found + missed))
 
-    def _aspect(self, index: Index, camera: CameraModel, sun: Array) -> tuple[Array, Array, Array]:
-        """Return azimuth from the Sun's, depression (rad) and pixel (m) of rocks (n,)."""
-        s = self.filter.inertial
-        away = s.position[None, :2] - self.filter.xy[index]
-        height = np.maximum(s.position[2] - self.filter.xyz[index, 2], 1e-3)
-        level = np.hypot(away[:, 0], away[:, 1])
-        azimuth = np.arctan2(away[:, 0], away[:, 1]) - np.arctan2(sun[0], sun[1])
-        pixel = np.hypot(level, height) / np.sqrt(camera.fx * camera.fy)
-        return azimuth, np.arctan2(height, level), pixel
-
     def _in_the_dark(
         self,
         index: Index,
-        azimuth: Array,
-        depression: Array,
+        unit: ShadowPatch,
         seen: Detections,
         camera: CameraModel,
         sun: Array,
+        plane: GroundPlane,
     ) -> NDArray[np.bool_]:
         """Return whether the image is dark where the patch of each rock (n,) should be."""
-        unit = self.model.patch(azimuth, depression)
         s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
         offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
         middle = self.filter.xyz[index]
-        middle[:, :2] += self.filter.radius[index, None] * offset
+        offset *= self.filter.radius[index, None]
+        middle += np.column_stack((offset, offset @ np.array(plane.gradient)))
         u, v = np.rint(self.filter.sight(camera, middle).pixel).T
         u = np.clip(u, 0, camera.width - 1).astype(int)
         v = np.clip(v, 0, camera.height - 1).astype(int)

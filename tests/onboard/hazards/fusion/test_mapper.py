@@ -12,7 +12,7 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
-from lunarsim.onboard.hazards.shadows.mapper import ShadowMapping
+from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.rocks.population import RockExpectation
 from tests.made_mapper import GRID, TERMS, Made
 

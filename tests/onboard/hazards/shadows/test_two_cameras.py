@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.mapper import ShadowMapping
+from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.health import Fault, PictureHealth, SunProof
 from lunarsim.onboard.perception.shadow_model import ShadowModel

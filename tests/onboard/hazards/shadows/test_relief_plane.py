@@ -1,0 +1,51 @@
+"""The plane on which rocks stand, from what another mapper has measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.shadows.relief_plane import MeasuredPlane, relief_plane
+
+GRID = Grid.centred((40.0, -30.0), 80.0, 0.5)
+
+
+def mapped(gradient, seen=1.0, noise=0.0):
+    rng = np.random.default_rng(2)
+    x, y = np.meshgrid(GRID.x, GRID.y)
+    z = 7.0 + gradient[0] * x + gradient[1] * y + rng.normal(0.0, noise, GRID.shape)
+    observed = rng.random(GRID.shape) < seen
+    z[~observed] = np.nan
+    drawn = HazardMap.unobserved(GRID)
+    return replace(drawn, observed=observed, elevation=z.astype(np.float32))
+
+
+def test_the_plane_is_that_of_what_was_measured():
+    plane = relief_plane(mapped((0.12, -0.08), seen=0.4, noise=0.3))
+    assert plane.gradient == pytest.approx((0.12, -0.08), abs=2e-3)
+    assert plane.heights(np.array([[40.0, -30.0]])) == pytest.approx(7.0 + 4.8 + 2.4, abs=0.05)
+
+
+@pytest.mark.parametrize(("gradient", "seen"), [((0.1, 0.0), 0.2), ((0.28, 0.2), 1.0)])
+def test_too_little_and_too_steep_ground_tell_none(gradient, seen):
+    assert relief_plane(mapped(gradient, seen)) is None
+
+
+def test_the_plane_follows_the_map():
+    class Maps:
+        drawn = HazardMap.unobserved(GRID)
+
+        def hazard_map(self):
+            return self.drawn
+
+    maps = Maps()
+    told = MeasuredPlane(maps)
+    assert told.plane() is None
+    maps.drawn = mapped((0.05, 0.0))
+    assert told.plane().gradient == pytest.approx((0.05, 0.0), abs=1e-4)
+    assert told.plane() is told.plane()
+    assert MeasuredPlane(None).plane() is None

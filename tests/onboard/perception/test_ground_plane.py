@@ -1,0 +1,168 @@
+"""Shadows on ground that slopes, against pictures of rocks whose places and sizes are known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from lunarsim.frames import direction_from_angles
+from lunarsim.grid import Grid
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
+from lunarsim.onboard.perception.health import PictureHealth
+from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import sample_diameters
+from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from tests.shadow_scene import picture
+
+# Rise to the east and north, place of the camera, Sun's azimuth and elevation (deg).
+SCENES = [
+    ((-0.17, 0.0), (-80.0, 0.0, 70.0), (3.67, 20.0)),
+    ((0.15, 0.05), (-50.0, 0.0, 40.0), (3.67, 20.0)),
+    ((0.0, -0.15), (-60.0, 0.0, 80.0), (3.67, 20.0)),
+    ((0.12, -0.1), (50.0, 30.0, 60.0), (1.2, 12.0)),
+]
+
+
+def sloping(gradient, size, posting):
+    grid = Grid.centred((0.0, 0.0), size, posting)
+    x, y = np.meshgrid(grid.x, grid.y)
+    return Heightfield(grid, (gradient[0] * x + gradient[1] * y).astype(np.float32))
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene(request):
+    """A picture of half spheres on a plane, and what there is to know of it."""
+    gradient, place, (azimuth, elevation) = request.param
+    rng = np.random.default_rng(3)
+    diameters = sample_diameters(240.0**2, 0.05, 0.4, 3.0, rng)
+    half_spheres = RockModel("hemisphere", burial=(0.0, 0.0))
+    rocks = place_rocks(sloping(gradient, 240.0, 2.0), diameters, rng, model=half_spheres)
+    terrain = Terrain(sloping(gradient, 1500.0, 10.0), rocks)
+    state, camera, counts = picture(terrain, place, (azimuth, elevation))
+    return SimpleNamespace(
+        state=state, camera=camera, counts=counts, rocks=rocks, gradient=gradient,
+        sun=direction_from_angles(azimuth, np.radians(elevation)),
+        model=ShadowModel(np.radians(elevation)),
+    )  # fmt: skip
+
+
+def read(scene, plane):
+    return detect_rocks(
+        scene.counts, scene.camera, scene.state, scene.sun, ground=plane, model=scene.model
+    )
+
+
+def off_by(scene, seen):
+    """Return how far rocks lie from where they were seen, m, and sizes seen over theirs."""
+    sharp = seen.q > 4.0
+    true = np.column_stack((scene.rocks.x, scene.rocks.y))
+    distance, at = cKDTree(true).query(seen.ground[sharp])
+    radius = np.sqrt(scene.rocks.a * scene.rocks.b)[at]
+    return distance, seen.radius[sharp] / radius
+
+
+def test_rocks_are_where_they_stand_and_as_large_as_they_are(scene):
+    distance, size = off_by(scene, read(scene, GroundPlane(0.0, scene.gradient)))
+    assert len(distance) > 20
+    assert np.median(distance) < 0.25
+    assert np.quantile(distance, 0.9) < 0.6
+    assert np.median(size) == pytest.approx(1.0, abs=0.12)
+    level, _ = off_by(scene, read(scene, 0.0))
+    assert np.median(level) > 2.0 * np.median(distance)
+
+
+def turn(scene, plane, sun):
+    seen = detect_rocks(
+        scene.counts, scene.camera, scene.state, sun, ground=plane, model=scene.model
+    )
+    before = PictureHealth().before_detection(scene.counts, scene.camera, scene.state)
+    onto = plane.direction(sun)
+    return turn_from_sun(
+        seen, plane.view(scene.camera.view(scene.state)),
+        np.column_stack((seen.ground, np.zeros(len(seen)))), onto,
+        scene.model.under(float(np.arcsin(onto[2]))), before.figures["noise"],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("off", [0.0, 30.0, 180.0])
+def test_the_sun_is_told_where_it_is_over_a_slope(scene, off):
+    cos, sin = np.cos(np.radians(off)), np.sin(np.radians(off))
+    # Clockwise from above.
+    east, north, up = scene.sun
+    believed = np.array([cos * east + sin * north, cos * north - sin * east, up])
+    found = turn(scene, GroundPlane(0.0, scene.gradient), believed)
+    assert (abs(np.degrees(found.angle)) < 10.0) == (off == 0.0)
+    assert (abs(np.degrees(found.angle)) > 15.0) == (off > 0.0)
+    assert found.side > 4.0
+
+
+def test_level_ground_is_read_as_without_a_plane(scene):
+    for name in ("pixel", "pixel_covariance", "ground", "radius", "radius_sigma", "q", "shapes"):
+        one, other = (getattr(read(scene, p), name) for p in (1.5, GroundPlane(1.5, (0.0, 0.0))))
+        np.testing.assert_array_equal(one, other)
+
+
+def test_shadows_on_a_slope_show_what_is_clear():
+    """Under a Sun that a slope faces shadows are short: lit ground beyond them shows nothing."""
+    gradient, place, sun = (0.08, 0.14), (-50.0, 0.0, 40.0), (3.67, 12.0)
+    rng = np.random.default_rng(5)
+    diameters = np.full(500, 1.2)
+    half_spheres = RockModel("hemisphere", burial=(0.0, 0.0))
+    rocks = place_rocks(sloping(gradient, 240.0, 2.0), diameters, rng, model=half_spheres)
+    terrain = Terrain(sloping(gradient, 1500.0, 10.0), rocks)
+    state, camera, counts = picture(terrain, place, sun)
+    towards = direction_from_angles(sun[0], np.radians(sun[1]))
+    model = ShadowModel(np.radians(sun[1]))
+    plane = GroundPlane(0.0, gradient)
+    grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
+    middles = np.column_stack((rocks.x, rocks.y))
+    missed = {}
+    for name, along in (("slope", plane), ("level", LEVEL)):
+        seen = detect_rocks(counts, camera, state, towards, ground=along, model=model)
+        drawn = ProbabilityMap(grid, model, HazardPrior(0.05, 1.0))
+        drawn.see(camera.view(state), towards, seen, plane.heights, plane=along)
+        places = drawn.evidence.grid
+        row, col = places.cell(middles[grid.contains(middles)])
+        lit, dark = (layer[0, row, col] for layer in (drawn.evidence.lit, drawn.evidence.dark))
+        looked = (lit > 0.0) | (dark > 0.0)
+        assert looked.sum() > 20
+        missed[name] = (lit > dark)[looked].mean()
+    assert missed["slope"] < 0.1
+    assert missed["level"] > missed["slope"] + 0.1
+
+
+def test_coordinates_in_which_a_plane_is_level():
+    rng = np.random.default_rng(8)
+    plane = GroundPlane.through((3.0, -2.0, 5.0), (0.2, -0.1))
+    xy = rng.normal(0.0, 30.0, (20, 2))
+    on = np.column_stack((xy, plane.heights(xy)))
+    assert plane.heights(np.array([[3.0, -2.0]])) == pytest.approx(5.0)
+    np.testing.assert_allclose(plane.points(on)[:, 2], 0.0, atol=1e-12)
+    # A point comes to lie in the same pixel.
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    view = View(np.array([1.0, 2.0, 90.0]), axes, 500.0, 500.0, 0.0, 0.0, 640, 480)
+    other = plane.view(view)
+    np.testing.assert_allclose(
+        (plane.points(on) - other.position) @ other.into.T, (on - view.position) @ axes, atol=1e-9
+    )
+    assert plane.direction(np.array([0.0, 0.0, 1.0])) == pytest.approx([0.0, 0.0, 1.0])
+    assert LEVEL.view(view).axes is view.axes
+
+
+def test_tables_are_made_for_few_suns():
+    start = np.radians(20.0)
+    assert near_elevation(start, start) == start
+    for degrees in np.linspace(5.0, 60.0, 40):
+        near = near_elevation(np.radians(degrees), start)
+        assert np.tan(near) / np.tan(np.radians(degrees)) == pytest.approx(1.0, abs=0.05)
+    model = ShadowModel(start)
+    assert model.under(start + 1e-4) is model
+    assert model.under(np.radians(12.0)).patch(0.0, 1.0).length > model.patch(0.0, 1.0).length
