@@ -14,6 +14,7 @@ from lunarsim.rocks.shapes import CUBE, ELLIPSOID, shape_table
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
 from lunarsim.sensors.rendering.programs import ROCK_KINDS, ROCKS, float_texture
+from lunarsim.sensors.rendering.rock_tiles import RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
 from lunarsim.world.terrain import Terrain
@@ -45,14 +46,13 @@ class RockPainter:
         self._ctx = ctx
         self._programs = programs
         self._rows = rocks.rows()
-        self._reach = rocks.reach()
+        reach = rocks.reach()
         self._shapes = shape_table()
         g = terrain.relief.grid
-        self._feet = kernels.rock_feet(
-            self._rows, self._reach, terrain.relief.z, g.x0, g.y0, g.posting
-        )
+        feet = kernels.rock_feet(self._rows, reach, terrain.relief.z, g.x0, g.y0, g.posting)
+        self._tiles = RockTiles.of(self._rows, reach, feet)
         self.tallest = float(self._rows[:, 5].max(initial=0.0))
-        self.lowest = float(self._feet.min(initial=np.inf))
+        self.lowest = float(feet.min(initial=np.inf))
         shape = self._rows[:, 8].astype(int)
         named = {ELLIPSOID: "half-sphere", CUBE: "cube"}
         self._kind = np.array([ROCK_KINDS.index(named.get(s, "hull")) for s in shape], np.int8)
@@ -61,7 +61,6 @@ class RockPainter:
         texels = np.zeros((lines * _TEXTURE, 12), np.float32)
         texels[:count, :9] = self._rows
         self._texture = float_texture(ctx, texels.reshape(lines, 3 * _TEXTURE, 4))
-        self._box = np.empty((count, 4))
         self._corners = ctx.buffer(reserve=48)
         self._order = ctx.buffer(reserve=4)  # too small for any box
         self._points = ctx.buffer(reserve=28)
@@ -96,11 +95,8 @@ class RockPainter:
             Whether range, normal and identity are drawn too.
         """
         towards = np.ascontiguousarray(view.axes.T)
-        seen = kernels.visible_rocks(
-            self._rows, self._reach, self._feet, view.position, towards, view.fx, view.fy,
-            view.cx, view.cy, float(view.width), float(view.height), near, self._box,
-        )  # fmt: skip
-        box, number = kernels.gather(self._box, seen)
+        seen = self._tiles.seen(view, near)
+        box, number = seen.box, seen.number
         small, start, rest = small_rocks.split(box)
         suffix = "-truth" if truth else ""
         self._draw_boxes(programs, suffix, box[rest], number[rest])
@@ -112,12 +108,8 @@ class RockPainter:
 
     def draw_shadows(self, view: View, frame: ShadowFrame, shadow: ShadowMap) -> None:
         """Begin a shadow map with all rocks that shade ground in it."""
-        size = (float(frame.size[0]), float(frame.size[1]))
-        shading = kernels.shading_rocks(
-            self._rows, self._reach, self._feet, view.position, frame.lean, frame.axes,
-            frame.corner, frame.texel, *size, self._box,
-        )  # fmt: skip
-        box, number = kernels.gather(self._box, shading)
+        shading = self._tiles.shading(view, frame)
+        box, number = shading.box, shading.number
         small, start, rest = small_rocks.split(box)
         points, hit = small_rocks.shade(
             self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
