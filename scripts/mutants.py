@@ -80,6 +80,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_cull_kernels.py",
     ),
     "lunarsim/sensors/rendering/_glow_kernels.py": ("tests/sensors/rendering/test_glow.py",),
+    "lunarsim/sensors/rendering/_rock_tile_kernels.py": (
+        "tests/sensors/rendering/test_rock_tiles.py",
+    ),
     "lunarsim/sensors/rendering/_small_rock_kernels.py": (
         "tests/sensors/rendering/test_small_rock_kernels.py",
         "tests/sensors/rendering/test_kernels.py",
