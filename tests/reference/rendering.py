@@ -145,3 +145,12 @@ def sides_of_view(to_sensor, focal, principal, width, height, near):
             normal = normal @ to_sensor / np.linalg.norm(normal)
             sides.append([*normal, 0.0])
     return np.array(sides)
+
+
+def is_read(u, v, width, height, normal, least, most):
+    """Return whether the box of points (texels) meets all strips, or is near the map's border."""
+    if min(u) < 4 or min(v) < 4 or max(u) > width - 4 or max(v) > height - 4:
+        return True
+    corners = np.array(list(itertools.product((min(u), max(u)), (min(v), max(v)))))
+    along = corners @ normal.T
+    return bool(((along.max(axis=0) >= least) & (along.min(axis=0) <= most)).all())

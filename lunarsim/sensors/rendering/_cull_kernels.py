@@ -121,10 +121,29 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
 
 
 @kernel()
-def shading_rocks(rocks, reach, foot, number, eye, lean, axes, corner, texel, width, height):
+def _is_read(u0, v0, u1, v1, width, height, normal, least, most):
+    """Return whether a box of texels meets all strips, or the border of the map."""
+    # As `MapReads.meet` has it.
+    if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
+        return True
+    for k in range(least.size):
+        a = normal[k, 0]
+        b = normal[k, 1]
+        if max(a * u0, a * u1) + max(b * v0, b * v1) < least[k]:
+            return False
+        if min(a * u0, a * u1) + min(b * v0, b * v1) > most[k]:
+            return False
+    return True
+
+
+@kernel()
+def shading_rocks(
+    rocks, reach, foot, number, eye, lean, axes, corner, texel, width, height, normal, least, most
+):
     """Return the texels (m, 4) that each rock of `number` (m,) may darken, and whether any (m,).
 
-    `axes` (2, 2) turns ENU to the map's axes, `corner` is the map's corner in them, in metres.
+    `axes` (2, 2) turns ENU to the map's axes, `corner` is the map's corner in them, in metres. What
+    is never read counts as not darkened: see `MapReads` for `normal`, `least` and `most`.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)
@@ -151,11 +170,15 @@ def shading_rocks(rocks, reach, foot, number, eye, lean, axes, corner, texel, wi
                 u1 = max(u1, u)
                 v0 = min(v0, v)
                 v1 = max(v1, v)
-        # Division keeps the order. Centres of texels lie at halves.
-        seen[m] = _fit(
-            u0 / texel - 0.5, v0 / texel - 0.5, u1 / texel - 0.5, v1 / texel - 0.5,
-            width, height, box, m,
-        )  # fmt: skip
+        # Division keeps the order.
+        u0 /= texel
+        u1 /= texel
+        v0 /= texel
+        v1 /= texel
+        # Centres of texels lie at halves.
+        seen[m] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box, m) and _is_read(
+            u0, v0, u1, v1, width, height, normal, least, most
+        )
     return box, seen
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
+from lunarsim.sensors.rendering.map_reads import MapReads
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 
 Array = NDArray[np.float64]
@@ -93,13 +94,14 @@ class RockTiles:
         )
         return DrawnRocks(*cull.gather(box, number, seen))
 
-    def shading(self, view: View, frame: ShadowFrame) -> DrawnRocks:
-        """Return the rocks that may darken texels of a view's shadow map."""
+    def shading(self, view: View, frame: ShadowFrame, reads: MapReads) -> DrawnRocks:
+        """Return the rocks that may darken texels of a view's shadow map which are read."""
         size = (float(frame.size[0]), float(frame.size[1]))
         map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)
         kept = kernels.tiles_that_shade(self.low, self.high, self.margin, view.position, *map_)
         number = kernels.rocks_of(self.order, self.start, kept)
         box, seen = cull.shading_rocks(
-            self.rocks, self.reach, self.foot, number, view.position, *map_
-        )
+            self.rocks, self.reach, self.foot, number, view.position, *map_,
+            reads.normal, reads.least, reads.most,
+        )  # fmt: skip
         return DrawnRocks(*cull.gather(box, number, seen))

@@ -7,6 +7,7 @@ from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
+from lunarsim.sensors.rendering.map_reads import MapReads
 from lunarsim.sensors.rendering.rock_tiles import RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from tests.reference import rendering as plain
@@ -97,11 +98,12 @@ def test_rocks_that_shade_are_those_found_among_all(kind, seed):
     tiles = RockTiles.of(rocks, reach, foot)
     for _ in range(8):
         view, frame = camera(rng, level=False), shadow_frame(rng)
-        found = tiles.shading(view, frame)
+        found = tiles.shading(view, frame, MapReads.anywhere(frame))
         every = np.arange(len(rocks), dtype=np.int32)
+        none = np.zeros(0)
         box, seen = cull.shading_rocks(
             rocks, reach, foot, every, view.position, frame.lean, frame.axes, frame.corner,
-            frame.texel, float(frame.size[0]), float(frame.size[1]),
+            frame.texel, float(frame.size[0]), float(frame.size[1]), np.zeros((0, 2)), none, none,
         )  # fmt: skip
         assert np.array_equal(found.number, every[seen])
         assert np.array_equal(found.box, box[seen].astype(np.float32))
