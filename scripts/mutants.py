@@ -89,6 +89,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     ),
     "lunarsim/sensors/rendering/_tile_kernels.py": (
         "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
+        "tests/sensors/rendering/test_lee_blocks.py",
     ),
     "lunarsim/safety/_bend_kernels.py": ("tests/safety/test_ensemble.py",),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),

@@ -154,3 +154,21 @@ def is_read(u, v, width, height, normal, least, most):
     corners = np.array(list(itertools.product((min(u), max(u)), (min(v), max(v)))))
     along = corners @ normal.T
     return bool(((along.max(axis=0) >= least) & (along.min(axis=0) <= most)).all())
+
+
+def all_lit(z, posting, sun, share):
+    """Return whether all triangles between posts rise towards the Sun less than its rays do.
+
+    By `share` of that at most; not where a post is missing.
+    """
+    for corners in triangles_of(range(z.shape[0]), range(z.shape[1])):
+        points = np.column_stack(
+            (posting * corners[:, 1], posting * corners[:, 0], [float(z[i, j]) for i, j in corners])
+        )
+        if np.isnan(points).any():
+            return False
+        normal = np.cross(points[1] - points[0], points[2] - points[0])
+        normal /= normal[2]
+        if -(normal[:2] @ sun[:2]) > share * sun[2]:
+            return False
+    return True

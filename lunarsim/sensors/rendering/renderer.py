@@ -137,13 +137,13 @@ class Renderer:
             leaks = False
             if frame is not None:
                 reads = self._reads(view, frame, choice, seen, reach)
-                leaks = self._draw_shadows(view, frame, reads, shades, choice.shadow_level)
+                leaks = self._draw_shadows(view, sun, frame, reads, shades, choice.shadow_level)
                 if reach > 1.0:
                     self._penumbra_bounds().draw(frame, block["penumbra"][:2], reach)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
             matrix = _camera_matrix(view, *clip)
-            self._ground.draw("relief", matrix, view.position, choice.shown, choice.level)
+            self._ground.draw(matrix, view.position, choice.shown, choice.level)
             coarse = bool(choice.level[choice.shown].any())
             over = target.over_mended if coarse else target.over
             name = shade_name(coarse=coarse, leaks=leaks, truth=truth)
@@ -288,8 +288,8 @@ class Renderer:
         return MapReads.of(view, frame, low, high)
 
     def _draw_shadows(
-        self, view: View, frame: ShadowFrame, reads: MapReads, shades: NDArray[np.bool_],
-        level: NDArray[np.int64],
+        self, view: View, sun: Array, frame: ShadowFrame, reads: MapReads,
+        shades: NDArray[np.bool_], level: NDArray[np.int64],
     ) -> bool:  # fmt: skip
         """Draw the shadow map; return whether light may leak through ridges in it."""
         shadow = self._shadow
@@ -302,7 +302,7 @@ class Renderer:
         self._ctx.cull_face = "front"
         drawn = shades.copy()
         drawn[shades] = reads.meet(frame.texels_of(self._corners[shades] - view.position))
-        self._ground.draw("relief-shadow", frame.matrix(), view.position, drawn, level)
+        self._ground.draw_shadows(frame, sun, view.position, drawn, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         shadow.texture.use(SHADOW)
         return bool(shades.any()) and self._relief.grid.posting < _NARROW * frame.texel
