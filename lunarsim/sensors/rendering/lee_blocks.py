@@ -38,13 +38,17 @@ class LeeBlocks:
         self._known = np.zeros(len(tiles.first), np.bool_)
         self._lee = np.zeros((len(tiles.first), BLOCKS * BLOCKS), np.bool_)
 
-    def of(self, picked: NDArray[np.int64], sun: Array, texel: float) -> NDArray[np.bool_]:
+    def of(
+        self, picked: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
+    ) -> NDArray[np.bool_]:
         """Return which blocks (m, 16) of tiles at their finest level must be drawn.
 
         Parameters
         ----------
         picked
             Numbers of the tiles (m,).
+        edges
+            Level of detail of their edges (m, 4): those of a coarser neighbour have other faces.
         sun
             Unit vector towards the Sun (3,), ENU.
         texel
@@ -61,4 +65,6 @@ class LeeBlocks:
             self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SHARE
         )
         self._known[new] = True
-        return np.asarray(self._lee[picked])
+        lee = self._lee[picked]
+        lee[np.any(edges > 0, axis=1)] = True
+        return lee

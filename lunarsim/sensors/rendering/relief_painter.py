@@ -103,9 +103,7 @@ class ReliefPainter:
             if k > 0:
                 self._hand_on("relief-shadow", k, rows)
                 continue
-            lee = self._lee.of(picked, sun, frame.texel)
-            # At the edge of a coarser tile the faces are others.
-            lee[np.any(rows["edges"] > 0, axis=1)] = True
+            lee = self._lee.of(picked, rows["edges"], sun, frame.texel)
             for block, some in enumerate(lee.T):
                 if some.any():
                     self._hand_on("relief-shadow", 0, rows[some], block)

@@ -50,10 +50,16 @@ def test_what_is_known_of_one_sun_is_not_held_for_another():
         sun = sun_at(rng)
         for _ in range(2):
             picked = np.flatnonzero(rng.random(len(tiles.first)) < 0.5)
-            found = kept.of(picked, sun, 0.5)
-            assert np.array_equal(found, LeeBlocks(relief, tiles).of(picked, sun, 0.5))
-    assert kept.of(picked, sun, 3.1).all()  # texels far larger than cells: drawn whole
-    assert not kept.of(picked, sun, 2.9).all()
+            fine = np.zeros((len(picked), 4), np.int32)
+            found = kept.of(picked, fine, sun, 0.5)
+            assert np.array_equal(found, LeeBlocks(relief, tiles).of(picked, fine, sun, 0.5))
+    assert kept.of(picked, fine, sun, 3.1).all()  # texels far larger than cells: drawn whole
+    assert not kept.of(picked, fine, sun, 2.9).all()
+    # So are tiles with a coarser neighbour.
+    coarse = fine.copy()
+    coarse[0, 3] = coarse[2, 0] = 1
+    found[[0, 2]] = True
+    assert np.array_equal(kept.of(picked, coarse, sun, 0.5), found)
 
 
 def test_triangles_of_a_block_stand_together():

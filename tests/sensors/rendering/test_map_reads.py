@@ -8,11 +8,15 @@ import pytest
 from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.rocks.field import RockField
+from lunarsim.sensors.rendering.context import gl_context
 from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.programs import geometry_programs
 from lunarsim.sensors.rendering.renderer import Renderer
+from lunarsim.sensors.rendering.rock_painter import RockPainter
+from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.world.light import Light
-from lunarsim.world.terrain import Terrain
+from lunarsim.world.terrain import Heightfield, Terrain
 from tests.worlds import random_terrain
 
 
@@ -85,6 +89,35 @@ def test_nothing_is_known_of_a_view_from_below_what_it_shows():
     view = camera(rng, 0.0)
     frame = frame_about(rng, view.position)
     assert MapReads.of(view, frame, 0.0, view.position[2] + 1.0).normal.size == 0
+
+
+def test_elevations_of_what_is_seen_of_rocks():
+    rng = np.random.default_rng(2)
+    base = random_terrain(rng, rocks=40)
+    context = gl_context()
+    rocks = RockPainter(context, geometry_programs(context, ()), base)
+    view = camera(rng, 0.0)
+    size = base.rocks.reach()
+    inside = np.abs(np.stack((base.rocks.x, base.rocks.y))).max(axis=0) + 1.5 * size < 15.0
+    within = np.flatnonzero(inside).astype(np.int32)[:20]
+    assert within.size > 5
+    low, high = rocks.heights(DrawnRocks(np.zeros((len(within), 4), np.float32), within))
+    assert high == (base.rocks.base + base.rocks.height)[within].max()
+    ground = base.relief.z.min()
+    assert min(ground, base.rocks.base[within].min()) - 0.011 <= low
+    assert low <= base.rocks.base[within].min()
+    # A side that no ground hides goes down for ever.
+    over = np.append(within, np.flatnonzero(~inside)[:1]).astype(np.int32)
+    assert rocks.heights(DrawnRocks(np.zeros((len(over), 4), np.float32), over)) == (
+        -np.inf, np.inf,
+    )  # fmt: skip
+    z = base.relief.z.copy()
+    z[0, 0] = np.nan
+    holed = Terrain(Heightfield(base.relief.grid, z), base.rocks)
+    rocks = RockPainter(context, geometry_programs(context, ("HOLES",)), holed)
+    some = rocks.seen(replace(view, position=np.array([0.0, 0.0, 50.0])), 1.0)
+    assert some.number.size
+    assert rocks.heights(some) == (-np.inf, np.inf)
 
 
 def drawn(terrain, view, light):
