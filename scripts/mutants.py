@@ -80,12 +80,16 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_cull_kernels.py",
     ),
     "lunarsim/sensors/rendering/_glow_kernels.py": ("tests/sensors/rendering/test_glow.py",),
+    "lunarsim/sensors/rendering/_rock_tile_kernels.py": (
+        "tests/sensors/rendering/test_rock_tiles.py",
+    ),
     "lunarsim/sensors/rendering/_small_rock_kernels.py": (
         "tests/sensors/rendering/test_small_rock_kernels.py",
         "tests/sensors/rendering/test_kernels.py",
     ),
     "lunarsim/sensors/rendering/_tile_kernels.py": (
         "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
+        "tests/sensors/rendering/test_lee_blocks.py",
     ),
     "lunarsim/safety/_bend_kernels.py": ("tests/safety/test_ensemble.py",),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),

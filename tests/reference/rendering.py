@@ -118,3 +118,57 @@ def decimation_error(z, step):
         within &= (along >= across) if below else (along <= across)
         worst = max(worst, np.abs(slope_and_heights(z, corners)[1] - z)[within].max())
     return worst
+
+
+def corners_of_box(low, high):
+    """Return the corners (8, 3) of a box."""
+    return np.array(list(itertools.product(*zip(low, high, strict=True))))
+
+
+def bounds_of_rocks(rocks, reach, foot):
+    """Return the box of rocks' places and elevations, the largest ball's radius and the margin."""
+    tops = rocks[:, 2] + rocks[:, 5]
+    low = [*rocks[:, :2].min(axis=0), min(rocks[:, 2].min(), foot.min())]
+    high = [*rocks[:, :2].max(axis=0), tops.max()]
+    tall = np.maximum(rocks[:, 5], rocks[:, 2] - foot)
+    return low, high, (1.5 * reach + tall).max(), 1.5 * reach.max()
+
+
+def sides_of_view(to_sensor, focal, principal, width, height, near):
+    """Return inward unit normals and distances (5, 4) of the sides of a view about the camera."""
+    sides = [[*to_sensor[2], near]]
+    for axis, last in ((0, width), (1, height)):
+        for edge, sign in ((-0.5, 1.0), (last - 0.5, -1.0)):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            normal[2] = -sign * (edge - principal[axis]) / focal[axis]
+            normal = normal @ to_sensor / np.linalg.norm(normal)
+            sides.append([*normal, 0.0])
+    return np.array(sides)
+
+
+def is_read(u, v, width, height, normal, least, most):
+    """Return whether the box of points (texels) meets all strips, or is near the map's border."""
+    if min(u) < 4 or min(v) < 4 or max(u) > width - 4 or max(v) > height - 4:
+        return True
+    corners = np.array(list(itertools.product((min(u), max(u)), (min(v), max(v)))))
+    along = corners @ normal.T
+    return bool(((along.max(axis=0) >= least) & (along.min(axis=0) <= most)).all())
+
+
+def all_lit(z, posting, sun, share):
+    """Return whether all triangles between posts rise towards the Sun less than its rays do.
+
+    By `share` of that at most; not where a post is missing.
+    """
+    for corners in triangles_of(range(z.shape[0]), range(z.shape[1])):
+        points = np.column_stack(
+            (posting * corners[:, 1], posting * corners[:, 0], [float(z[i, j]) for i, j in corners])
+        )
+        if np.isnan(points).any():
+            return False
+        normal = np.cross(points[1] - points[0], points[2] - points[0])
+        normal /= normal[2]
+        if -(normal[:2] @ sun[:2]) > share * sun[2]:
+            return False
+    return True

@@ -30,21 +30,18 @@ def rock_feet(rocks, reach, z, x0, y0, p):
     return foot
 
 
-@kernel()
-def _corner(rocks, n, reach, k, foot):
-    """Return corner k (0 to 7) of the box that holds rock n."""
+@kernel(exact=True)
+def _sides(rocks, n, reach):
+    """Return the halves of the sides of the box about rock n, ENU: along e (2), along f (2)."""
     scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
-    e = rocks[n, 3] * scale * (1.0 if k & 1 else -1.0)
-    f = rocks[n, 4] * scale * (1.0 if k & 2 else -1.0)
-    x = rocks[n, 0] + rocks[n, 6] * e - rocks[n, 7] * f
-    y = rocks[n, 1] + rocks[n, 7] * e + rocks[n, 6] * f
-    z = rocks[n, 2] + rocks[n, 5] if k & 4 else foot[n]
-    return x, y, z
+    e = rocks[n, 3] * scale
+    f = rocks[n, 4] * scale
+    return rocks[n, 6] * e, rocks[n, 7] * e, rocks[n, 7] * f, rocks[n, 6] * f
 
 
 @kernel()
-def _fit(u0, v0, u1, v1, width, height, box):
-    """Write the whole pixels whose centres lie in a rectangle; return whether there are any.
+def _fit(u0, v0, u1, v1, width, height, box, m):
+    """Write the whole pixels with centres in a rectangle to row m; return whether there are any.
 
     Centres lie at whole numbers. Half a hundredth of a pixel covers what float32 loses in the
     shader.
@@ -53,26 +50,28 @@ def _fit(u0, v0, u1, v1, width, height, box):
     v0 = max(np.ceil(v0 - 0.005), 0.0)
     u1 = min(np.floor(u1 + 0.005), width - 1.0)
     v1 = min(np.floor(v1 + 0.005), height - 1.0)
-    box[0] = u0 - 0.5
-    box[1] = v0 - 0.5
-    box[2] = u1 + 0.5
-    box[3] = v1 + 0.5
+    box[m, 0] = u0 - 0.5
+    box[m, 1] = v0 - 0.5
+    box[m, 2] = u1 + 0.5
+    box[m, 3] = v1 + 0.5
     return u0 <= u1 and v0 <= v1
 
 
-@kernel(parallel=True)
-def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, height, near, box):
-    """Write the pixels that each rock may cover to `box` (n, 4); return whether any (n,).
+@kernel()
+def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, width, height, near):
+    """Return the pixels (m, 4) that each rock of `number` (m,) may cover, and whether any (m,).
 
     A rock between the centres of pixels covers none and is left out: nothing changes.
     """
-    count = rocks.shape[0]
+    count = number.size
     seen = np.zeros(count, np.bool_)
+    box = np.empty((count, 4))
     left = np.hypot(fx, cx + 0.5)
     right = np.hypot(fx, width - 0.5 - cx)
     upper = np.hypot(fy, cy + 0.5)
     lower = np.hypot(fy, height - 0.5 - cy)
-    for n in prange(count):
+    for m in range(count):
+        n = number[m]
         dx = rocks[n, 0] - eye[0]
         dy = rocks[n, 1] - eye[1]
         dz = rocks[n, 2] - eye[2]
@@ -90,15 +89,19 @@ def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, hei
         )
         if outside:
             continue
+        sides = _sides(rocks, n, reach)
+        top = rocks[n, 2] + rocks[n, 5] - eye[2]
+        base = foot[n] - eye[2]
         u0 = np.inf
         u1 = -np.inf
         v0 = np.inf
         v1 = -np.inf
         for k in range(8):
-            x, y, z = _corner(rocks, n, reach, k, foot)
-            x -= eye[0]
-            y -= eye[1]
-            z -= eye[2]
+            e = 1.0 if k & 1 else -1.0
+            f = 1.0 if k & 2 else -1.0
+            x = rocks[n, 0] + e * sides[0] - f * sides[2] - eye[0]
+            y = rocks[n, 1] + e * sides[1] + f * sides[3] - eye[1]
+            z = top if k & 4 else base
             sz = to_sensor[2, 0] * x + to_sensor[2, 1] * y + to_sensor[2, 2] * z
             if sz < 0.02:  # reaches behind the camera: may cover anything
                 u0 = 0.0
@@ -113,48 +116,81 @@ def visible_rocks(rocks, reach, foot, eye, to_sensor, fx, fy, cx, cy, width, hei
             u1 = max(u1, u)
             v0 = min(v0, v)
             v1 = max(v1, v)
-        seen[n] = _fit(u0, v0, u1, v1, width, height, box[n])
-    return seen
+        seen[m] = _fit(u0, v0, u1, v1, width, height, box, m)
+    return box, seen
 
 
-@kernel(parallel=True)
-def shading_rocks(rocks, reach, foot, eye, lean, axes, corner, texel, width, height, box):
-    """Write the texels of the shadow map that each rock may darken; return whether any (n,).
+@kernel()
+def _is_read(u0, v0, u1, v1, width, height, normal, least, most):
+    """Return whether a box of texels meets all strips, or the border of the map."""
+    # As `MapReads.meet` has it.
+    if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
+        return True
+    for k in range(least.size):
+        a = normal[k, 0]
+        b = normal[k, 1]
+        if max(a * u0, a * u1) + max(b * v0, b * v1) < least[k]:
+            return False
+        if min(a * u0, a * u1) + min(b * v0, b * v1) > most[k]:
+            return False
+    return True
 
-    `axes` (2, 2) turns ENU to the map's axes, `corner` is the map's corner in them, in metres.
+
+@kernel()
+def shading_rocks(
+    rocks, reach, foot, number, eye, lean, axes, corner, texel, width, height, normal, least, most
+):
+    """Return the texels (m, 4) that each rock of `number` (m,) may darken, and whether any (m,).
+
+    `axes` (2, 2) turns ENU to the map's axes, `corner` is the map's corner in them, in metres. What
+    is never read counts as not darkened: see `MapReads` for `normal`, `least` and `most`.
     """
-    count = rocks.shape[0]
+    count = number.size
     seen = np.zeros(count, np.bool_)
-    for n in prange(count):
+    box = np.empty((count, 4))
+    for m in range(count):
+        n = number[m]
+        sides = _sides(rocks, n, reach)
         u0 = np.inf
         u1 = -np.inf
         v0 = np.inf
         v1 = -np.inf
-        for k in range(8):
-            x, y, z = _corner(rocks, n, reach, k, foot)
-            z -= eye[2]
-            x -= eye[0] + z * lean[0]
-            y -= eye[1] + z * lean[1]
-            u = (axes[0, 0] * x + axes[0, 1] * y - corner[0]) / texel
-            v = (axes[1, 0] * x + axes[1, 1] * y - corner[1]) / texel
-            u0 = min(u0, u)
-            u1 = max(u1, u)
-            v0 = min(v0, v)
-            v1 = max(v1, v)
+        for high in range(2):
+            z = (rocks[n, 2] + rocks[n, 5] if high else foot[n]) - eye[2]
+            shift_x = eye[0] + z * lean[0]
+            shift_y = eye[1] + z * lean[1]
+            for k in range(4):
+                e = 1.0 if k & 1 else -1.0
+                f = 1.0 if k & 2 else -1.0
+                x = rocks[n, 0] + e * sides[0] - f * sides[2] - shift_x
+                y = rocks[n, 1] + e * sides[1] + f * sides[3] - shift_y
+                u = axes[0, 0] * x + axes[0, 1] * y - corner[0]
+                v = axes[1, 0] * x + axes[1, 1] * y - corner[1]
+                u0 = min(u0, u)
+                u1 = max(u1, u)
+                v0 = min(v0, v)
+                v1 = max(v1, v)
+        # Division keeps the order.
+        u0 /= texel
+        u1 /= texel
+        v0 /= texel
+        v1 /= texel
         # Centres of texels lie at halves.
-        seen[n] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box[n])
-    return seen
+        seen[m] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box, m) and _is_read(
+            u0, v0, u1, v1, width, height, normal, least, most
+        )
+    return box, seen
 
 
 @kernel()
-def gather(box, rocks):
-    """Return the rows of `box` (n, 4), as float32 (m, 4), and the numbers (m,) where `rocks`."""
-    number = np.flatnonzero(rocks).astype(np.int32)
-    out = np.empty((number.size, 4), np.float32)
-    for m in range(number.size):
+def gather(box, number, drawn):
+    """Return the rows of `box` (n, 4), as float32 (m, 4), and the numbers (m,) where `drawn`."""
+    picked = np.flatnonzero(drawn)
+    out = np.empty((picked.size, 4), np.float32)
+    for m in range(picked.size):
         for k in range(4):
-            out[m, k] = box[number[m], k]
-    return out, number
+            out[m, k] = box[picked[m], k]
+    return out, number[picked]
 
 
 @kernel()

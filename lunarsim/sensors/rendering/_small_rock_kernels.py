@@ -1,14 +1,16 @@
 """Compiled drawing of rocks that cover a pixel or two.
 
 A software OpenGL driver shades sixteen pixels for the sake of one. Small rocks are therefore met by
-their rays here, with the geometry of the ray caster, and reach OpenGL as points.
+their rays here, with the geometry of the ray caster, and reach OpenGL as points. On one thread: a
+picture's rays take a millisecond or two, and threads that wait for each other take the processor
+from the driver's, which draws meanwhile.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel, prange
+from lunarsim._jit import kernel
 from lunarsim.models._pinhole_kernels import to_tangents
 from lunarsim.rocks._kernels import rock_hit, rock_normal
 
@@ -30,7 +32,7 @@ def split(box):
     return small, start, np.flatnonzero(area > MOST)
 
 
-@kernel(parallel=True)
+@kernel()
 def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, fy, cx, cy, near):
     """Write pixel, depth, normal and number of small rocks where rays meet them.
 
@@ -38,7 +40,7 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
     """
     out = np.empty((start[-1], 7), np.float32)
     hit = np.zeros(start[-1], np.bool_)
-    for k in prange(small.size):
+    for k in range(small.size):
         m = small[k]
         n = number[m]
         normal = np.empty(3)
@@ -69,7 +71,7 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
     return out, hit
 
 
-@kernel(parallel=True)
+@kernel()
 def shade(
     rocks, planes, count, box, number, small, start, eye, lean, axes, corner, texel, highest, lowest
 ):
@@ -79,7 +81,7 @@ def shade(
     """
     out = np.empty((start[-1], 3), np.float32)
     hit = np.zeros(start[-1], np.bool_)
-    for k in prange(small.size):
+    for k in range(small.size):
         m = small[k]
         n = number[m]
         at = start[k]
@@ -103,14 +105,14 @@ def shade(
     return out, hit
 
 
-@kernel(parallel=True)
+@kernel()
 def least(points, hit, height, width):
     """Return the least depth (height, width), float32, of points that hit; 1 where there is none.
 
     `points` (m, 3) are column, row and depth.
     """
     out = np.empty((height, width), np.float32)
-    for i in prange(height):
+    for i in range(height):
         out[i] = 1.0
     for n in range(len(points)):
         if hit[n]:

@@ -93,6 +93,33 @@ def tile_tables(z, side, levels, p):
     return low, top, steep, error
 
 
+@kernel()
+def lee_blocks(z, first, side, blocks, p, sun, share):
+    """Return which blocks (m, blocks^2) of tiles have a face turned away from the Sun, or nearly.
+
+    `first` (m, 2) are the first column and row of each tile; its blocks are counted row by row.
+    Nearly: towards the Sun the face rises by more than `share` of what the sunrays do.
+    """
+    rows, cols = z.shape
+    out = np.zeros((first.shape[0], blocks * blocks), np.bool_)
+    wide = side // blocks
+    limit = share * sun[2] * p
+    for m in range(first.shape[0]):
+        for i in range(first[m, 1], min(first[m, 1] + side, rows - 1)):
+            for j in range(first[m, 0], min(first[m, 0] + side, cols - 1)):
+                z00 = np.float64(z[i, j])
+                z10 = np.float64(z[i, j + 1])
+                z01 = np.float64(z[i + 1, j])
+                z11 = np.float64(z[i + 1, j + 1])
+                lower = (z10 - z00) * sun[0] + (z11 - z10) * sun[1]
+                upper = (z11 - z01) * sun[0] + (z01 - z00) * sun[1]
+                # What is missing counts, too.
+                if not (lower <= limit and upper <= limit):
+                    block = (i - first[m, 1]) // wide * blocks + (j - first[m, 0]) // wide
+                    out[m, block] = True
+    return out
+
+
 @kernel(parallel=True)
 def cell_corners(z, ground):
     """Return the elevations over `ground` of the corners of every cell (rows, cols, 4), float32.

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
+from lunarsim.sensors.rendering.lee_blocks import LeeBlocks
 from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
-from lunarsim.sensors.rendering.relief_tiles import LEVELS, ReliefTiles
+from lunarsim.sensors.rendering.relief_tiles import BLOCKS, LEVELS, SIDE, ReliefTiles
+from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
@@ -43,6 +45,7 @@ class ReliefPainter:
         self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], relief: Heightfield
     ) -> None:
         self.tiles = ReliefTiles.of(relief)
+        self._lee = LeeBlocks(relief, self.tiles)
         self._grid = relief.grid
         # Elevations are counted from the middle, in whole metres, so that float32 is precise.
         finite = relief.z[np.isfinite(relief.z)]
@@ -54,15 +57,12 @@ class ReliefPainter:
         self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
 
     def draw(
-        self, name: str, matrix: Array, eye: Array, shown: NDArray[np.bool_],
-        level: NDArray[np.int64],
-    ) -> None:  # fmt: skip
-        """Draw tiles.
+        self, matrix: Array, eye: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
+    ) -> None:
+        """Draw the depth of tiles.
 
         Parameters
         ----------
-        name
-            "relief" for its depth, "relief-shadow" for a shadow map.
         matrix
             From metres about the eye, ENU, to clip coordinates (4, 4).
         eye
@@ -71,21 +71,58 @@ class ReliefPainter:
             Which tiles, and the level of detail of every tile, shown or not (n,).
         """
         self.corners.use(CORNERS)
-        program = self._programs[name]
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
+            if picked.size:
+                self._hand_on("relief", k, self._instances(matrix, eye, picked, level))
+
+    def draw_shadows(
+        self, frame: ShadowFrame, sun: Array, eye: Array, shades: NDArray[np.bool_],
+        level: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        """Draw what of tiles is turned away from the Sun into a shadow map.
+
+        Parameters
+        ----------
+        frame
+            Of the map.
+        sun
+            Unit vector towards the Sun (3,), ENU.
+        eye
+            ENU (3,), m.
+        shades, level
+            Which tiles, and the level of detail of every tile (n,).
+        """
+        self.corners.use(CORNERS)
+        matrix = frame.matrix()
+        for k in range(LEVELS):
+            picked = np.flatnonzero(shades & (level == k))
             if picked.size == 0:
                 continue
-            if (name, k) not in self._vaos:
-                posts, triangles = tile_mesh(self._ctx, k)
-                instance = (self._buffer, "4i 4i 16f/i", "tile", "edges", "placed")
-                self._vaos[name, k] = self._ctx.vertex_array(
-                    program, [(posts, "2i", "post"), instance], triangles
-                )
             rows = self._instances(matrix, eye, picked, level)
-            self._buffer.orphan(rows.nbytes)
-            self._buffer.write(rows.tobytes())
-            self._vaos[name, k].render(instances=picked.size)
+            if k > 0:
+                self._hand_on("relief-shadow", k, rows)
+                continue
+            lee = self._lee.of(picked, rows["edges"], sun, frame.texel)
+            for block, some in enumerate(lee.T):
+                if some.any():
+                    self._hand_on("relief-shadow", 0, rows[some], block)
+
+    def _hand_on(self, name: str, k: int, rows: NDArray[np.void], block: int | None = None) -> None:
+        """Draw instances of a mesh, or of one of its blocks."""
+        if (name, k) not in self._vaos:
+            posts, triangles = tile_mesh(self._ctx, k)
+            instance = (self._buffer, "4i 4i 16f/i", "tile", "edges", "placed")
+            self._vaos[name, k] = self._ctx.vertex_array(
+                self._programs[name], [(posts, "2i", "post"), instance], triangles
+            )
+        self._buffer.orphan(rows.nbytes)
+        self._buffer.write(rows.tobytes())
+        if block is None:
+            self._vaos[name, k].render(instances=len(rows))
+        else:
+            count = 6 * (SIDE // BLOCKS) ** 2
+            self._vaos[name, k].render(vertices=count, first=count * block, instances=len(rows))
 
     def _instances(
         self, matrix: Array, eye: Array, picked: NDArray[np.int64], level: NDArray[np.int64]

@@ -11,6 +11,7 @@ from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.world.terrain import Heightfield
 
 SIDE = 32
+BLOCKS = 4  # along each side of a tile
 LEVELS = 6
 
 Array = NDArray[np.float64]
@@ -127,14 +128,22 @@ def _neighbours(
 
 
 def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """Return the vertices (column, row) and triangles of one tile at a level."""
+    """Return the vertices (column, row) and triangles of one tile at a level.
+
+    At the finest level the triangles of a block of the tile stand together, block by block.
+    """
     step = 2**level
     n = SIDE // step
     jj, ii = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    a = np.arange(n)[:, None] * (n + 1) + np.arange(n)
+    if level == 0:
+        wide = n // BLOCKS
+        a = a.reshape(BLOCKS, wide, BLOCKS, wide).swapaxes(1, 2)
+    a = a.reshape(BLOCKS * BLOCKS if level == 0 else 1, -1)
     # The diagonal runs from south-west to north-east, as the terrain's does.
-    triangles = np.concatenate(
-        (np.column_stack((a, a + 1, a + n + 2)), np.column_stack((a, a + n + 2, a + n + 1)))
+    pair = np.stack(
+        (np.stack((a, a + 1, a + n + 2), -1), np.stack((a, a + n + 2, a + n + 1), -1)), axis=1
     )
+    triangles = pair.reshape(-1, 3)
     posts = step * np.column_stack((jj.ravel(), ii.ravel()))
     return posts.astype(np.int32), triangles.astype(np.uint32)

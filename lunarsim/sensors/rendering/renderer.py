@@ -20,6 +20,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.context import gl_context
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
+from lunarsim.sensors.rendering.map_reads import MapReads
 from lunarsim.sensors.rendering.mottles import rock_albedos
 from lunarsim.sensors.rendering.penumbra import PenumbraBounds, disc_axes
 from lunarsim.sensors.rendering.programs import (
@@ -33,6 +34,7 @@ from lunarsim.sensors.rendering.programs import (
 from lunarsim.sensors.rendering.relief_painter import ReliefPainter
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
 from lunarsim.sensors.rendering.rock_painter import RockPainter
+from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shading_model import ShadingModel
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.surface_textures import SurfaceTextures
@@ -110,8 +112,7 @@ class Renderer:
         InputError
             If the camera is under the ground or its pose is none.
         """
-        self._check_pose(view)
-        self._check_above_ground(view)
+        self._check(view)
         sun = light.direction
         clip = self._clip(view)
         choice = self._choose(view, sun, clip[0])
@@ -130,26 +131,32 @@ class Renderer:
         shades = self._shading_tiles(view, sun, frame)
         reach = self._set_penumbra(block, frame, light, bool(shades.any()))
         programs = self._set_surface(block, light, view, wide=reach > 1.0)
-        self._block.orphan()
-        self._block.write(block.tobytes())
-        self._block.bind_to_uniform_block(0)
+        self._hand_over(block)
+        seen = self._rocks.seen(view, clip[0])
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
             leaks = False
             if frame is not None:
-                leaks = self._draw_shadows(view, frame, shades, choice.shadow_level)
+                reads = self._reads(view, frame, choice, seen, reach)
+                leaks = self._draw_shadows(view, sun, frame, reads, shades, choice.shadow_level)
                 if reach > 1.0:
                     self._penumbra_bounds().draw(frame, block["penumbra"][:2], reach)
             target.depth_only.use()
             target.depth_only.clear(depth=1.0)
             matrix = _camera_matrix(view, *clip)
-            self._ground.draw("relief", matrix, view.position, choice.shown, choice.level)
+            self._ground.draw(matrix, view.position, choice.shown, choice.level)
             coarse = bool(choice.level[choice.shown].any())
             over = target.over_mended if coarse else target.over
             name = shade_name(coarse=coarse, leaks=leaks, truth=truth)
             self._shade(target, over, coarse, programs[name])
             over.use()
-            self._rocks.draw(programs, view, clip[0], truth)
+            self._rocks.draw(programs, view, clip[0], seen, truth)
             return read_image(target, view, truth)
+
+    def _hand_over(self, block: NDArray[np.void]) -> None:
+        """Give the shaders what they are told of a picture."""
+        self._block.orphan()
+        self._block.write(block.tobytes())
+        self._block.bind_to_uniform_block(0)
 
     def _shade(
         self, target: Target, over: moderngl.Framebuffer, coarse: bool, program: moderngl.Program
@@ -170,14 +177,13 @@ class Renderer:
         self._ctx.enable(moderngl.DEPTH_TEST)
         self._ctx.depth_func = "<"
 
-    @staticmethod
-    def _check_pose(view: View) -> None:
+    def _check(self, view: View) -> None:
+        """Refuse what is no pose, or one under the ground."""
         if not np.isfinite(view.position).all():
             raise InputError("camera.position", [float(x) for x in view.position], "finite metres")
         if not np.allclose(view.axes.T @ view.axes, np.eye(3), atol=1e-3):
             raise InputError("camera.axes", view.axes.tolist(), "a rotation matrix (3, 3)")
 
-    def _check_above_ground(self, view: View) -> None:
         e, n, up = view.position
         g = self._relief.grid
         u, v = (e - g.x0) / g.posting, (n - g.y0) / g.posting
@@ -269,19 +275,34 @@ class Renderer:
         steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
         return np.asarray(steep & frame.shades(self._corners, view.position))
 
+    def _reads(
+        self, view: View, frame: ShadowFrame, choice: TileChoice, seen: DrawnRocks, reach: float
+    ) -> MapReads:
+        """Return where in the shadow map a picture looks."""
+        if reach > 1.0:  # the search for the edges of penumbrae goes far
+            return MapReads.anywhere(frame)
+        low, high = self._rocks.heights(seen)
+        low, high = min(low, float(choice.low[2])), max(high, float(choice.high[2]))
+        if not np.isfinite([low, high]).all():
+            return MapReads.anywhere(frame)
+        return MapReads.of(view, frame, low, high)
+
     def _draw_shadows(
-        self, view: View, frame: ShadowFrame, shades: NDArray[np.bool_], level: NDArray[np.int64]
-    ) -> bool:
+        self, view: View, sun: Array, frame: ShadowFrame, reads: MapReads,
+        shades: NDArray[np.bool_], level: NDArray[np.int64],
+    ) -> bool:  # fmt: skip
         """Draw the shadow map; return whether light may leak through ridges in it."""
         shadow = self._shadow
         assert shadow is not None
         shadow.buffer.use()
         self._ctx.enable_only(moderngl.BLEND)
         self._ctx.blend_equation = moderngl.MIN  # type: ignore[assignment]
-        self._rocks.draw_shadows(view, frame, shadow)
+        self._rocks.draw_shadows(view, frame, reads, shadow)
         self._ctx.enable_only(moderngl.BLEND | moderngl.CULL_FACE)
         self._ctx.cull_face = "front"
-        self._ground.draw("relief-shadow", frame.matrix(), view.position, shades, level)
+        drawn = shades.copy()
+        drawn[shades] = reads.meet(frame.texels_of(self._corners[shades] - view.position))
+        self._ground.draw_shadows(frame, sun, view.position, drawn, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         shadow.texture.use(SHADOW)
         return bool(shades.any()) and self._relief.grid.posting < _NARROW * frame.texel

@@ -13,7 +13,9 @@ from lunarsim.models.pinhole import View
 from lunarsim.rocks.shapes import CUBE, ELLIPSOID, shape_table
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
+from lunarsim.sensors.rendering.map_reads import MapReads
 from lunarsim.sensors.rendering.programs import ROCK_KINDS, ROCKS, float_texture
+from lunarsim.sensors.rendering.rock_tiles import DrawnRocks, RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
 from lunarsim.world.terrain import Terrain
@@ -45,14 +47,20 @@ class RockPainter:
         self._ctx = ctx
         self._programs = programs
         self._rows = rocks.rows()
-        self._reach = rocks.reach()
+        reach = rocks.reach()
         self._shapes = shape_table()
         g = terrain.relief.grid
-        self._feet = kernels.rock_feet(
-            self._rows, self._reach, terrain.relief.z, g.x0, g.y0, g.posting
-        )
+        feet = kernels.rock_feet(self._rows, reach, terrain.relief.z, g.x0, g.y0, g.posting)
+        self._tiles = RockTiles.of(self._rows, reach, feet)
+        self._foot, self._top = feet, self._rows[:, 2] + self._rows[:, 5]
+        place = self._rows[:, :2]
+        corner = np.array([g.x0, g.y0])
+        last = corner + g.posting * (np.array([g.cols, g.rows]) - 1)
+        over = np.maximum(corner - place, place - last).max(axis=1) + 1.5 * reach > 0.0
+        # Where no ground hides it, a rock's side goes down for ever.
+        self._bottomless = over | (not np.isfinite(terrain.relief.z).all())
         self.tallest = float(self._rows[:, 5].max(initial=0.0))
-        self.lowest = float(self._feet.min(initial=np.inf))
+        self.lowest = float(feet.min(initial=np.inf))
         shape = self._rows[:, 8].astype(int)
         named = {ELLIPSOID: "half-sphere", CUBE: "cube"}
         self._kind = np.array([ROCK_KINDS.index(named.get(s, "hull")) for s in shape], np.int8)
@@ -61,7 +69,6 @@ class RockPainter:
         texels = np.zeros((lines * _TEXTURE, 12), np.float32)
         texels[:count, :9] = self._rows
         self._texture = float_texture(ctx, texels.reshape(lines, 3 * _TEXTURE, 4))
-        self._box = np.empty((count, 4))
         self._corners = ctx.buffer(reserve=48)
         self._order = ctx.buffer(reserve=4)  # too small for any box
         self._points = ctx.buffer(reserve=28)
@@ -79,10 +86,22 @@ class RockPainter:
             lines = len(self._texels) // _TEXTURE
             self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
 
+    def seen(self, view: View, near: float) -> DrawnRocks:
+        """Return the rocks in a view with least depth `near`, m."""
+        return self._tiles.seen(view, near)
+
+    def heights(self, seen: DrawnRocks) -> tuple[float, float]:
+        """Return the lowest and highest elevation of what a picture shows of rocks, m."""
+        if self._bottomless[seen.number].any():
+            return -np.inf, np.inf
+        lowest = self._foot[seen.number].min(initial=np.inf)
+        return float(lowest), float(self._top[seen.number].max(initial=-np.inf))
+
     def draw(
-        self, programs: dict[str, moderngl.Program], view: View, near: float, truth: bool
-    ) -> None:
-        """Draw all rocks in a view over the relief.
+        self, programs: dict[str, moderngl.Program], view: View, near: float, seen: DrawnRocks,
+        truth: bool,
+    ) -> None:  # fmt: skip
+        """Draw rocks over the relief.
 
         Parameters
         ----------
@@ -92,15 +111,13 @@ class RockPainter:
             The view.
         near
             Least depth, m.
+        seen
+            The rocks in the view.
         truth
             Whether range, normal and identity are drawn too.
         """
         towards = np.ascontiguousarray(view.axes.T)
-        seen = kernels.visible_rocks(
-            self._rows, self._reach, self._feet, view.position, towards, view.fx, view.fy,
-            view.cx, view.cy, float(view.width), float(view.height), near, self._box,
-        )  # fmt: skip
-        box, number = kernels.gather(self._box, seen)
+        box, number = seen.box, seen.number
         small, start, rest = small_rocks.split(box)
         suffix = "-truth" if truth else ""
         self._draw_boxes(programs, suffix, box[rest], number[rest])
@@ -110,14 +127,12 @@ class RockPainter:
         )  # fmt: skip
         self._draw_points(programs["small-rocks" + suffix], points[hit])
 
-    def draw_shadows(self, view: View, frame: ShadowFrame, shadow: ShadowMap) -> None:
-        """Begin a shadow map with all rocks that shade ground in it."""
-        size = (float(frame.size[0]), float(frame.size[1]))
-        shading = kernels.shading_rocks(
-            self._rows, self._reach, self._feet, view.position, frame.lean, frame.axes,
-            frame.corner, frame.texel, *size, self._box,
-        )  # fmt: skip
-        box, number = kernels.gather(self._box, shading)
+    def draw_shadows(
+        self, view: View, frame: ShadowFrame, reads: MapReads, shadow: ShadowMap
+    ) -> None:
+        """Begin a shadow map with all rocks that darken what is read of it."""
+        shading = self._tiles.shading(view, frame, reads)
+        box, number = shading.box, shading.number
         small, start, rest = small_rocks.split(box)
         points, hit = small_rocks.shade(
             self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,

@@ -95,6 +95,11 @@ class ShadowFrame:
         most = self.corner + self.texel * np.array(self.size)
         return np.asarray((place.max(1) >= self.corner).all(1) & (place.min(1) <= most).all(1))
 
+    def texels_of(self, points: Array) -> Array:
+        """Return the places (..., 2), texels, of points (..., 3) in metres about the camera."""
+        place = (points[..., :2] - points[..., 2:] * self.lean) @ self.axes.T
+        return np.asarray((place - self.corner) / self.texel)
+
     def to_texels(self) -> Array:
         """Return the map (2, 4) from metres about the camera, and 1, to texels."""
         turn = self.axes / self.texel

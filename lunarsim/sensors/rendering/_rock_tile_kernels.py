@@ -1,0 +1,118 @@
+"""Compiled choice of the tiles of rocks that a picture or a shadow map may hold.
+
+What is left out holds nothing: bounds are of whole tiles, and a little wider than rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+# Share of a length by which bounds are wider than it, and a floor for it, m and texels.
+_SPARE = 1e-6
+
+
+@kernel()
+def tile_bounds(rocks, reach, foot, order, start):
+    """Return bounds of tiles of rocks: low (t, 3), high (t, 3), radius and margin (t,).
+
+    Tile t has the rocks `order[start[t]:start[t + 1]]`. `low` and `high` hold the rocks' places and
+    elevations from foot to top, `radius` is that of the greatest ball about a rock's base in which
+    it lies (see `visible_rocks`), and `margin` how far a rock's box goes over its place.
+    """
+    count = start.size - 1
+    low = np.full((count, 3), np.inf)
+    high = np.full((count, 3), -np.inf)
+    radius = np.zeros(count)
+    margin = np.zeros(count)
+    for t in range(count):
+        for m in range(start[t], start[t + 1]):
+            n = order[m]
+            for k in range(3):
+                low[t, k] = min(low[t, k], rocks[n, k])
+                high[t, k] = max(high[t, k], rocks[n, k])
+            low[t, 2] = min(low[t, 2], foot[n])
+            high[t, 2] = max(high[t, 2], rocks[n, 2] + rocks[n, 5])
+            radius[t] = max(radius[t], 1.5 * reach[n] + max(rocks[n, 5], rocks[n, 2] - foot[n]))
+            margin[t] = max(margin[t], 1.5 * reach[n])
+    return low, high, radius, margin
+
+
+@kernel()
+def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, height, near):
+    """Return which tiles (t,) may hold a rock that `visible_rocks` sees."""
+    count = low.shape[0]
+    kept = np.zeros(count, np.bool_)
+    # Inward normals of the sides of the view in sensor axes, and how far within they begin.
+    sides = np.array([
+        [0.0, 0.0, 1.0],
+        [fx, 0.0, cx + 0.5],
+        [-fx, 0.0, width - 0.5 - cx],
+        [0.0, fy, cy + 0.5],
+        [0.0, -fy, height - 0.5 - cy],
+    ])  # fmt: skip
+    normal = np.empty((5, 3))
+    size = np.empty(5)
+    for s in range(5):
+        size[s] = np.sqrt(sides[s, 0] ** 2 + sides[s, 1] ** 2 + sides[s, 2] ** 2)
+        for k in range(3):
+            normal[s, k] = 0.0
+            for i in range(3):
+                normal[s, k] += sides[s, i] * to_sensor[i, k]
+    for t in range(count):
+        kept[t] = True
+        for s in range(5):
+            most = 0.0
+            scale = 0.0
+            for k in range(3):
+                lower = (low[t, k] - eye[k]) * normal[s, k]
+                upper = (high[t, k] - eye[k]) * normal[s, k]
+                most += max(lower, upper)
+                scale += max(abs(lower), abs(upper))
+            begin = near if s == 0 else 0.0
+            spare = _SPARE * (scale + size[s] * (1.0 + radius[t]))
+            if most < begin - radius[t] * size[s] - spare:
+                kept[t] = False
+                break
+    return kept
+
+
+@kernel()
+def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, height):
+    """Return which tiles (t,) may hold a rock that `shading_rocks` finds."""
+    count = low.shape[0]
+    kept = np.zeros(count, np.bool_)
+    for t in range(count):
+        kept[t] = True
+        for s in range(2):
+            # Place in the map is linear in the point.
+            rise = -(axes[s, 0] * lean[0] + axes[s, 1] * lean[1])
+            least = -corner[s]
+            most = -corner[s]
+            scale = abs(corner[s]) + margin[t]
+            for k in range(3):
+                slope = rise if k == 2 else axes[s, k]
+                wider = 0.0 if k == 2 else margin[t]
+                lower = (low[t, k] - wider - eye[k]) * slope
+                upper = (high[t, k] + wider - eye[k]) * slope
+                least += min(lower, upper)
+                most += max(lower, upper)
+                scale += max(abs(lower), abs(upper))
+            spare = texel + _SPARE * scale
+            last = (width if s == 0 else height) * texel
+            if most < -spare or least > last + spare:
+                kept[t] = False
+                break
+    return kept
+
+
+@kernel()
+def rocks_of(order, start, kept):
+    """Return the numbers of the rocks of the tiles that are kept, rising."""
+    mark = np.zeros(order.size, np.bool_)
+    for t in range(kept.size):
+        if kept[t]:
+            for m in range(start[t], start[t + 1]):
+                mark[order[m]] = True
+    return np.flatnonzero(mark).astype(np.int32)

@@ -1,0 +1,70 @@
+"""`LeeBlocks`: what of a relief is turned away from the Sun.
+
+Only that is ever drawn into a shadow map, and it is little of most ground.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering import _tile_kernels as kernels
+from lunarsim.sensors.rendering.relief_tiles import BLOCKS, SIDE, ReliefTiles
+from lunarsim.world.terrain import Heightfield
+
+Array = NDArray[np.float64]
+
+# Faces count as turned away that lie within this share of the sunrays' slope: a driver rounds
+# corners to a fraction of a texel. Where a texel is far larger than a cell, that is not enough.
+_SHARE = 0.05
+_TEXELS = 3.0
+
+
+class LeeBlocks:
+    """Squares of 8 x 8 cells, the blocks of tiles, that have a face turned away from a Sun.
+
+    Parameters
+    ----------
+    relief
+        The relief.
+    tiles
+        Its tiles.
+    """
+
+    def __init__(self, relief: Heightfield, tiles: ReliefTiles) -> None:
+        self._relief = relief
+        self._first = tiles.first
+        self._sun = np.zeros(3)
+        self._known = np.zeros(len(tiles.first), np.bool_)
+        self._lee = np.zeros((len(tiles.first), BLOCKS * BLOCKS), np.bool_)
+
+    def of(
+        self, picked: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
+    ) -> NDArray[np.bool_]:
+        """Return which blocks (m, 16) of tiles at their finest level must be drawn.
+
+        Parameters
+        ----------
+        picked
+            Numbers of the tiles (m,).
+        edges
+            Level of detail of their edges (m, 4): those of a coarser neighbour have other faces.
+        sun
+            Unit vector towards the Sun (3,), ENU.
+        texel
+            Of the shadow map, m.
+        """
+        p = self._relief.grid.posting
+        if texel > _TEXELS * p:
+            return np.ones((len(picked), BLOCKS * BLOCKS), np.bool_)
+        if not np.array_equal(sun, self._sun):
+            self._sun = np.array(sun)
+            self._known[:] = False
+        new = picked[~self._known[picked]]
+        self._lee[new] = kernels.lee_blocks(
+            self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SHARE
+        )
+        self._known[new] = True
+        lee = self._lee[picked]
+        lee[np.any(edges > 0, axis=1)] = True
+        return lee

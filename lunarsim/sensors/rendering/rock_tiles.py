@@ -1,0 +1,107 @@
+"""`RockTiles`: rocks by place, so that a picture looks only at those about what it shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.models.pinhole import View
+from lunarsim.sensors.rendering import _cull_kernels as cull
+from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
+from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+
+Array = NDArray[np.float64]
+
+# Rocks in a tile, on average: to look at a tile takes as long as to look at a rock or two.
+_ROCKS_A_TILE = 24
+# Tiles along each side at most.
+_MOST_TILES = 512
+
+
+@dataclass(frozen=True)
+class DrawnRocks:
+    """Rocks that a picture or a shadow map holds, by rising number.
+
+    Attributes
+    ----------
+    box
+        Pixels or texels that each covers (m, 4), float32: first column and row and last ones, from
+        edge to edge; the centre of the first is at 0.
+    number
+        Their numbers (m,).
+    """
+
+    box: NDArray[np.float32]
+    number: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class RockTiles:
+    """Rocks sorted into squares of ground, with what holds the rocks of each.
+
+    Attributes
+    ----------
+    rocks, reach, foot
+        Rows (n, 9), reach (n,), m, and the elevation to which sides are drawn (n,), m; see
+        `_cull_kernels`.
+    order, start
+        Tile t has the rocks `order[start[t]:start[t + 1]]`; only tiles with any.
+    low, high
+        Corners of the box (t, 3) that holds the rocks' places and elevations, m.
+    radius, margin
+        Of the greatest ball that holds a rock, and of a rock's box over its place (t,), m.
+    """
+
+    rocks: Array
+    reach: Array
+    foot: Array
+    order: NDArray[np.int64]
+    start: NDArray[np.int64]
+    low: Array
+    high: Array
+    radius: Array
+    margin: Array
+
+    @classmethod
+    def of(cls, rocks: Array, reach: Array, foot: Array) -> RockTiles:
+        """Sort rocks."""
+        count = len(rocks)
+        side = int(np.clip(np.sqrt(count / _ROCKS_A_TILE), 1, _MOST_TILES))
+        place = rocks[:, :2]
+        first = place.min(axis=0, initial=np.inf)
+        extent = np.maximum(place.max(axis=0, initial=-np.inf) - first, 1e-9)
+        column, row = np.minimum((side * ((place - first) / extent)).astype(int), side - 1).T
+        tile = side * row + column
+        order = np.argsort(tile, kind="stable")
+        start = np.append(np.flatnonzero(np.diff(tile[order], prepend=-1)), count)
+        bounds = kernels.tile_bounds(rocks, reach, foot, order, start)
+        return cls(rocks, reach, foot, order, start, *bounds)
+
+    def seen(self, view: View, near: float) -> DrawnRocks:
+        """Return the rocks that may cover pixels of a view with least depth `near`, m."""
+        towards = np.ascontiguousarray(view.axes.T)
+        size = (float(view.width), float(view.height))
+        lens = (view.fx, view.fy, view.cx, view.cy, *size, near)
+        kept = kernels.tiles_in_view(
+            self.low, self.high, self.radius, view.position, towards, *lens
+        )
+        number = kernels.rocks_of(self.order, self.start, kept)
+        box, seen = cull.visible_rocks(
+            self.rocks, self.reach, self.foot, number, view.position, towards, *lens
+        )
+        return DrawnRocks(*cull.gather(box, number, seen))
+
+    def shading(self, view: View, frame: ShadowFrame, reads: MapReads) -> DrawnRocks:
+        """Return the rocks that may darken texels of a view's shadow map which are read."""
+        size = (float(frame.size[0]), float(frame.size[1]))
+        map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)
+        kept = kernels.tiles_that_shade(self.low, self.high, self.margin, view.position, *map_)
+        number = kernels.rocks_of(self.order, self.start, kept)
+        box, seen = cull.shading_rocks(
+            self.rocks, self.reach, self.foot, number, view.position, *map_,
+            reads.normal, reads.least, reads.most,
+        )  # fmt: skip
+        return DrawnRocks(*cull.gather(box, number, seen))
