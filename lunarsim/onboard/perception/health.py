@@ -124,6 +124,9 @@ class HealthSettings:
     turn_sigma, least_side
         How well that angle must be known to tell, rad, and by how many standard deviations that it
         is not half a turn more.
+    least_agreement
+        Length of the mean direction from lit faces to shadows from which on it is rocks that tell
+        that the Sun is elsewhere: craters and slopes turn it too, and agree less.
     wrong_turn, wrong_by
         What the Sun may be wrong by, rad. Under a high Sun an angle that is less well known shows
         it in its place too, if it is so many standard deviations from that.
@@ -143,6 +146,7 @@ class HealthSettings:
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))
     least_side: float = 4.0
+    least_agreement: float = 0.4
     wrong_turn: float = float(np.deg2rad(30.0))
     wrong_by: float = 3.5
 
@@ -153,8 +157,8 @@ class HealthSettings:
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
         for name in ("least_lit", "most_noise", "least_shadows", "most_width", "most_smear",
-                     "most_turn", "least_turn", "turn_sigma", "least_side", "wrong_turn",
-                     "wrong_by"):  # fmt: skip
+                     "most_turn", "least_turn", "turn_sigma", "least_side",
+                     "least_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
 
@@ -294,9 +298,20 @@ class PictureHealth:
         s = self.settings
         return turn.sigma <= s.turn_sigma and turn.side >= s.least_side
 
+    def judges(self, turn: SunAngle) -> bool:
+        """Say whether shadows tell that the Sun is in its place, or that it is not."""
+        near = abs(turn.angle) < self.settings.least_turn
+        return self.contradicts(turn) or (self.tells(turn) and near)
+
+    def contradicts(self, turn: SunAngle) -> bool:
+        """Say whether shadows tell that the Sun is elsewhere: so many that it is rocks that do."""
+        s = self.settings
+        agree = turn.high_sun or turn.agreement >= s.least_agreement
+        return self.tells(turn) and agree and abs(turn.angle) >= s.least_turn
+
     def _sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings
-        if self.tells(turn) and abs(turn.angle) >= s.least_turn:
+        if self.contradicts(turn):
             self.sun.seen = False
             return Fault.SUN_ELSEWHERE
         known = self.tells(turn) or (

@@ -48,6 +48,16 @@ class SunAngle:
     number: int
     high_sun: bool = False
 
+    @property
+    def agreement(self) -> float:
+        """How alike the directions of single shadows are: the length of their mean, up to 1.
+
+        Where it is short, most of what is dark and bright side by side is no rock with its shadow:
+        craters, or slopes.
+        """
+        spread = np.sqrt(0.5 * (self.number + USUAL_NUMBER))
+        return float(self.side * spread / self.number) if self.number else 0.0
+
 
 def mean_angle(vectors: Complex) -> tuple[float, float]:
     """Return the angle of the mean of vectors (n,) and its standard deviation, rad.

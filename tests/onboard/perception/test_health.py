@@ -162,6 +162,21 @@ def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
         assert health.after_detection(seen, turn, 0.02).fault is fault
 
 
+def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
+    """What is dark beside bright in all directions may be turned as a whole, and is no rock."""
+    state, camera, counts, sun, level = scene
+    seen = detect_rocks(counts, camera, state, sun, ground=level)
+    craters = SunAngle(np.radians(34.0), np.radians(4.8), 9.2, 306)
+    rocks = SunAngle(np.radians(34.0), np.radians(4.8), 11.2, 306)
+    assert craters.agreement == pytest.approx(0.374, abs=1e-3)
+    health = PictureHealth()
+    assert health.after_detection(seen, craters, 0.02).fault is Fault.SUN_UNPROVEN
+    assert not health.judges(craters)
+    assert health.after_detection(seen, rocks, 0.02).fault is Fault.SUN_ELSEWHERE
+    assert health.judges(rocks)
+    assert SunAngle(np.nan, np.inf, 0.0, 0).agreement == 0.0
+
+
 def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
     soft = defocused(scene[2], np.random.default_rng(2), 1.5)
     assert judge(scene, soft).fault in {Fault.BLURRED, Fault.SMEARED, Fault.NO_SHADOWS}

@@ -216,7 +216,7 @@ class ShadowMapper(HazardMapper):
         noise = before.figures["noise"]
         turn = self._turn(seen, picture.camera, pose, sun, noise)
         after = self.health.after_detection(seen, turn, noise)
-        if self.health.tells(turn) and picture.time >= self._checked + _CHECKS:
+        if self.health.judges(turn) and picture.time >= self._checked + _CHECKS:
             self._checked = picture.time
             nis = turn.angle**2 / (turn.sigma**2 + _SHADOWS_OFF**2)
             there = after.fault is not Fault.SUN_ELSEWHERE
