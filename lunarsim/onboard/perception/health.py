@@ -146,7 +146,7 @@ class HealthSettings:
     least_turn: float = float(np.deg2rad(15.0))
     turn_sigma: float = float(np.deg2rad(5.0))
     least_side: float = 4.0
-    least_agreement: float = 0.4
+    least_agreement: float = 0.55
     wrong_turn: float = float(np.deg2rad(30.0))
     wrong_by: float = 3.5
 
