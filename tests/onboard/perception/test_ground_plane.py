@@ -20,7 +20,7 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from tests.shadow_scene import picture
+from tests.shadow_scene import picture, tracker_at
 
 # Rise to the east and north, place of the camera, Sun's azimuth and elevation (deg).
 SCENES = [
@@ -110,6 +110,16 @@ def test_level_ground_is_read_as_without_a_plane(scene):
         np.testing.assert_array_equal(one, other)
 
 
+def test_rocks_are_begun_where_a_slope_turns_from_the_sun(scene):
+    """Looks are vague along a low Sun, on ground that makes it one too: they begin rocks alike."""
+    begun = {}
+    for name, plane in (("slope", GroundPlane(0.0, scene.gradient)), ("level", LEVEL)):
+        tracker = tracker_at(scene.state.position)
+        tracker.update(read(scene, plane), scene.camera, scene.sun, 0.0, plane)
+        begun[name] = tracker.filter.count
+    assert begun["slope"] > 0.6 * begun["level"] > 5, begun
+
+
 def test_shadows_on_a_slope_show_what_is_clear():
     """Under a Sun that a slope faces shadows are short: lit ground beyond them shows nothing."""
     gradient, place, sun = (0.08, 0.14), (-50.0, 0.0, 40.0), (3.67, 12.0)
@@ -163,6 +173,9 @@ def test_tables_are_made_for_few_suns():
     for degrees in np.linspace(5.0, 60.0, 40):
         near = near_elevation(np.radians(degrees), start)
         assert np.tan(near) / np.tan(np.radians(degrees)) == pytest.approx(1.0, abs=0.05)
+    # Ground that slopes away from the Sun by more than it is high lies in its own shadow.
+    for degrees, least in ((-6.0, 2.0), (0.0, 2.0), (1.9, 2.0), (85.0, 80.0)):
+        assert near_elevation(np.radians(degrees), start) == pytest.approx(np.radians(least))
     model = ShadowModel(start)
     assert model.under(start + 1e-4) is model
     assert model.under(np.radians(12.0)).patch(0.0, 1.0).length > model.patch(0.0, 1.0).length
