@@ -19,8 +19,9 @@ from lunarsim.onboard.perception.health import PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain import Terrain, place_rocks
 from tests.shadow_scene import picture, tracker_at
+from tests.slopes import sloping
 
 # Rise to the east and north, place of the camera, Sun's azimuth and elevation (deg).
 SCENES = [
@@ -29,12 +30,6 @@ SCENES = [
     ((0.0, -0.15), (-60.0, 0.0, 80.0), (3.67, 20.0)),
     ((0.12, -0.1), (50.0, 30.0, 60.0), (1.2, 12.0)),
 ]
-
-
-def sloping(gradient, size, posting):
-    grid = Grid.centred((0.0, 0.0), size, posting)
-    x, y = np.meshgrid(grid.x, grid.y)
-    return Heightfield(grid, (gradient[0] * x + gradient[1] * y).astype(np.float32))
 
 
 @pytest.fixture(scope="module", params=SCENES)

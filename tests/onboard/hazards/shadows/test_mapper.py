@@ -11,7 +11,6 @@ from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
-from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.perception.health import Fault
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -19,6 +18,7 @@ from lunarsim.world import World
 from lunarsim.world.light import Light
 from tests.picture_faults import all_faults
 from tests.shadow_scene import MODEL, SUN, at, picture, rocks_on_a_plane, tracker_at
+from tests.slopes import Slope
 
 PLACE = (0.0, 0.0, 50.0)
 
@@ -238,20 +238,6 @@ def test_rocks_begun_anew_do_not_tell_of_any_motion(scene, monkeypatch):
     twice = mapper.tracker.hits == 2
     assert np.count_nonzero(twice) > 10
     assert np.isnan(told[0][1][twice]).mean() > 0.8
-
-
-class Slope:
-    """A mapper of elevations that has measured a plane."""
-
-    def __init__(self, gradient):
-        grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
-        x, y = np.meshgrid(grid.x, grid.y)
-        height = (gradient[0] * x + gradient[1] * y).astype(np.float32)
-        seen = np.ones(grid.shape, bool)
-        self.drawn = replace(HazardMap.unobserved(grid), observed=seen, elevation=height)
-
-    def hazard_map(self):
-        return self.drawn
 
 
 def test_a_plane_in_its_own_shadow_shows_nothing():
