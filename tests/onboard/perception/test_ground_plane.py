@@ -12,6 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
+from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -20,7 +21,7 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
 from lunarsim.world.terrain import Terrain, place_rocks
-from tests.shadow_scene import picture, tracker_at
+from tests.shadow_scene import at, picture, tracker_at
 from tests.slopes import sloping
 
 # Rise to the east and north, place of the camera, Sun's azimuth and elevation (deg).
@@ -99,6 +100,14 @@ def test_the_sun_is_told_where_it_is_over_a_slope(scene, off):
     assert found.side > 4.0
 
 
+def test_ground_above_the_camera_shows_no_rocks(scene):
+    """Lines of sight that go up meet it, from below."""
+    rise = 2.0 * np.array(scene.state.position[:2]) / np.hypot(*scene.state.position[:2])
+    over = GroundPlane.through((0.0, 0.0, 0.0), rise)
+    assert over.points(scene.state.position)[2] < 0.0
+    assert len(read(scene, over)) == 0
+
+
 def test_level_ground_is_read_as_without_a_plane(scene):
     for name in ("pixel", "pixel_covariance", "ground", "radius", "radius_sigma", "q", "shapes"):
         one, other = (getattr(read(scene, p), name) for p in (1.5, GroundPlane(1.5, (0.0, 0.0))))
@@ -160,6 +169,32 @@ def test_coordinates_in_which_a_plane_is_level():
     )
     assert plane.direction(np.array([0.0, 0.0, 1.0])) == pytest.approx([0.0, 0.0, 1.0])
     assert LEVEL.view(view).axes is view.axes
+
+
+@pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1), (-0.25, 0.1)])
+def test_ground_shows_as_many_pixels_as_level_ground_of_its_aspect(gradient):
+    """Pixels of a square on the plane, of equal size in the plan, against corners projected."""
+    plane = GroundPlane.through((3.0, -2.0, 5.0), gradient)
+    state, camera = at((-60.0, 30.0, 50.0))
+    view = camera.model.view(state)
+    # In the middle of the image: towards its edges a pixel is less of a turn.
+    middle = np.zeros((1, 2))
+    place = np.column_stack((middle, plane.heights(middle)))
+    focal = float(np.sqrt(view.fx * view.fy))
+    east = np.array([1.0, 0.0, 0.0])
+    azimuth, depression, pixel = aspect(place, view.position, focal, east, plane)
+    xy = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = np.column_stack((xy, plane.heights(xy)))
+    u, v = view.pinhole.project((corners - view.position) @ view.axes).T
+    shown = 0.5 * abs(u @ np.roll(v, -1) - v @ np.roll(u, -1))
+    assert 0.04 * np.sin(depression) / pixel**2 == pytest.approx(shown, rel=0.01)
+    # The camera looks from where it did, and from above its own horizon on the plane.
+    away = view.position - place
+    np.testing.assert_allclose(azimuth, np.arctan2(away[:, 0], away[:, 1]) - 0.5 * np.pi)
+    rise = away[:, :2] @ np.array(gradient)
+    np.testing.assert_allclose(
+        np.tan(depression), (away[:, 2] - rise) / np.hypot(away[:, 0], away[:, 1])
+    )
 
 
 def test_tables_are_made_for_few_suns():

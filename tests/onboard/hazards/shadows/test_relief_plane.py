@@ -30,6 +30,18 @@ def test_the_plane_is_that_of_what_was_measured():
     assert plane.heights(np.array([[40.0, -30.0]])) == pytest.approx(7.0 + 4.8 + 2.4, abs=0.05)
 
 
+def test_what_is_no_elevation_or_was_not_observed_says_nothing():
+    drawn = mapped((0.12, -0.08))
+    z, observed = drawn.elevation.copy(), drawn.observed.copy()
+    z[:40], z[40:60], observed[60:80] = np.nan, np.inf, False
+    z[60:80] = 1e3
+    plane = relief_plane(replace(drawn, elevation=z, observed=observed))
+    assert plane.gradient == pytest.approx((0.12, -0.08), abs=1e-4)
+    z[:] = np.nan
+    assert relief_plane(replace(drawn, elevation=z)) is None
+    assert relief_plane(replace(drawn, elevation=None)) is None
+
+
 @pytest.mark.parametrize(("gradient", "seen"), [((0.1, 0.0), 0.2), ((0.28, 0.2), 1.0)])
 def test_too_little_and_too_steep_ground_tell_none(gradient, seen):
     assert relief_plane(mapped(gradient, seen)) is None
@@ -48,4 +60,9 @@ def test_the_plane_follows_the_map():
     maps.drawn = mapped((0.05, 0.0))
     assert told.plane().gradient == pytest.approx((0.05, 0.0), abs=1e-4)
     assert told.plane() is told.plane()
+    maps.drawn = mapped((0.0, -0.1))
+    assert told.plane().gradient == pytest.approx((0.0, -0.1), abs=1e-4)
+    # A map that was laid about another point has seen nothing yet.
+    maps.drawn = HazardMap.unobserved(GRID)
+    assert told.plane() is None
     assert MeasuredPlane(None).plane() is None
