@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,13 +14,16 @@ from lunarsim.messages.measurements import Picture
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
+from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.health import PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
@@ -116,6 +120,56 @@ def test_ground_that_nobody_has_measured_yet_is_level(scene):
     one, other = look(scene, blind), look(scene, None)
     assert one.refused == other.refused
     np.testing.assert_array_equal(one.tracker.filter.xyz, other.tracker.filter.xyz)
+
+
+PLANE = GroundPlane(0.0, (-0.2, -0.1))
+
+
+def missed(scene, radius, labels=None):
+    """Return by what the odds of a rock at the origin fall that a picture does not show."""
+    state, camera, counts = scene
+    nothing = detect_rocks(np.full_like(counts, 90), camera.model, state, SUN, model=MODEL)
+    assert len(nothing) == 0
+    tracker = tracker_at(PLACE, MODEL)
+    tracker.add_known([[0.0, 0.0]], 0.1, radius, 0.01)
+    before = tracker.existence[0]
+    seen = nothing if labels is None else replace(nothing, labels=labels)
+    tracker.update(seen, camera.model, SUN, 0.0, PLANE)
+    after = tracker.existence[0]
+    return after / (1.0 - after) * (1.0 - before) / before
+
+
+def seen_from(scene):
+    state, camera, _ = scene
+    view = camera.model.view(state)
+    towards = PLANE.direction(SUN)
+    model = MODEL.under(float(np.arcsin(towards[2])))
+    focal = float(np.sqrt(view.fx * view.fy))
+    return view, model, aspect(np.zeros((1, 3)), view.position, focal, SUN, PLANE)
+
+
+def test_a_rock_that_is_not_seen_is_missed_by_what_it_shows_on_a_slope(scene):
+    _, model, (azimuth, depression, pixel) = seen_from(scene)
+    rates = DetectionRates()
+    radius = 2.2 / model.visible_pixels(1.0, azimuth, depression, pixel)[0]
+    level = MODEL.visible_pixels(radius, azimuth, depression, pixel)
+    expected = rates.false_negative(np.array([2.2]))[0]
+    assert 0.6 < rates.false_negative(level)[0] < 1.0
+    assert abs(rates.false_negative(level)[0] - expected) > 0.05
+    assert missed(scene, radius) == pytest.approx(np.clip(expected, 0.6, 1.0), rel=1e-6)
+
+
+def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene):
+    view, model, (azimuth, depression, _) = seen_from(scene)
+    unit = model.patch(azimuth, depression)
+    towards = SUN[:2] / np.hypot(*SUN[:2])
+    off = 2.0 * (unit.along[0] * towards + unit.side[0] * np.array([-towards[1], towards[0]]))
+    middle = np.array([*off, off @ np.array(PLANE.gradient)])
+    u, v = np.rint(view.pinhole.project((middle - view.position)[None] @ view.axes)[0]).astype(int)
+    labels = np.zeros((view.height, view.width), np.int32)
+    labels[v - 1 : v + 2, u - 1 : u + 2] = 1
+    assert missed(scene, 2.0, labels) == pytest.approx(1.0)
+    assert missed(scene, 2.0) < 0.7
 
 
 def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
