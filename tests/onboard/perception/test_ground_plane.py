@@ -100,6 +100,26 @@ def test_the_sun_is_told_where_it_is_over_a_slope(scene, off):
     assert found.side > 4.0
 
 
+def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
+    plane = GroundPlane(0.0, scene.gradient)
+    view = scene.camera.view(scene.state)
+    drawn = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 1.0), scene.model, HazardPrior(0.05, 1.0))
+    drawn.see(view, scene.sun, read(scene, plane), plane.heights, plane=plane)
+    evidence = drawn.evidence
+    # Every fourth place is worked out.
+    found = np.maximum(evidence.lit[0], evidence.dark[0])[::4, ::4]
+    xy = np.stack(np.meshgrid(evidence.grid.x[::4], evidence.grid.y[::4]), -1)
+    place = np.dstack((xy, plane.heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])))
+    focal = float(np.sqrt(view.fx * view.fy))
+    model = scene.model.under(float(np.arcsin(plane.direction(scene.sun)[2])))
+    sharp = model.visible_pixels(1.0, *aspect(place, view.position, focal, scene.sun, plane))
+    looked = found > 0.0
+    assert looked.sum() > 50
+    np.testing.assert_allclose(found[looked], sharp[looked], rtol=1e-5)
+    level = scene.model.visible_pixels(1.0, *aspect(place, view.position, focal, scene.sun, plane))
+    assert np.median(abs(level[looked] / sharp[looked] - 1.0)) > 0.03
+
+
 def test_ground_above_the_camera_shows_no_rocks(scene):
     """Lines of sight that go up meet it, from below."""
     rise = 2.0 * np.array(scene.state.position[:2]) / np.hypot(*scene.state.position[:2])
