@@ -222,8 +222,7 @@ def detect_rocks(
     Returns
     -------
     detections
-        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees over the
-        plane, sky, or the camera below the plane.
+        Empty if no shadow is to be seen: Sun not 2 to 80 deg, or camera not, above the plane; sky.
 
     Raises
     ------
