@@ -49,11 +49,11 @@ def rocks_on_a_plane(shape, seed=0, count=120, size=80.0):
     return Terrain(flat_terrain(2000.0, 50.0).relief, rocks)
 
 
-def tracker_at(position, **settings):
+def tracker_at(position, model=MODEL, **settings):
     state, _ = at(position)
     inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
     rocks = RockFilter.of(inertial, StartSigmas(1e-3, 1e-3, 1e-5))
-    return RockTracker(rocks, MODEL, settings=TrackerSettings(**settings))
+    return RockTracker(rocks, model, settings=TrackerSettings(**settings))
 
 
 def follow(terrain, path, tracker, mapping=None, begins=0.0):

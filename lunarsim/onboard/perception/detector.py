@@ -222,7 +222,7 @@ def detect_rocks(
     Returns
     -------
     detections
-        Empty if no shadow is to be seen: none in view, the Sun below 2 or above 80 degrees, or sky.
+        Empty if no shadow is to be seen: Sun not 2 to 80 deg, or camera not, above the plane; sky.
 
     Raises
     ------
@@ -241,7 +241,7 @@ def detect_rocks(
     plane = ground if isinstance(ground, GroundPlane) else GroundPlane(float(ground))
     view, onto = plane.view(camera.view(pose)), plane.direction(direction)
     labels, table = _patches(shade, camera, view, onto, settings)
-    if len(table) == 0 or not throws_shadows(onto):
+    if len(table) == 0 or not throws_shadows(onto) or not view.position[2] > 0.0:
         seen = _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
     else:
         known = _mixture_of(model, direction, plane)

@@ -184,8 +184,10 @@ def _model_under(elevation: float, shapes: RockModel) -> ShadowModel:
 def near_elevation(elevation: float, start: float) -> float:
     """Return the elevation of the Sun nearest to one for which tables of shadows are made, rad.
 
-    From a start its tangent goes in steps of a tenth: shadows are as long to 5 %.
+    From a start its tangent goes in steps of a tenth: shadows are as long to 5 %. It is never less
+    than 2 nor more than 80 degrees, be the Sun below ground that slopes away from it.
     """
+    elevation = float(np.clip(elevation, LEAST_ELEVATION, MOST_ELEVATION))
     steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_STEP))
     near = float(np.arctan(np.tan(start) * _STEP**steps)) if steps else start
     return float(np.clip(near, LEAST_ELEVATION, MOST_ELEVATION))

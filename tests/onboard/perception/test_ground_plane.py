@@ -12,6 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
+from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -19,8 +20,9 @@ from lunarsim.onboard.perception.health import PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from tests.shadow_scene import picture
+from lunarsim.world.terrain import Terrain, place_rocks
+from tests.shadow_scene import at, picture, tracker_at
+from tests.slopes import sloping
 
 # Rise to the east and north, place of the camera, Sun's azimuth and elevation (deg).
 SCENES = [
@@ -29,12 +31,6 @@ SCENES = [
     ((0.0, -0.15), (-60.0, 0.0, 80.0), (3.67, 20.0)),
     ((0.12, -0.1), (50.0, 30.0, 60.0), (1.2, 12.0)),
 ]
-
-
-def sloping(gradient, size, posting):
-    grid = Grid.centred((0.0, 0.0), size, posting)
-    x, y = np.meshgrid(grid.x, grid.y)
-    return Heightfield(grid, (gradient[0] * x + gradient[1] * y).astype(np.float32))
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -104,10 +100,48 @@ def test_the_sun_is_told_where_it_is_over_a_slope(scene, off):
     assert found.side > 4.0
 
 
+def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
+    plane = GroundPlane(0.0, scene.gradient)
+    view = scene.camera.view(scene.state)
+    drawn = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 1.0), scene.model, HazardPrior(0.05, 1.0))
+    drawn.see(view, scene.sun, read(scene, plane), plane.heights, plane=plane)
+    evidence = drawn.evidence
+    # Every fourth place is worked out.
+    found = np.maximum(evidence.lit[0], evidence.dark[0])[::4, ::4]
+    xy = np.stack(np.meshgrid(evidence.grid.x[::4], evidence.grid.y[::4]), -1)
+    place = np.dstack((xy, plane.heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])))
+    focal = float(np.sqrt(view.fx * view.fy))
+    model = scene.model.under(float(np.arcsin(plane.direction(scene.sun)[2])))
+    sharp = model.visible_pixels(1.0, *aspect(place, view.position, focal, scene.sun, plane))
+    looked = found > 0.0
+    assert looked.sum() > 50
+    np.testing.assert_allclose(found[looked], sharp[looked], rtol=1e-5)
+    level = scene.model.visible_pixels(1.0, *aspect(place, view.position, focal, scene.sun, plane))
+    assert np.median(abs(level[looked] / sharp[looked] - 1.0)) > 0.03
+
+
+def test_ground_above_the_camera_shows_no_rocks(scene):
+    """Lines of sight that go up meet it, from below."""
+    rise = 2.0 * np.array(scene.state.position[:2]) / np.hypot(*scene.state.position[:2])
+    over = GroundPlane.through((0.0, 0.0, 0.0), rise)
+    assert over.points(scene.state.position)[2] < 0.0
+    assert len(read(scene, over)) == 0
+
+
 def test_level_ground_is_read_as_without_a_plane(scene):
     for name in ("pixel", "pixel_covariance", "ground", "radius", "radius_sigma", "q", "shapes"):
         one, other = (getattr(read(scene, p), name) for p in (1.5, GroundPlane(1.5, (0.0, 0.0))))
         np.testing.assert_array_equal(one, other)
+
+
+def test_rocks_are_begun_where_a_slope_turns_from_the_sun(scene):
+    """Looks are vague along a low Sun, on ground that makes it one too: they begin rocks alike."""
+    begun = {}
+    for name, plane in (("slope", GroundPlane(0.0, scene.gradient)), ("level", LEVEL)):
+        tracker = tracker_at(scene.state.position)
+        tracker.update(read(scene, plane), scene.camera, scene.sun, 0.0, plane)
+        begun[name] = tracker.filter.count
+    assert begun["slope"] > 0.6 * begun["level"] > 5, begun
 
 
 def test_shadows_on_a_slope_show_what_is_clear():
@@ -157,12 +191,41 @@ def test_coordinates_in_which_a_plane_is_level():
     assert LEVEL.view(view).axes is view.axes
 
 
+@pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1), (-0.25, 0.1)])
+def test_ground_shows_as_many_pixels_as_level_ground_of_its_aspect(gradient):
+    """Pixels of a square on the plane, of equal size in the plan, against corners projected."""
+    plane = GroundPlane.through((3.0, -2.0, 5.0), gradient)
+    state, camera = at((-60.0, 30.0, 50.0))
+    view = camera.model.view(state)
+    # In the middle of the image: towards its edges a pixel is less of a turn.
+    middle = np.zeros((1, 2))
+    place = np.column_stack((middle, plane.heights(middle)))
+    focal = float(np.sqrt(view.fx * view.fy))
+    east = np.array([1.0, 0.0, 0.0])
+    azimuth, depression, pixel = aspect(place, view.position, focal, east, plane)
+    xy = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = np.column_stack((xy, plane.heights(xy)))
+    u, v = view.pinhole.project((corners - view.position) @ view.axes).T
+    shown = 0.5 * abs(u @ np.roll(v, -1) - v @ np.roll(u, -1))
+    assert 0.04 * np.sin(depression) / pixel**2 == pytest.approx(shown, rel=0.01)
+    # The camera looks from where it did, and from above its own horizon on the plane.
+    away = view.position - place
+    np.testing.assert_allclose(azimuth, np.arctan2(away[:, 0], away[:, 1]) - 0.5 * np.pi)
+    rise = away[:, :2] @ np.array(gradient)
+    np.testing.assert_allclose(
+        np.tan(depression), (away[:, 2] - rise) / np.hypot(away[:, 0], away[:, 1])
+    )
+
+
 def test_tables_are_made_for_few_suns():
     start = np.radians(20.0)
     assert near_elevation(start, start) == start
     for degrees in np.linspace(5.0, 60.0, 40):
         near = near_elevation(np.radians(degrees), start)
         assert np.tan(near) / np.tan(np.radians(degrees)) == pytest.approx(1.0, abs=0.05)
+    # Ground that slopes away from the Sun by more than it is high lies in its own shadow.
+    for degrees, least in ((-6.0, 2.0), (0.0, 2.0), (1.9, 2.0), (85.0, 80.0)):
+        assert near_elevation(np.radians(degrees), start) == pytest.approx(np.radians(least))
     model = ShadowModel(start)
     assert model.under(start + 1e-4) is model
     assert model.under(np.radians(12.0)).patch(0.0, 1.0).length > model.patch(0.0, 1.0).length

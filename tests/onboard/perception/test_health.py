@@ -174,6 +174,13 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     assert not health.judges(craters)
     assert health.after_detection(seen, rocks, 0.02).fault is Fault.SUN_ELSEWHERE
     assert health.judges(rocks)
+    # Under a high Sun the side is told by other means, which agreement does not measure.
+    high = replace(craters, high_sun=True)
+    assert health.after_detection(seen, high, 0.02).fault is Fault.SUN_ELSEWHERE
+    assert health.judges(high)
+    # Directions that agree less may show the Sun in its place, and what tells nothing judges not.
+    assert health.judges(replace(craters, angle=np.radians(14.0)))
+    assert not health.judges(SunAngle(np.nan, np.inf, 0.0, 0))
     assert SunAngle(np.nan, np.inf, 0.0, 0).agreement == 0.0
 
 

@@ -109,3 +109,13 @@ def test_the_told_shape_is_where_it_starts():
     assert cube.height == pytest.approx(
         cube.shape_shares @ [m.height for m in cube.models], rel=1e-9
     )
+
+
+def test_what_was_learnt_of_shapes_holds_under_another_sun(models):
+    rng = np.random.default_rng(6)
+    mixture = taught(models["cube"], rng)
+    other = mixture.under(np.radians(13.0))
+    assert np.degrees(other.elevation) == pytest.approx(13.0, rel=0.05)
+    np.testing.assert_array_equal(other.shares, mixture.shares)
+    assert (other.patch(1.0, 1.0).length > 1.2 * mixture.patch(1.0, 1.0).length).all()
+    assert mixture.under(SUN) is mixture

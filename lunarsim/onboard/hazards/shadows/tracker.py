@@ -143,7 +143,7 @@ class RockTracker:
             If time runs backwards.
         """
         s = self.settings
-        self._pass_time(camera, sun, time)
+        self._pass_time(camera, plane.direction(unit_vector(sun)), time)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
         points = self.filter.ground_points(camera, seen.pixel)
         parted = self._split(seen, points, camera, radius_variance)
@@ -207,13 +207,13 @@ class RockTracker:
         return d, at[j], sure, close
 
     def _pass_time(self, camera: CameraModel, sun: Array, time: float) -> None:
-        """Let rocks wander since the last image."""
+        """Let rocks wander since the last image; the Sun (3,) is that over level ground alike."""
         s = self.settings
         if not self._now <= time < np.inf:
             raise InputError(
                 "picture.time", time, f"at least {self._time} s: time does not run backwards"
             )
-        if not np.hypot(*unit_vector(sun)[:2]) > 0.0:
+        if not np.hypot(*sun[:2]) > 0.0:
             raise InputError("sun", sun, "a direction off the zenith, by which shadows fall")
         # Under a low Sun looks are vague along it alone: they begin rocks from as far as under 20
         # deg. What the model of shadows has wrong along it grows as the shadows do.

@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
+from lunarsim.onboard.perception.health import Fault
+from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from tests.picture_faults import all_faults
-from tests.shadow_scene import MODEL, SUN, at, rocks_on_a_plane, tracker_at
+from tests.shadow_scene import MODEL, SUN, at, picture, rocks_on_a_plane, tracker_at
+from tests.slopes import Slope
 
 PLACE = (0.0, 0.0, 50.0)
 
@@ -234,3 +238,16 @@ def test_rocks_begun_anew_do_not_tell_of_any_motion(scene, monkeypatch):
     twice = mapper.tracker.hits == 2
     assert np.count_nonzero(twice) > 10
     assert np.isnan(told[0][1][twice]).mean() > 0.8
+
+
+def test_a_plane_in_its_own_shadow_shows_nothing():
+    """Lit ground that was measured to lie so is elsewhere, or otherwise: nothing is seen of it."""
+    sun = direction_from_angles(1.2, np.radians(14.0))
+    state, camera, counts = picture(rocks_on_a_plane("hemisphere"), PLACE, (1.2, 14.0))
+    tracker = tracker_at(PLACE, model=ShadowModel(np.radians(14.0)))
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), tracker.model)
+    rise = 0.27 * sun[:2] / np.hypot(*sun[:2])
+    mapper = ShadowMapper(tracker, mapping, sun, 1.0, relief=Slope(rise))
+    see(mapper, camera.model, counts, 0.0)
+    assert mapper.refused == {Fault.NO_SHADOWS: 1}
+    assert not mapper.hazard_map().observed.any()

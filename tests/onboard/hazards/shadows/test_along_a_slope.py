@@ -1,0 +1,201 @@
+"""The mapper over ground that another has measured, and how one comes to know of the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import direction_from_angles
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import Picture
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.building import built_mappers
+from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
+from lunarsim.onboard.hazards.shadows.aspect import aspect
+from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
+from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.direction import turn_from_sun
+from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.health import PictureHealth
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.world.terrain import Terrain, place_rocks
+from tests.shadow_scene import picture, tracker_at
+from tests.slopes import Slope, sloping
+
+GRADIENT, PLACE = (0.0, -0.15), (0.0, -60.0, 70.0)
+AZIMUTH, ELEVATION = 3.67, np.radians(20.0)
+SUN, MODEL = direction_from_angles(AZIMUTH, ELEVATION), ShadowModel(ELEVATION)
+GRID = Grid.centred((0.0, 0.0), 40.0, 0.5)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rng = np.random.default_rng(3)
+    diameters = sample_diameters(160.0**2, 0.05, 0.3, 3.0, rng)
+    rocks = place_rocks(sloping(GRADIENT, 160.0, 2.0), diameters, rng, model=RockModel("irregular"))
+    terrain = Terrain(sloping(GRADIENT, 1500.0, 10.0), rocks)
+    return picture(terrain, PLACE, (AZIMUTH, np.degrees(ELEVATION)))
+
+
+def parts_of_a_map():
+    return tracker_at(PLACE, MODEL), ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
+
+
+def look(scene, relief, turned=0.0):
+    """Let a mapper see the picture, its Sun turned from where it is, deg."""
+    tracker, probability = parts_of_a_map()
+    sun = direction_from_angles(AZIMUTH + np.radians(turned), ELEVATION)
+    mapper = ShadowMapper(tracker, probability, sun, 1.0, relief=relief)
+    update(mapper, scene)
+    return mapper
+
+
+def update(mapper, scene):
+    _, camera, counts = scene
+    rocks = mapper.tracker.filter
+    estimate = rocks.inertial.estimate(rocks.covariance, 0.0, 1.0)
+    mapper.update(Picture(0.0, counts, camera.model), estimate)
+
+
+def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
+    state, camera, counts = scene
+    mapper = look(scene, Slope(GRADIENT))
+    plane = relief_plane(Slope(GRADIENT).drawn)
+    seen = detect_rocks(counts, camera.model, state, SUN, ground=plane, model=MODEL)
+    np.testing.assert_array_equal(mapper.seen.ground, seen.ground)
+    tracker, probability = parts_of_a_map()
+    tracker.update(seen, camera.model, SUN, 0.0, plane)
+    np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
+    assert mapper.tracker.filter.count > 0
+    probability.see(
+        camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.ground_at,
+        tracker.explained, tracker.place_sigma, plane,
+    )  # fmt: skip
+    np.testing.assert_array_equal(mapper.probability.evidence.lit, probability.evidence.lit)
+    assert probability.evidence.lit.any()
+
+
+def test_the_sun_is_judged_along_the_measured_ground(scene):
+    """This picture does not tell where the Sun is if the ground is taken to be level."""
+    assert not look(scene, Slope(GRADIENT)).refused
+    assert look(scene, None).refused
+    mapper = look(scene, Slope(GRADIENT), 30.0)
+    state, camera, counts = scene
+    sun = direction_from_angles(AZIMUTH + np.radians(30.0), ELEVATION)
+    plane = relief_plane(Slope(GRADIENT).drawn)
+    seen = detect_rocks(counts, camera.model, state, sun, ground=plane, model=MODEL)
+    onto = plane.direction(sun)
+    told = turn_from_sun(
+        seen, plane.view(camera.model.view(state)),
+        np.column_stack((seen.ground, np.zeros(len(seen)))), onto,
+        MODEL.under(float(np.arcsin(onto[2]))),
+        PictureHealth().before_detection(counts, camera.model, state).figures["noise"],
+    )  # fmt: skip
+    (event,) = [e for e in mapper.tracker.filter.events if e.name == "picture-refused"]
+    assert event.details["turn"] == pytest.approx(told.angle)
+
+
+@pytest.mark.parametrize("turned", [30.0, -30.0, 180.0])
+@pytest.mark.parametrize("relief", [None, Slope(GRADIENT)])
+def test_under_a_sun_that_is_elsewhere_no_ground_is_seen(scene, relief, turned):
+    mapper = look(scene, relief, turned)
+    assert mapper.refused.total() == 1
+    assert not mapper.hazard_map().observed.any()
+
+
+def test_ground_that_nobody_has_measured_yet_is_level(scene):
+    blind = Slope(GRADIENT)
+    blind.drawn = blind.unobserved()
+    one, other = look(scene, blind), look(scene, None)
+    assert one.refused == other.refused
+    np.testing.assert_array_equal(one.tracker.filter.xyz, other.tracker.filter.xyz)
+
+
+PLANE = GroundPlane(0.0, (-0.2, -0.1))
+
+
+def missed(scene, radius, labels=None):
+    """Return by what the odds of a rock at the origin fall that a picture does not show."""
+    state, camera, counts = scene
+    nothing = detect_rocks(np.full_like(counts, 90), camera.model, state, SUN, model=MODEL)
+    assert len(nothing) == 0
+    tracker = tracker_at(PLACE, MODEL)
+    tracker.add_known([[0.0, 0.0]], 0.1, radius, 0.01)
+    before = tracker.existence[0]
+    seen = nothing if labels is None else replace(nothing, labels=labels)
+    tracker.update(seen, camera.model, SUN, 0.0, PLANE)
+    after = tracker.existence[0]
+    return after / (1.0 - after) * (1.0 - before) / before
+
+
+def seen_from(scene):
+    state, camera, _ = scene
+    view = camera.model.view(state)
+    towards = PLANE.direction(SUN)
+    model = MODEL.under(float(np.arcsin(towards[2])))
+    focal = float(np.sqrt(view.fx * view.fy))
+    return view, model, aspect(np.zeros((1, 3)), view.position, focal, SUN, PLANE)
+
+
+def test_a_rock_that_is_not_seen_is_missed_by_what_it_shows_on_a_slope(scene):
+    _, model, (azimuth, depression, pixel) = seen_from(scene)
+    rates = DetectionRates()
+    radius = 2.2 / model.visible_pixels(1.0, azimuth, depression, pixel)[0]
+    level = MODEL.visible_pixels(radius, azimuth, depression, pixel)
+    expected = rates.false_negative(np.array([2.2]))[0]
+    assert 0.6 < rates.false_negative(level)[0] < 1.0
+    assert abs(rates.false_negative(level)[0] - expected) > 0.05
+    assert missed(scene, radius) == pytest.approx(np.clip(expected, 0.6, 1.0), rel=1e-6)
+
+
+def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene):
+    view, model, (azimuth, depression, _) = seen_from(scene)
+    unit = model.patch(azimuth, depression)
+    towards = SUN[:2] / np.hypot(*SUN[:2])
+    off = 2.0 * (unit.along[0] * towards + unit.side[0] * np.array([-towards[1], towards[0]]))
+    middle = np.array([*off, off @ np.array(PLANE.gradient)])
+    u, v = np.rint(view.pinhole.project((middle - view.position)[None] @ view.axes)[0]).astype(int)
+    labels = np.zeros((view.height, view.width), np.int32)
+    labels[v - 1 : v + 2, u - 1 : u + 2] = 1
+    assert missed(scene, 2.0, labels) == pytest.approx(1.0)
+    assert missed(scene, 2.0) < 0.7
+
+
+def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
+    state, _, _ = scene
+    inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
+    ground = LevelGround(0.0, 2.0)
+    navigation = Navigator(inertial, StartSigmas(1e-3, 1e-3, 1e-5), ground=ground, rocks=True)
+    relief = Slope(GRADIENT)
+    told = {}
+
+    def fused(briefing, navigation, mappers):
+        told.update(mappers)
+        return Slope((0.0, 0.0))
+
+    parts = {
+        "all": SimpleNamespace(of=(), build=fused),
+        "eye": ShadowMapping(shapes="hemisphere", size=40.0, ground="dem"),
+        "dem": SimpleNamespace(build=lambda briefing, navigation: relief),
+    }
+    briefing = SimpleNamespace(
+        software=SimpleNamespace(mappers=parts), lander=Lander(), rocks=RockExpectation(),
+        target=np.zeros(3), sun=SUN, instruments={},
+    )  # fmt: skip
+    built = built_mappers(briefing, navigation)
+    assert list(built) == list(parts)
+    assert set(told) == {"eye", "dem"}
+    assert not relief.asked
+    update(built["eye"], scene)
+    assert relief.asked
