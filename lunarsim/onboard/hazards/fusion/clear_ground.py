@@ -28,7 +28,7 @@ from lunarsim.onboard.hazards.shadows.plausible import too_few
 Array = NDArray[np.float64]
 
 # Slope and roughness are well within their limits up to these shares of them short of 1.
-_SLOPE, _ROUGHNESS = 0.3, 0.4
+_SLOPE, _ROUGHNESS = 0.3, 0.5
 
 
 def clear_ground(

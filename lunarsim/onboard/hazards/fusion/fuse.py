@@ -105,14 +105,15 @@ def fused_map(
         return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
     if rocks is None:
         return relief.drawn
-    drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, terms.relief_prior)
+    prior = relief_prior_of(relief, terms)
+    drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, prior)
     clear, level = _clear(relief, rocks, terms)
     p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
     seen = drawn.observed
     # Rocks are as high there as where both eyes have seen some.
-    unmeasured = np.minimum(alone.p_safe, np.float32(terms.relief_prior) * clear)
+    unmeasured = np.minimum(alone.p_safe, np.float32(prior) * clear)
     elevation = drawn.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
@@ -123,6 +124,24 @@ def fused_map(
         elevation=elevation,
         in_domain=seen & known & (level <= p) & ((p >= SURE) | surely_not),
     )
+
+
+def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
+    """Return the probability that ground that was not measured is within the limit of slopes.
+
+    It is as likely to be so as what was measured about it, never likelier than the mission expects,
+    whose expectation counts as one site more: sites whose footprints overlap are not many.
+    """
+    if relief.judged is None:
+        return terms.relief_prior
+    slope = relief.judged.slope[relief.drawn.observed]
+    slope = slope[np.isfinite(slope)]
+    lander = terms.lander
+    footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
+    worth = min(relief.drawn.grid.posting**2 / footprint, 1.0)
+    within = worth * float(np.count_nonzero(slope <= 1.0))
+    share = (within + terms.relief_prior) / (worth * len(slope) + 1.0)
+    return min(share, terms.relief_prior)
 
 
 def _clear(
