@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception._table_kernels import interpolated
+from lunarsim.onboard.perception.kept_tables import kept_table
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.level_ground import RockOnLevelGround
 
@@ -221,6 +222,12 @@ def shadow_reach(elevation: float) -> float:
 @lru_cache(maxsize=96)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
     """Return the table (azimuths, depressions, 10) of `ShadowPatch`'s attributes in their order."""
+    key = f"{elevation!r} {shapes!r}"
+    return kept_table("shadows", key, lambda: _tabulated(elevation, shapes))
+
+
+def _tabulated(elevation: float, shapes: RockModel) -> Array:
+    """Make the table of `_tabulate`."""
     rng = np.random.default_rng(1953)
     one = shapes.shape == "hemisphere"
     field = shapes.draw(np.full(1 if one else _SHAPES, 2.0), rng)
