@@ -194,7 +194,7 @@ class ShadowMapper(HazardMapper):
         self.tracker.update(seen, picture.camera, sun, picture.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
-        self.probability.ground = self._plane(picture.camera)
+        self.probability.ground = self._height_in_view(picture.camera)
         # From where the lander stands by what the rocks told: they moved with it.
         rocks = self.tracker.filter
         self.probability.see(
@@ -240,7 +240,7 @@ class ShadowMapper(HazardMapper):
     def _ground(self, camera: CameraModel) -> float | GroundPlane:
         """Return the ground on which rocks are read: as it was measured, or a level plane."""
         plane = self._relief.plane()
-        return self._plane(camera) if plane is None else plane
+        return self._height_in_view(camera) if plane is None else plane
 
     def _report(self, time: float, health: Health) -> None:
         """Count pictures that do not count, and say when that begins and ends."""
@@ -260,7 +260,7 @@ class ShadowMapper(HazardMapper):
             details |= {k: v for k, v in health.figures.items() if np.isfinite(v)}
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
-    def _plane(self, camera: CameraModel) -> float:
+    def _height_in_view(self, camera: CameraModel) -> float:
         """Return the height of the ground in the middle of the image, as the rocks tell it, m."""
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
