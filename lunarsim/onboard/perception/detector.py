@@ -15,6 +15,7 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
+from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
 from lunarsim.onboard.perception.shadow_model import (
@@ -24,6 +25,7 @@ from lunarsim.onboard.perception.shadow_model import (
     ShadowPatch,
 )
 from lunarsim.onboard.perception.shape_mixture import Reading, ShapeMixture
+from lunarsim.onboard.perception.sun_direction import look_stretch, throws_shadows, unit_vector
 
 Array = NDArray[np.float64]
 
@@ -34,10 +36,6 @@ _USUAL = 1.25
 _MERGED = 0.78
 # A patch that the rock hides but for this length, in radii, tells too little.
 _LEAST_LENGTH = 0.3
-# Elevation of the Sun at which what looks differ by was found, rad.
-_LOOK_SUN = float(np.deg2rad(20.0))
-# They differ by this power of how much longer shadows are under a lower one: by 1 pixel at 8 deg.
-_LOOK_POWER = 1.5
 
 
 @dataclass(frozen=True)
@@ -249,26 +247,6 @@ def detect_rocks(
     return seen if shade.left_out is None else _with_gaps(seen, shade.left_out, len(table) + 1)
 
 
-def throws_shadows(sun: Array) -> bool:
-    """Tell whether the Sun (3,) stands where rocks are seen by their shadows: 2 to 80 deg high."""
-    elevation = float(np.arcsin(np.clip(sun[2], -1.0, 1.0)))
-    return bool(LEAST_ELEVATION <= elevation <= MOST_ELEVATION)
-
-
-def unit_vector(sun: ArrayLike) -> Array:
-    """Return the direction towards the Sun (3,).
-
-    Raises
-    ------
-    InputError
-        If it is no unit vector.
-    """
-    direction = np.asarray(sun, dtype=np.float64)
-    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
-        raise InputError("sun", sun, "a unit vector (3,), ENU")
-    return direction
-
-
 def _mixture_of(
     model: ShadowModel | ShapeMixture | None, sun: Array, plane: GroundPlane
 ) -> ShapeMixture:
@@ -276,7 +254,7 @@ def _mixture_of(
     if not isinstance(model, ShapeMixture):
         elevation = float(np.clip(np.arcsin(sun[2]), LEAST_ELEVATION, MOST_ELEVATION))
         model = ShapeMixture.known(model or _half_spheres(elevation))
-    return model if plane.level else model.under(float(np.arcsin(plane.direction(sun)[2])))
+    return along(model, plane, sun)
 
 
 def _check_pose(pose: Pose) -> None:
@@ -419,17 +397,6 @@ def _look(
     return np.asarray(
         spans * np.hypot(settings.look_sigma, np.divide(settings.look_small, wide[:, None]))
     )
-
-
-def shadow_stretch(sun: Array) -> float:
-    """Return how much longer shadows are under a low Sun (3,) than under 20 deg; 1 for others."""
-    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
-    return max(float(longer), 1.0)
-
-
-def look_stretch(sun: Array) -> float:
-    """Return how much more centres differ from look to look along a low Sun (3,); 1 for others."""
-    return float(shadow_stretch(sun) ** _LOOK_POWER)
 
 
 def _sun_frame(sun: Array) -> Array:

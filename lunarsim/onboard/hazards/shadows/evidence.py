@@ -27,6 +27,7 @@ from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
 from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.onboard.hazards.shadows.sliding import Slide
+from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -178,7 +179,7 @@ class ClearEvidence:
         place = np.dstack((xy, height))
         focal = float(np.sqrt(view.fx * view.fy))
         azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
-        model, low, onto = self._along(plane, sun)
+        model, low = along(self.model, plane, sun), along(self._low, plane, sun)
         sharpness = model.visible_pixels(1.0, azimuth, depression, pixel)
         view, place = plane.view(view), plane.points(place)
         shown = view.position[2] > place[..., 2]
@@ -187,22 +188,12 @@ class ClearEvidence:
             shown &= sigma <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
-        core = _core(model, low, azimuth, depression, onto)
+        core = _core(model, low, azimuth, depression, sun)
         coarse = np.dstack((sharpness, place, *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             view.into.T, view.fx, view.fy, view.cx, view.cy, seen.labels, largest, _DARK, _SHARPER,
         )  # fmt: skip
-
-    def _along(
-        self, plane: GroundPlane, sun: Array
-    ) -> tuple[ShadowModel | ShapeMixture, ShadowModel, Array]:
-        """Return what shadows on a plane are like, of all rocks and of low ones, and the Sun."""
-        if plane.level:
-            return self.model, self._low, sun
-        onto = plane.direction(sun)
-        elevation = float(np.arcsin(onto[2]))
-        return self.model.under(elevation), self._low.under(elevation), onto
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""

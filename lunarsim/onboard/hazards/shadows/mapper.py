@@ -28,11 +28,11 @@ from lunarsim.onboard.hazards.shadows.relief_plane import MeasuredPlane
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
+from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.detector import (
     Detections,
     DetectorSettings,
     detect_rocks,
-    unit_vector,
 )
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -43,6 +43,7 @@ from lunarsim.onboard.perception.health import (
 )
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import SunAngle
+from lunarsim.onboard.perception.sun_direction import unit_vector
 
 Array = NDArray[np.float64]
 
@@ -231,10 +232,9 @@ class ShadowMapper(HazardMapper):
         if plane is None:
             points = self.tracker.filter.ground_points(camera, seen.pixel)
             return turn_from_sun(seen, view, points, sun, model, noise)
-        sun = plane.direction(sun)
         points = np.column_stack((seen.ground, np.zeros(len(seen))))
         return turn_from_sun(
-            seen, plane.view(view), points, sun, model.under(float(np.arcsin(sun[2]))), noise
+            seen, plane.view(view), points, plane.direction(sun), along(model, plane, sun), noise
         )
 
     def _ground(self, camera: CameraModel) -> float | GroundPlane:

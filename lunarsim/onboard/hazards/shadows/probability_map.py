@@ -21,10 +21,11 @@ from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
 from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import Detections, throws_shadows, unit_vector
+from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.onboard.perception.sun_direction import throws_shadows, unit_vector
 from lunarsim.rocks.laws import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]

@@ -19,16 +19,17 @@ from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.planar import positive, squared_distance
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.rock_sight import Sight
+from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import (
-    Detections,
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
+from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.onboard.perception.sun_direction import (
     look_stretch,
     shadow_stretch,
     unit_vector,
 )
-from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
-from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
-from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -311,9 +312,7 @@ class RockTracker:
         lost = np.setdiff1d(view, hit)
         eye, focal = self.filter.inertial.position, float(np.sqrt(camera.fx * camera.fy))
         azimuth, depression, pixel = aspect(self.filter.xyz[lost], eye, focal, sun, plane)
-        model = self.model
-        if not plane.level:
-            model = model.under(float(np.arcsin(plane.direction(sun)[2])))
+        model = along(self.model, plane, sun)
         miss = self.rates.false_negative(
             model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
         )
