@@ -32,6 +32,6 @@ class Slope:
     def unobserved(self):
         return HazardMap.unobserved(self.grid)
 
-    def hazard_map(self):
+    def surface(self):
         self.asked += 1
         return self.drawn

@@ -20,11 +20,8 @@ from lunarsim.evaluation.site_calibration import (
     judged_by_flights_left_out,
     with_figures,
 )
-from lunarsim.onboard.hazards.gaussian_dem.mapper import (
-    GaussianDemMapper,
-    GaussianDemMapping,
-    evidence_of,
-)
+from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper, GaussianDemMapping
 from lunarsim.rng import Streams, calibration_seed
 from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.scenario import Scenario

@@ -30,7 +30,7 @@ from lunarsim.onboard.guidance.steady import SteadyPlace
 from lunarsim.onboard.guidance.strain import Strain
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.building import built_mappers
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap, elevation_under
 from lunarsim.onboard.hazards.levelling import Levelling
 from lunarsim.onboard.hazards.mapper import HazardMapper, sensors_of
 from lunarsim.onboard.named_errors import named_in
@@ -309,7 +309,7 @@ class OnboardComputer:
             return
         height = mapper.ground_height(self.site[:2])
         if height is None:
-            height = mapper.hazard_map().elevation_at(self.site[:2])
+            height = elevation_under(mapper.surface(), self.site[:2])
         if np.isfinite(height):
             self.site = np.array([self.site[0], self.site[1], height])
 

@@ -45,6 +45,7 @@ class Unseen(Protocol):
 _LEAST = 0.005
 # The law is looked up between so many diameters, m: to a millionth of it.
 _TABLE = np.geomspace(1e-3, 30.0, 2**14)
+_LOG_TABLE = np.log(_TABLE)
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ class Thinning:
 def _number(diameter: ArrayLike, cover: float) -> Array:
     """Return `golombek_number`, to a millionth."""
     d = np.log(np.asarray(diameter, dtype=np.float64))
-    return np.asarray(np.exp(np.interp(d, np.log(_TABLE), _law(cover))))
+    return np.asarray(np.exp(np.interp(d, _LOG_TABLE, _law(cover))))
 
 
 @lru_cache(maxsize=8)

@@ -35,7 +35,7 @@ from lunarsim.evaluation.reliability import (
     reliability,
 )
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
-from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
+from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
 from lunarsim.safety.calibration import (

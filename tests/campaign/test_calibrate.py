@@ -14,7 +14,7 @@ from lunarsim.campaign import calibrate as campaign
 from lunarsim.campaign.calibrate import calibrate, gaussian_mapper
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.gaussian_dem.mapper import evidence_of
+from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
 from lunarsim.rng import calibration_seed, flight_seed
 from lunarsim.safety.calibration import calibrated_safety
 from lunarsim.safety.refit import ScenarioCalibration

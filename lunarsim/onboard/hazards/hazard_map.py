@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,44 @@ from lunarsim.grid import Grid
 Array = NDArray[np.float64]
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
+
+
+class Surface(Protocol):
+    """How the ground lies, as far as a mapper has drawn it; every `HazardMap` is one.
+
+    Attributes
+    ----------
+    grid, observed, elevation, variance
+        As those of `HazardMap`.
+    """
+
+    @property
+    def grid(self) -> Grid:
+        """Places the cells in the estimated ENU frame."""
+        ...
+
+    @property
+    def observed(self) -> BoolMap:
+        """True where the whole footprint has been seen (rows, cols)."""
+        ...
+
+    @property
+    def elevation(self) -> FloatMap | None:
+        """Mean elevation (rows, cols), m; NaN where unknown; None if none is known."""
+        ...
+
+    @property
+    def variance(self) -> FloatMap | None:
+        """Variance of the elevation (rows, cols), m^2, or None."""
+        ...
+
+
+def elevation_under(surface: Surface, xy: ArrayLike) -> float:
+    """Return the mean elevation (m) of the cell under a point (2,); NaN where unknown."""
+    if surface.elevation is None or not bool(surface.grid.contains(xy)):
+        return float("nan")
+    row, col = surface.grid.cell(xy)
+    return float(surface.elevation[int(row), int(col)])
 
 
 @dataclass(frozen=True)
@@ -118,10 +156,7 @@ class HazardMap:
 
     def elevation_at(self, xy: ArrayLike) -> float:
         """Return the mean elevation (m) of the cell under a point (2,); NaN where unknown."""
-        if self.elevation is None or not bool(self.grid.contains(xy)):
-            return float("nan")
-        row, col = self.grid.cell(xy)
-        return float(self.elevation[int(row), int(col)])
+        return elevation_under(self, xy)
 
     def dispersed(self, sigma: float) -> FloatMap:
         """Return the probability of landing safely when *aiming* at each cell (rows, cols).

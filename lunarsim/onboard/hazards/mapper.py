@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_side
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
 from lunarsim.onboard.hazards.published import Published
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
@@ -47,6 +47,14 @@ class HazardMapper(ABC):
     @abstractmethod
     def blank(self) -> bool:
         """Whether nothing has been mapped yet."""
+
+    def surface(self) -> Surface:
+        """Return how the ground lies in the map as it stands.
+
+        A mapper that can tell that before it has judged the ground overrides this. As long as
+        nothing is drawn anew it is the same object, or one with the same map in it.
+        """
+        return self.hazard_map()
 
     def recentre(self, centre: Array) -> None:  # noqa: B027
         """Lay the map about another point (3,), local frame, m, if it lies too far aside for that.

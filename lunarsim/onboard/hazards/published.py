@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
 from lunarsim.safety.calibration import Evidence
 from lunarsim.safety.refit import ScenarioCalibration
 
@@ -62,8 +63,8 @@ class ReliefEvidence:
 
     Attributes
     ----------
-    drawn
-        Its own map.
+    surface
+        How it lies: the mapper's own map, or what that is to be made of.
     judged
         What its probability follows from; None: it does not tell.
     refit
@@ -71,22 +72,35 @@ class ReliefEvidence:
     rises
         How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
         where there are none. None: it does not tell.
+    judge
+        Gives the mapper's own map; None: `surface` is it.
 
     Raises
     ------
     InputError
-        If the rises are not on the map's cells.
+        If the rises are not on the map's cells, or there is neither a map nor what gives it.
     """
 
-    drawn: HazardMap
+    surface: Surface
     judged: Evidence | None = None
     refit: ScenarioCalibration | None = None
     rises: NDArray[np.float32] | None = None
+    judge: Callable[[], HazardMap] | None = None
 
     def __post_init__(self) -> None:
-        wanted = self.drawn.grid.shape
+        if self.judge is None and not isinstance(self.surface, HazardMap):
+            raise InputError("evidence.surface", type(self.surface), "a hazard map, or judge")
+        wanted = self.surface.grid.shape
         if self.rises is not None and self.rises.shape != wanted:
             raise InputError("evidence.rises", self.rises.shape, f"a raster {wanted}")
+
+    @cached_property
+    def drawn(self) -> HazardMap:
+        """The mapper's own map."""
+        if self.judge is not None:
+            return self.judge()
+        assert isinstance(self.surface, HazardMap)
+        return self.surface
 
 
 @dataclass(frozen=True)

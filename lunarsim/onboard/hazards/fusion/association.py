@@ -50,7 +50,7 @@ def existence_given_relief(tracks: RockTracks, relief: ReliefEvidence, lander: L
     lander
         Its limits.
     """
-    drawn = relief.drawn
+    drawn = relief.surface
     if relief.judged is None or drawn.elevation is None or not len(tracks.radius):
         return tracks.existence.copy()
     rise = _above_ground(drawn.elevation.astype(np.float64), drawn.grid, lander)

@@ -47,7 +47,7 @@ def clear_ground(
     prior
         That slope and relief of ground that was not measured are within the limits.
     """
-    drawn, own = relief.drawn, rocks.drawn
+    drawn, own = relief.surface, rocks.drawn
     if relief.judged is None or rocks.unseen is None:
         return np.zeros(drawn.grid.shape, np.float32)
     seen = drawn.observed & on_grid(own.observed, own.grid, drawn.grid, False, "least")

@@ -106,24 +106,23 @@ def fused_map(
     if rocks is None:
         return relief.drawn
     prior = relief_prior_of(relief, terms)
-    drawn, alone = relief.drawn, _of_rocks(rocks, relief.drawn.grid, prior)
+    ground, alone = relief.surface, _of_rocks(rocks, relief.surface.grid, prior)
     clear, level = _clear(relief, rocks, terms)
-    p, known = _thinned(relief, thinning_of(rocks, drawn.grid, terms))
+    p, known = _thinned(relief, thinning_of(rocks, ground.grid, terms))
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
-    seen = drawn.observed
+    seen = ground.observed
     # Rocks are as high there as where both eyes have seen some.
     unmeasured = np.minimum(alone.p_safe, np.float32(prior) * clear)
-    elevation = drawn.elevation
+    elevation = ground.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
-    return replace(
-        drawn,
-        p_safe=np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32)),
-        observed=seen | alone.observed,
-        elevation=elevation,
-        in_domain=seen & known & (level <= p) & ((p >= SURE) | surely_not),
-    )
+    known = seen & known & (level <= p) & ((p >= SURE) | surely_not)
+    p = np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32))
+    observed = seen | alone.observed
+    if isinstance(ground, HazardMap):
+        return replace(ground, p_safe=p, observed=observed, elevation=elevation, in_domain=known)
+    return HazardMap(ground.grid, p, observed, elevation, ground.variance, in_domain=known)
 
 
 def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
@@ -134,11 +133,11 @@ def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
     """
     if relief.judged is None:
         return terms.relief_prior
-    slope = relief.judged.slope[relief.drawn.observed]
+    slope = relief.judged.slope[relief.surface.observed]
     slope = slope[np.isfinite(slope)]
     lander = terms.lander
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
-    worth = min(relief.drawn.grid.posting**2 / footprint, 1.0)
+    worth = min(relief.surface.grid.posting**2 / footprint, 1.0)
     within = worth * float(np.count_nonzero(slope <= 1.0))
     share = (within + terms.relief_prior) / (worth * len(slope) + 1.0)
     return min(share, terms.relief_prior)
@@ -153,7 +152,7 @@ def _clear(
     high as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks
     gives them, and count by what rises the elevations show.
     """
-    tracks, grid, lander = rocks.tracks, relief.drawn.grid, terms.lander
+    tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
     nothing = np.zeros(grid.shape, np.float32)
     if relief.rises is None or relief.judged is None:
         there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
@@ -200,16 +199,13 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
 
 def _thinned(relief: ReliefEvidence, thinning: Thinning) -> tuple[FloatMap, BoolMap]:
     """Return the elevations' probability with fewer unseen rocks, and where it is a frequency."""
-    drawn = relief.drawn
-    known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
-    if relief.judged is None:
+    where = thinning.touched & relief.surface.observed
+    if relief.judged is None or not where.any():
+        drawn = relief.drawn
+        known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
         return drawn.p_safe, known
-    where = thinning.touched & drawn.observed
-    if not where.any():
-        return drawn.p_safe, known
-    evidence = replace(relief.judged, thinning=thinning)
-    p, claimed = calibrated_safety(evidence, refit=relief.refit, where=where)
-    return np.where(where, p, drawn.p_safe), np.where(where, claimed, known)
+    # Where nothing is thinned out that is the elevations' own.
+    return calibrated_safety(replace(relief.judged, thinning=thinning), refit=relief.refit)
 
 
 def _of_rocks(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface, elevation_under
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
@@ -45,6 +46,8 @@ class FusedMapping:
         Last stage of the probability, see `FusedCalibration.load`; None: it stays as it is.
     feature
         Name of a second mapper of elevations that the calibration looks at; empty: none.
+    interval
+        See `FusedMapper`, s.
     """
 
     of: tuple[str, ...] = quantity((), help="names of the mappers it is made of; left out: all")
@@ -56,6 +59,9 @@ class FusedMapping:
         None, help="last stage of the probability, relative to the scenario file"
     )
     feature: str = quantity("", help="second mapper of elevations, a feature of the calibration")
+    interval: float = quantity(
+        1.0, "s", ge=0, le=10, help="least time between two drawings of the map"
+    )
 
     takes: ClassVar[type] = NoneType
     sensor: ClassVar[str] = ""
@@ -156,6 +162,7 @@ class FusedMapping:
         return FusedMapper(
             {name: built[name] for name in chosen}, terms, self.calibration(),
             {self.feature: built[self.feature]} if self.feature else None,
+            interval=self.interval,
         )  # fmt: skip
 
 
@@ -172,11 +179,14 @@ class FusedMapper(HazardMapper):
         Last stage of the probability; left out: it stays as it is.
     feature
         By its name, a second mapper that the calibration looks at.
+    interval
+        Least time between two drawings of the map, s; where nobody tells the time it is drawn
+        whenever another has drawn anew.
 
     Raises
     ------
     InputError
-        If there are none.
+        If there are none, or the interval is negative or not finite.
     """
 
     def __init__(
@@ -185,15 +195,21 @@ class FusedMapper(HazardMapper):
         terms: FusionTerms,
         calibration: FusedCalibration | None = None,
         feature: Mapping[str, HazardMapper] | None = None,
+        *,
+        interval: float = 0.0,
     ) -> None:
         if not mappers:
             raise InputError("of", (), "at least one other mapper")
+        if not 0.0 <= interval < np.inf:
+            raise InputError("interval", interval, "0 or a positive number of seconds")
         self._mappers = dict(mappers)
         self._feature = dict(feature or {})
         self.terms = terms
         self.calibration = calibration
         self._drawn: HazardMap | None = None
-        self._from: tuple[HazardMap, ...] = ()
+        self._from: tuple[Surface, ...] = ()
+        self._interval = interval
+        self._time, self._due = 0.0, -np.inf
 
     @property
     def sources(self) -> frozenset[str]:
@@ -216,27 +232,40 @@ class FusedMapper(HazardMapper):
         raise InputError("measurement", type(measurement).__name__, "none: it maps no sensor's")
 
     def hazard_map(self) -> HazardMap:
-        """Return the map of what the others know as they have last drawn it."""
+        """Return the map of what the others know as they have last drawn it, if it is due."""
+        if self._drawn is not None and self._time < self._due - 1e-9:
+            return self._drawn
         asked = (*self._mappers.values(), *self._feature.values())
-        maps = tuple(mapper.hazard_map() for mapper in asked)
-        same = len(maps) == len(self._from) and all(
-            new.p_safe is old.p_safe for new, old in zip(maps, self._from, strict=True)
+        grounds = tuple(mapper.surface() for mapper in asked)
+        same = len(grounds) == len(self._from) and all(
+            _same(new, old) for new, old in zip(grounds, self._from, strict=True)
         )
         if self._drawn is None or not same:
-            self._drawn = self._draw(maps)
-            self._from = maps
+            self._drawn = self._draw(grounds[0].grid)
+            self._from = grounds
+            self._due = -np.inf if self.blank else self._time + self._interval
         return self._drawn
 
-    def _draw(self, maps: tuple[HazardMap, ...]) -> HazardMap:
+    def refresh(self, time: float) -> None:
+        """Note the time (s)."""
+        self._time = time
+
+    def recentre(self, centre: Array) -> None:
+        """Follow the others, who may have been laid about another point (3,), local frame, m."""
+        self._due = -np.inf
+
+    def _draw(self, grid: Grid) -> HazardMap:
+        """Return the map, on the given cells while nothing is known."""
         published = [mapper.evidence() for mapper in self._mappers.values()]
         relief = next((e for e in published if isinstance(e, ReliefEvidence)), None)
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
         if relief is None and rocks is None:
-            return HazardMap.unobserved(maps[0].grid)
+            return HazardMap.unobserved(grid)
         drawn = fused_map(relief, rocks, self.terms)
         if self.calibration is None:
             return drawn
-        return self._calibrated(drawn, maps[-1] if self._feature else None)
+        second = next((mapper.hazard_map() for mapper in self._feature.values()), None)
+        return self._calibrated(drawn, second)
 
     def _calibrated(self, drawn: HazardMap, second: HazardMap | None) -> HazardMap:
         """Return the map through C, which looks at a second map's probability."""
@@ -253,7 +282,7 @@ class FusedMapper(HazardMapper):
         That which was measured there, else what a mapper of rocks takes it to be.
         """
         for mapper in self._mappers.values():
-            height = mapper.hazard_map().elevation_at(xy)
+            height = elevation_under(mapper.surface(), xy)
             if mapper.ground_height(xy) is None and not mapper.blank and np.isfinite(height):
                 return height
         known = [m.ground_height(xy) for m in self._mappers.values() if not m.blank]
@@ -263,3 +292,10 @@ class FusedMapper(HazardMapper):
     def blank(self) -> bool:
         """Whether none of the others has mapped anything yet."""
         return all(mapper.blank for mapper in self._mappers.values())
+
+
+def _same(new: Surface, old: Surface) -> bool:
+    """Return whether two drawings of a mapper are one; the ground under a map may yet be raised."""
+    if isinstance(new, HazardMap) and isinstance(old, HazardMap):
+        return new.p_safe is old.p_safe
+    return new is old

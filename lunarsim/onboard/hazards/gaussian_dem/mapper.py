@@ -15,23 +15,18 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.early_ground import EarlyGround
+from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety import (
-    bounded_safety,
-    footprint_of,
-    plane_stochastic_safety,
-    stochastic_safety,
-)
-from lunarsim.safety.calibration import Evidence, calibrated_safety, measured
+from lunarsim.safety import footprint_of, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety.calibration import measured
 from lunarsim.safety.refit import ScenarioCalibration
-from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 Array = NDArray[np.float64]
 # A scan lies higher or lower than those before if it does by so many deviations, and by that, m.
@@ -169,9 +164,7 @@ class GaussianDemMapper(HazardMapper):
         self.rocks = RockExpectation.given(rocks)
         self._samples, self._turning = SamplePool(grid), SamplePool(grid)
         self._early = EarlyGround()
-        self._map = HazardMap.unobserved(grid)
-        self._judged: Evidence | None = None
-        self._rises: NDArray[np.float32] | None = None
+        self._drawn: HazardMap | DrawnDem = HazardMap.unobserved(grid)
         self._interval = interval
         self._time, self._due, self._stale = 0.0, -np.inf, False
 
@@ -225,42 +218,47 @@ class GaussianDemMapper(HazardMapper):
         """Return mean and variance of the elevation."""
         return pooled_dem(self.pool)
 
-    def hazard_map(self) -> HazardMap:
-        """Return the map as it was last drawn; it is drawn when it is asked for and due."""
+    def surface(self) -> Surface:
+        """Return the ground as it was last drawn; it is drawn when it is asked for and due."""
+        return self._due_drawing()
+
+    def _due_drawing(self) -> HazardMap | DrawnDem:
         if self._stale and self._time >= self._due - 1e-9:
-            self._map = self._draw(self.dem())
+            self._drawn = self._draw(self.dem())
             self._stale, self._due = False, self._time + self._interval
-        return self._map
+        return self._drawn
+
+    def hazard_map(self) -> HazardMap:
+        """Return the ground as it was last drawn, judged."""
+        drawn = self._due_drawing()
+        return drawn.hazard_map if isinstance(drawn, DrawnDem) else drawn
 
     def evidence(self) -> ReliefEvidence | None:
-        """Return the map as it was last drawn and what it was drawn from; None before any.
+        """Return the ground as it was last drawn and what it was drawn from; None before any.
 
         Of the tests that know no calibration, the map alone.
         """
-        drawn = self.hazard_map()
+        drawn = self._due_drawing()
         if self.blank:
             return None
-        return ReliefEvidence(drawn, self._judged, self.refit, self._rises)
+        if isinstance(drawn, HazardMap):
+            return ReliefEvidence(drawn)
+        return ReliefEvidence(
+            drawn, drawn.judged, self.refit, drawn.rises, lambda: drawn.hazard_map
+        )
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
         self._time = time
 
-    def _draw(self, dem: PooledDem) -> HazardMap:
-        self._judged = self._rises = None
+    def _draw(self, dem: PooledDem) -> HazardMap | DrawnDem:
         if not len(dem.sampling.rises):
             return HazardMap.unobserved(self.grid)
-        seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
-        map_of = (seen, dem.variance, self.grid, self.lander)
         if self.safety == "calibrated":
-            evidence = evidence_of(dem, self.lander, self.rocks)
-            p, known = calibrated_safety(evidence, refit=self.refit)
-            self._judged, self._rises = evidence, dem.sampling.of_cells
-            return HazardMap(
-                self.grid, p, evidence.observed, dem.mean, dem.variance, in_domain=known
-            )
+            return DrawnDem(dem, self.lander, self.rocks, self.refit)
+        seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
         judge = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
-        safety = judge(*map_of)
+        safety = judge(seen, dem.variance, self.grid, self.lander)
         return HazardMap(self.grid, safety.p_safe, safety.observed, dem.mean, dem.variance)
 
     @property
@@ -274,8 +272,7 @@ class GaussianDemMapper(HazardMapper):
             return
         self._samples, self._turning = self._about(centre)
         self.grid = self._samples.grid
-        self._map, self._stale = HazardMap.unobserved(self.grid), not self.blank
-        self._judged = self._rises = None
+        self._drawn, self._stale = HazardMap.unobserved(self.grid), not self.blank
         self._due = -np.inf
 
     def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
@@ -288,31 +285,3 @@ class GaussianDemMapper(HazardMapper):
             SamplePool(both.grid) if one.base is None else one.laid(both.grid)
             for one in (self._samples, self._turning)
         )
-
-
-def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:
-    """Return what a map says of its sites.
-
-    Parameters
-    ----------
-    dem
-        The map.
-    lander
-        Geometry and limits.
-    rocks
-        What the mission expects.
-    """
-    seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
-    s = dem.sampling
-    said = (s.rises, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
-    return Evidence(
-        stochastic_safety(seen, dem.variance, dem.grid, lander),
-        plane_stochastic_safety(seen, dem.variance, dem.grid, lander),
-        bounded_safety(seen, dem.grid, lander),
-        lander,
-        height_curve(*said),
-        depth_curve(*said),
-        s.density,
-        s.noise,
-        s.spacing,
-    )

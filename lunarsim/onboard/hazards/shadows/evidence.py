@@ -293,7 +293,10 @@ class ClearEvidence:
         for s in range(len(self._tested)):
             mine = self._class == s
             sharpest = np.maximum(self.lit[s], self.dark[s])[inner, inner]
-            levels, counts = np.unique(np.round(sharpest[sharpest > 0.0], 1), return_counts=True)
+            # To a tenth; counting is faster than sorting.
+            tenths = np.bincount(np.rint(sharpest[sharpest > 0.0] * np.float32(10.0)).astype(int))
+            held = np.flatnonzero(tenths)
+            levels, counts = held.astype(np.float32) / np.float32(10.0), tenths[held]
             found = 1.0 - self.rates.false_negative(self._radius[mine][:, None] * levels)
             total += float(self._number[mine] @ found @ counts)
         return total * self.grid.posting**2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.hazard_map import Surface
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 
@@ -21,7 +21,7 @@ _CELLS = 40
 _SQUARES, _SURE, _KNOWN = 6, 2.5, 0.02
 
 
-def relief_plane(drawn: HazardMap) -> GroundPlane | None:
+def relief_plane(drawn: Surface) -> GroundPlane | None:
     """Return the plane through the elevations of a map by least squares.
 
     None where too little of it was seen, it seems steeper than ground that is landed on, or what is
@@ -79,14 +79,14 @@ class MeasuredPlane:
 
     def __init__(self, mapper: HazardMapper | None) -> None:
         self._mapper = mapper
-        self._of: HazardMap | None = None
+        self._of: Surface | None = None
         self._plane: GroundPlane | None = None
 
     def plane(self) -> GroundPlane | None:
         """Return it; None where too little was measured, see `relief_plane`."""
         if self._mapper is None:
             return None
-        drawn = self._mapper.hazard_map()
+        drawn = self._mapper.surface()
         if drawn is not self._of:
             self._of, self._plane = drawn, relief_plane(drawn)
         return self._plane

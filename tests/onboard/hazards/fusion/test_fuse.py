@@ -228,6 +228,22 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
     assert np.array_equal(fused_map(own, blind, TERMS).p_safe, without.p_safe)
 
 
+def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_bit():
+    own = relief(rough=0.2, density=5.0)
+    left = np.arange(SIDE) == 0
+    ratio = np.where(left, np.float32(0.01), np.float32(1.0)) * np.ones((2, *GRID.shape))
+    rocks = eyes(ratio)
+    touched = thinning_of(rocks, GRID, TERMS).touched & own.drawn.observed
+    assert touched.any() and (own.drawn.observed & ~touched).any()
+    both = fused_map(own, rocks, TERMS)
+    rest = own.drawn.observed & ~touched
+    assert np.array_equal(both.p_safe[rest], own.drawn.p_safe[rest])
+    assert (both.p_safe[touched] > own.drawn.p_safe[touched]).any()
+    # The map of the elevations alone is not asked for.
+    asked = replace(own, judge=lambda: pytest.fail("judged"))
+    assert np.array_equal(fused_map(asked, rocks, TERMS).p_safe, both.p_safe)
+
+
 def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
     own = replace(relief(**DOUBTED), rises=SAMPLED)
     unlikely = replace(eyes().drawn, in_domain=np.zeros(GRID.shape, bool))
@@ -254,7 +270,7 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
 def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts():
     own = relief(slope=0.5, rough=0.5)
     low = replace(own.drawn, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
-    own = replace(own, drawn=low, rises=SAMPLED)
+    own = replace(own, surface=low, rises=SAMPLED)
     both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)
     assert both.p_safe == pytest.approx(0.72)
     assert not both.in_domain.any()

@@ -35,6 +35,24 @@ def test_it_draws_when_another_has_drawn_and_only_then():
     assert fused.grid == GRID
 
 
+def test_it_draws_no_oftener_than_it_is_told_to():
+    own = Made()
+    fused = FusedMapper({"own": own}, TERMS, interval=1.0)
+    told = []
+    for n, p in enumerate((None, 0.7, 0.4, 0.3, 0.2)):
+        fused.refresh(0.5 * n)
+        if p is not None:
+            own.update(p, None)
+        told.append(float(fused.hazard_map().p_safe[0, 0]))
+    # Of nothing it draws at once.
+    assert told == pytest.approx([0.0, 0.7, 0.7, 0.3, 0.3])
+    fused.recentre(np.zeros(3))
+    assert fused.hazard_map().p_safe[0, 0] == np.float32(0.2)
+    for wrong in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="interval"):
+            FusedMapper({"own": own}, TERMS, interval=wrong)
+
+
 def test_it_takes_no_measurement_and_is_made_of_something():
     with pytest.raises(InputError, match="measurement"):
         FusedMapper({"own": Made()}, TERMS).update(1.0, None)

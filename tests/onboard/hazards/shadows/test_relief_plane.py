@@ -79,7 +79,7 @@ def test_the_plane_follows_the_map():
     class Maps:
         drawn = HazardMap.unobserved(GRID)
 
-        def hazard_map(self):
+        def surface(self):
             return self.drawn
 
     maps = Maps()

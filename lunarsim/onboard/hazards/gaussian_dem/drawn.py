@@ -1,0 +1,105 @@
+"""A Gaussian DEM as it was drawn at one time: the ground at once, judgements when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem
+from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety.calibration import Evidence, calibrated_safety
+from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.safety.unseen_rocks import depth_curve, height_curve
+
+
+@dataclass(frozen=True)
+class DrawnDem:
+    """Elevations, what they say of sites, and how safe that makes each; the later the costlier.
+
+    Attributes
+    ----------
+    dem
+        The elevations.
+    lander, rocks
+        Geometry and limits; what the mission expects.
+    refit
+        As for `calibrated_safety`.
+    """
+
+    dem: PooledDem
+    lander: Lander
+    rocks: RockExpectation
+    refit: ScenarioCalibration | None = None
+
+    @property
+    def grid(self) -> Grid:
+        """The cells."""
+        return self.dem.grid
+
+    @property
+    def elevation(self) -> FloatMap:
+        """Mean elevation (rows, cols), m; NaN where unknown."""
+        return self.dem.mean
+
+    @property
+    def variance(self) -> FloatMap:
+        """Variance of the elevation (rows, cols), m^2."""
+        return self.dem.variance
+
+    @property
+    def observed(self) -> BoolMap:
+        """Where the whole footprint was seen (rows, cols)."""
+        return self.judged.observed
+
+    @property
+    def rises(self) -> NDArray[np.float32]:
+        """How far the sample of each cell stands above the ground about it (rows, cols), m."""
+        return self.dem.sampling.of_cells
+
+    @cached_property
+    def judged(self) -> Evidence:
+        """What it says of its sites."""
+        return evidence_of(self.dem, self.lander, self.rocks)
+
+    @cached_property
+    def hazard_map(self) -> HazardMap:
+        """How safe they are."""
+        p, known = calibrated_safety(self.judged, refit=self.refit)
+        return HazardMap(
+            self.grid, p, self.observed, self.elevation, self.variance, in_domain=known
+        )
+
+
+def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:
+    """Return what a map says of its sites.
+
+    Parameters
+    ----------
+    dem
+        The map.
+    lander
+        Geometry and limits.
+    rocks
+        What the mission expects.
+    """
+    seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
+    s = dem.sampling
+    said = (s.rises, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
+    return Evidence(
+        stochastic_safety(seen, dem.variance, dem.grid, lander),
+        plane_stochastic_safety(seen, dem.variance, dem.grid, lander),
+        bounded_safety(seen, dem.grid, lander),
+        lander,
+        height_curve(*said),
+        depth_curve(*said),
+        s.density,
+        s.noise,
+        s.spacing,
+    )
