@@ -40,7 +40,7 @@ class RockTracks:
     Raises
     ------
     InputError
-        If they are not of as many rocks.
+        If they are not of as many rocks, or not finite.
     """
 
     xy: Array
@@ -55,6 +55,8 @@ class RockTracks:
             wanted = (len(self.radius), 2) if f.name == "xy" else (len(self.radius),)
             if np.shape(value) != wanted:
                 raise InputError(f"rocks.{f.name}", np.shape(value), f"an array {wanted}")
+            if not np.isfinite(value).all():
+                raise InputError(f"rocks.{f.name}", value[~np.isfinite(value)][0], "finite numbers")
 
 
 @dataclass(frozen=True)

@@ -352,14 +352,18 @@ class RockTracker:
         self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
         variance: Array,
     ) -> None:  # fmt: skip
-        """Remember what was seen and not tracked: the map must not call it clear."""
-        covariance = covariance[vague]
+        """Remember what was seen and not tracked: the map must not call it clear.
+
+        What does not lie on the ground, as above the horizon, has no place on the map.
+        """
+        sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
+        kept = vague & np.isfinite(points[:, :2]).all(1) & np.isfinite(sigma + variance)
         self.tentative = Tentative(
-            points[vague, :2],
-            np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
-            seen.radius[vague],
-            variance[vague],
-            1.0 - self.rates.false_positive(seen.q[vague]),
+            points[kept, :2],
+            sigma[kept],
+            seen.radius[kept],
+            variance[kept],
+            1.0 - self.rates.false_positive(seen.q[kept]),
         )
 
     def _birth(

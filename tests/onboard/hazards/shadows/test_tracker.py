@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
+from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockField, RockModel
@@ -78,6 +79,21 @@ def test_most_rocks_is_a_limit():
     tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), most_rocks=7))
     assert tracker.filter.count <= 7
     assert len(tracker.tentative.xy) > 0
+
+
+def test_what_is_seen_above_the_horizon_has_no_place():
+    terrain = rocks_on_a_plane("hemisphere", seed=11)
+    tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), most_rocks=7))
+    state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    ahead = gimbal_mount(state.attitude, np.array([1.0, 0.0, 0.0]))
+    camera = dataclasses.replace(camera, mount=ahead)
+    on_ground = np.isfinite(tracker.filter.ground_points(camera, seen.pixel)).all(1)
+    assert on_ground.any() and not on_ground.all()
+    tracker.update(seen, camera, SUN, 1.0)
+    assert 0 < len(tracker.tentative.xy) <= on_ground.sum()
+    for name in ("xy", "sigma", "radius", "radius_variance", "existence"):
+        assert np.isfinite(getattr(tracker.tentative, name)).all(), name
 
 
 def test_rocks_out_of_view_rest_in_large_maps():
