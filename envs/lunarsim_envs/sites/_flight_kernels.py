@@ -450,9 +450,10 @@ def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law
                 if guide(i, y[i], time, course, law, wanted[i - low], spare):
                     _longer(i, y[i], time, course, law)
             if flying > 0:
+                # Of the types that lanes of descents give: no second one is compiled.
                 _advance(
-                    (0, 1), y[low:high], rate[low:high], wanted, True, law.cycle, dt, limit, width,
-                    own, grounds, here,
+                    (np.int64(0), np.int64(1)), y[low:high], rate[low:high], wanted, np.bool_(True),
+                    law.cycle, dt, limit, width, own, grounds, here,
                 )  # fmt: skip
             for i in range(low, high):
                 if flights.ended[i] == _WAITING:

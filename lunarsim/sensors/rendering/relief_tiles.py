@@ -111,7 +111,8 @@ class ReliefTiles:
             shadow map.
         """
         return TileChoice(*kernels.choose(
-            self.low, self.high, self.error, eye, axes, bounds, near, tolerance, shadow_tolerance
+            self.low, self.high, self.error, eye, np.ascontiguousarray(axes), bounds, near,
+            tolerance, shadow_tolerance,
         ))  # fmt: skip
 
 

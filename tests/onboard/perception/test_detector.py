@@ -79,7 +79,7 @@ def test_measuring_patches_equals_the_plain_reference():
         i, j = rng.integers(20, 440), rng.integers(20, 600)
         h, w = rng.integers(2, 20, 2)
         labels[i : i + h, j : j + w] = label
-    count = labels.max()
+    count = int(labels.max())
     nothing = np.zeros((480, 640), np.uint8)
     level = np.hypot(SUN[0], SUN[1])
     table = kernels.measure_patches(

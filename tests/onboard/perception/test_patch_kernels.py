@@ -91,7 +91,7 @@ def test_patches_of_the_sky_alone_have_no_place():
     up = np.eye(3)  # looks straight up
     row = kernels.measure_patches(
         labels, 1, np.ones((3, 3), np.uint8), np.zeros((3, 3), np.uint8), flat, flat,
-        np.array([0.0, 0.0, 9.0]), up, 0.0, 1, 0,
+        np.array([0.0, 0.0, 9.0]), up, 0.0, 1.0, 0.0,
     )[1]  # fmt: skip
     assert row[[kernels.PIXELS, kernels.BORDER, kernels.EDGE]].tolist() == [1.0, 1.0, 0.0]
     assert not row[[kernels.ALONG, kernels.ACROSS, kernels.LENGTH, kernels.SPAN_ALONG]].any()

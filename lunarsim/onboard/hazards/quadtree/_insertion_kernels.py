@@ -227,7 +227,7 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
     top = 1
     while top > 0:
         top -= 1
-        m = stack[top]
+        m = np.int64(stack[top])
         if tree.depth[m] == depths:
             if tree.count[m] >= MANY:
                 tree.slot[m] = slots
@@ -288,5 +288,5 @@ def insert(tree, key, base, begin, used, split_count, version):
     # A child is always touched after its parent.
     for t in range(count - 1, -1, -1):
         if tree.child[touched[t]] >= 0:
-            found = settle(tree, touched[t], found)
+            found = settle(tree, np.int64(touched[t]), found)
     return i, nodes, runs, slots

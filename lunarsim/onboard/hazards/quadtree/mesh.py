@@ -59,7 +59,7 @@ class GroundMesh:
         nodes = self._map.band(*self._band)
         nodes = nodes[k.mesh_nodes(tree, nodes, self._density)]
         nodes = np.sort(nodes)
-        z = np.asarray(moments(tree, nodes)[:, 1])
+        z = np.asarray(moments(tree, np.asarray(nodes, np.int64))[:, 1])
         nodes, z = nodes[np.isfinite(z)], z[np.isfinite(z)]
         before = (self.nodes, self.xy, self.z, self.triangles)
         if not np.array_equal(nodes, self.nodes):
