@@ -255,14 +255,17 @@ class QuadtreeMap:
 
         NaN in empty ones.
         """
-        return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64))[:, 1] + self.centre[2])
+        return np.asarray(self._moments(nodes)[:, 1] + self.centre[2])
 
     def variance(self, nodes: Nodes) -> Array:
         """Return the variance of the elevations in cells (n,), m^2; NaN in empty ones.
 
         Without points that stand apart.
         """
-        return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64))[:, 2])
+        return np.asarray(self._moments(nodes)[:, 2])
+
+    def _moments(self, nodes: Nodes) -> Array:
+        return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64)))
 
     @property
     def apart(self) -> NDArray[np.bool_]:

@@ -192,7 +192,8 @@ class ClearEvidence:
         coarse = np.dstack((sharpness, place, *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
-            np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels, largest, _DARK, _SHARPER,
+            np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
+            largest, _DARK, _SHARPER,
         )  # fmt: skip
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
