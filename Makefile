@@ -12,7 +12,7 @@ demo: $(STAMP)          ## closed-loop comparison of policies on measured terrai
 	@echo "Pictures: $(OUT)/demo/figures"
 
 test: $(STAMP)          ## the test suite
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30
 
 slow: $(STAMP)          ## the tests and studies that take minutes; one of them needs chromium
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[ray]"

@@ -30,10 +30,11 @@ def test_boulders_and_craters_are_as_described():
 
 
 def test_the_same_generator_gives_the_same_field():
-    a, b = (hazard_field(np.random.default_rng(3), boulders=40, craters=3) for _ in range(2))
+    few = {"surround": 120.0, "boulders": 40, "craters": 3}
+    a, b = (hazard_field(np.random.default_rng(3), **few) for _ in range(2))
     assert np.array_equal(a.relief.z, b.relief.z)
     assert np.array_equal(a.rocks.x, b.rocks.x)
-    empty = hazard_field(np.random.default_rng(3), boulders=0, craters=0)
+    empty = hazard_field(np.random.default_rng(3), surround=120.0, boulders=0, craters=0)
     assert len(empty.rocks) == 0
 
 
