@@ -131,6 +131,21 @@ def test_worse_evidence_never_makes_a_rock_less_likely(radius, there, top, densi
     assert hazard(d=share * density) >= before - 1e-12
 
 
+def test_larger_rocks_are_no_less_likely_too_high_and_reach_no_less_far():
+    radius = np.geomspace(0.3, 1000.0, 60)
+    found = heights(tracks(*((40.0, 5.0, r, 0.8) for r in radius)))
+    assert (np.diff(found.hazard) >= -1e-9).all()
+    assert (np.diff(found.reach) >= 0.0).all()
+    # Far above the limit they are so all the way out.
+    large = radius > 3.0
+    assert found.hazard[large] == pytest.approx(0.8)
+    assert found.reach[large] == pytest.approx(radius[large], rel=0.15)
+    under = clear_of(
+        tracks((0.0, 5.0, 1000.0, 0.8)), heights(tracks((0.0, 5.0, 1000.0, 0.8))), GRID, LANDER
+    )
+    assert (under < 1.0).all()
+
+
 def test_off_the_map_samples_say_nothing():
     away = tracks((40.0, 5.0, 0.6, 0.8))
     assert heights(away, 0.0, 400.0).hazard[0] == pytest.approx(0.8, abs=1e-3)
