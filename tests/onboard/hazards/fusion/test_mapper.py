@@ -53,6 +53,17 @@ def test_it_draws_no_oftener_than_it_is_told_to():
             FusedMapper({"own": own}, TERMS, interval=wrong)
 
 
+def test_where_nobody_tells_the_time_it_draws_whenever_another_has():
+    own = Made()
+    fused = FusedMapper({"own": own}, TERMS, interval=1.0)
+    for p in (0.7, 0.4, 0.3):
+        own.update(p, None)
+        assert fused.hazard_map().p_safe[0, 0] == np.float32(p)
+    fused.refresh(0.5)
+    own.update(0.2, None)
+    assert fused.hazard_map().p_safe[0, 0] == np.float32(0.3)
+
+
 def test_it_takes_no_measurement_and_is_made_of_something():
     with pytest.raises(InputError, match="measurement"):
         FusedMapper({"own": Made()}, TERMS).update(1.0, None)

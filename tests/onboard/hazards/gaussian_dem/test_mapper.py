@@ -52,6 +52,19 @@ def test_a_map_is_drawn_once_an_interval():
     assert mapper.hazard_map() is second, "nothing new"
 
 
+def test_where_nobody_tells_the_time_a_map_is_drawn_whenever_something_has_come_in():
+    mapper = GaussianDemMapper(GRID, Lander(), interval=1.0)
+    known = []
+    for east in (3.0, -3.0):
+        flash(mapper, east)
+        known.append(int(np.isfinite(mapper.hazard_map().elevation).sum()))
+    assert known[1] > known[0] > 0
+    mapper.refresh(0.5)
+    before = mapper.hazard_map()
+    flash(mapper)
+    assert mapper.hazard_map() is before
+
+
 def test_a_map_that_is_laid_elsewhere_is_due_at_once():
     mapper = GaussianDemMapper(GRID, Lander(), interval=10.0)
     flash(mapper)
