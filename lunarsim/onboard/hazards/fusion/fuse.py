@@ -108,7 +108,10 @@ def fused_map(
     prior = relief_prior_of(relief, terms)
     ground, alone = relief.surface, _of_rocks(rocks, relief.surface.grid, prior)
     clear, level = _clear(relief, rocks, terms)
-    p, known = _thinned(relief, thinning_of(rocks, ground.grid, terms))
+    thinning = thinning_of(rocks, ground.grid, terms)
+    p, known = _thinned(relief, thinning)
+    # What the eye for rocks has said nothing of is claimed as the elevations claim it.
+    whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
     seen = ground.observed
@@ -117,7 +120,7 @@ def fused_map(
     elevation = ground.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
-    known = seen & known & (level <= p) & ((p >= SURE) | surely_not)
+    known = seen & known & (level <= p) & ((p >= SURE) | surely_not | whole)
     p = np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32))
     observed = seen | alone.observed
     if isinstance(ground, HazardMap):

@@ -21,8 +21,10 @@ from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.safety.calibration import calibrated_safety, measured
+from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import HOPELESS, SURE
+from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 from tests.reference import fusion as plain
 
@@ -80,6 +82,26 @@ def test_a_map_of_elevations_alone_is_its_own_bit_for_bit(density):
     blind = fused_map(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
         assert np.array_equal(getattr(blind, name), getattr(own.drawn, name)), name
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_nothing(told):
+    refit = ScenarioCalibration(
+        Stage(-3.0), Stage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        lander_figures(LANDER), measured().digest,
+    )  # fmt: skip
+    judged = evidence(slope=0.7, rough=0.5, density=5.0)
+    p, known = calibrated_safety(judged, refit=refit)
+    assert known.all()
+    assert ((p > HOPELESS) & (p < SURE)).any()
+    drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
+    own = ReliefEvidence(drawn, judged if told else None, refit, SAMPLED)
+    blind = fused_map(own, eyes(seen=False), TERMS)
+    assert np.array_equal(blind.p_safe, p)
+    assert np.array_equal(blind.in_domain, known)
+    # Where a rock is tracked none is claimed in between.
+    rock = fused_map(own, eyes(1.0, tracks((0.0, 0.0, 0.4, 0.3)), seen=False), TERMS)
+    assert not rock.in_domain[0, 0]
 
 
 def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
