@@ -14,63 +14,31 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
 from lunarsim.onboard.hazards.fusion.clear_ground import believed
-from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map, thinning_of
+from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
-from lunarsim.rocks.population import RockExpectation
+from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.safety.calibration import calibrated_safety, measured
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import HOPELESS, SURE
 from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 from tests.reference import fusion as plain
-
-GRID = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
-TERMS = FusionTerms(LANDER, RockExpectation())
-DIAMETERS = np.array([0.5, 0.8])
-FOOTPRINT = LANDER.leg_radius + 0.5 * LANDER.pad_diameter
-
-
-def relief(bump=None, **said) -> ReliefEvidence:
-    """Return a calibrated map; `bump` is elevations (rows, cols) to be added to level ground."""
-    judged = evidence(**said)
-    p, known = calibrated_safety(judged)
-    z = np.zeros(GRID.shape, np.float32) if bump is None else bump.astype(np.float32)
-    return ReliefEvidence(HazardMap(GRID, p, judged.observed, z, in_domain=known), judged)
-
-
-def tracks(*rocks) -> RockTracks:
-    """Return rocks, each of (x, y, radius, existence)."""
-    table = np.array(rocks, np.float64).reshape(-1, 4)
-    n = len(table)
-    return RockTracks(table[:, :2], np.full(n, 0.05), table[:, 2], np.full(n, 0.01), table[:, 3])
-
-
-def clear(rocks: RockTracks) -> np.ndarray:
-    """Return the product over rocks whose discs reach into the footprint."""
-    out = np.ones(GRID.shape)
-    xy = GRID.centres()
-    for place, radius, there in zip(rocks.xy, rocks.radius, rocks.existence, strict=True):
-        far = np.hypot(*np.moveaxis(xy - place, -1, 0))
-        out *= 1.0 - there * (far < FOOTPRINT + radius)
-    return out
-
-
-def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID, **more) -> RockEvidence:
-    """Return what an eye for rocks knows: one ratio everywhere, or as the array (rows, cols)."""
-    whole = np.empty((len(DIAMETERS), *of.shape), np.float32)
-    whole[:] = ratio
-    drawn = HazardMap(
-        of,
-        np.full(of.shape, p, np.float32),
-        np.full(of.shape, seen),
-        np.zeros(of.shape, np.float32),
-    )
-    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear, **more)
-
+from tests.two_eyes import (
+    DIAMETERS,
+    DOUBTED,
+    FOOTPRINT,
+    GRID,
+    SAMPLED,
+    TERMS,
+    clear,
+    eyes,
+    raster,
+    relief,
+    tracks,
+)
 
 # --- one eye, or one that saw nothing ----------------------------------------------------------
 
@@ -175,9 +143,6 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
         assert both.p_safe[row, col] == pytest.approx(expected, rel=1e-5)
 
 
-SAMPLED = np.zeros(GRID.shape, np.float32)
-
-
 def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
     own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), rises=SAMPLED)
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
@@ -219,14 +184,6 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
     assert (p(e=there + worse * (0.5 - there)) <= before + 1e-6).all()
     assert (p(d=density / (1.0 + worse)) <= before + 1e-6).all()
     assert (p(t=top + worse) <= before + 1e-6).all()
-
-
-# Samples so few on ground so rocky that elevations alone doubt all of it.
-DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -1.0}
-
-
-def raster(value: float) -> np.ndarray:
-    return np.full(GRID.shape, value, np.float32)
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,35 @@ def test_where_nobody_tells_the_time_it_draws_whenever_another_has():
     assert fused.hazard_map().p_safe[0, 0] == np.float32(0.3)
 
 
+class Lazy(Made):
+    """A mapper whose ground is there before it is judged."""
+
+    def __init__(self):
+        super().__init__()
+        self.drawn = None
+
+    def update(self, measurement, estimate):
+        super().update(measurement, estimate)
+        own = super().hazard_map()
+        self.drawn = SimpleNamespace(
+            grid=GRID, observed=own.observed, elevation=own.elevation, variance=None
+        )
+
+    def surface(self):
+        return self.drawn or super().surface()
+
+
+def test_ground_that_was_drawn_before_it_was_judged_is_another_when_it_is_drawn_anew():
+    own = Lazy()
+    fused = FusedMapper({"own": own}, TERMS)
+    for p in (0.7, 0.4):
+        own.update(p, None)
+        assert fused.hazard_map().p_safe[0, 0] == np.float32(p)
+        asked = own.asked
+        assert fused.hazard_map() is fused.hazard_map()
+        assert own.asked == asked
+
+
 def test_it_takes_no_measurement_and_is_made_of_something():
     with pytest.raises(InputError, match="measurement"):
         FusedMapper({"own": Made()}, TERMS).update(1.0, None)
