@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,6 +58,13 @@ def test_elevations_are_those_measured_and_else_the_other_eyes():
     assert (both.elevation[:, :5] == 2.0).all()
     assert (both.elevation[:, 5:] == 0.0).all()
     assert both.variance is spread
+    # So too of ground that its mapper has not judged.
+    z = own.surface.elevation
+    bare = SimpleNamespace(grid=GRID, observed=seen, elevation=z, variance=spread)
+    unjudged = fused_map(replace(own, surface=bare, judge=lambda: own.drawn), eyes(0.1), TERMS)
+    for f in fields(HazardMap):
+        one, other = (getattr(drawn, f.name) for drawn in (unjudged, both))
+        assert np.array_equal(one, other), f.name
 
 
 def test_off_the_camera_map_rocks_are_as_many_as_expected():
