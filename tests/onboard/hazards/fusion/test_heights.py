@@ -22,6 +22,7 @@ from lunarsim.onboard.hazards.fusion.heights import (
 )
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
+from lunarsim.onboard.hazards.shadows.probability import cover_probability
 from tests.reference import fusion as plain
 
 LANDER = Lander()
@@ -164,6 +165,10 @@ def test_a_rock_counts_as_far_as_it_is_too_high():
     edge, soft = LANDER.leg_radius + reach, 3.0 * np.hypot(0.2 * 0.4, 0.15 * reach + 0.02)
     assert clear[far < edge - soft] == pytest.approx(0.4, abs=0.02)
     assert clear[far > edge + 1.4 * soft] == pytest.approx(1.0, abs=1e-3)
+    covered = cover_probability(
+        far.reshape(1, -1), [0.2 * 0.4], [edge], [0.15 * reach + 0.02]
+    ).reshape(far.shape)
+    assert clear == pytest.approx(1.0 - 0.6 * covered, abs=0.01)
     rare = clear_of(rock, Heights(1.0, np.array([1e-5]), np.array([reach])), wide, LANDER)
     assert (rare == 1.0).all()
 

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion.association import existence_given_relief
 from lunarsim.onboard.hazards.fusion.clear_ground import believed
 from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
-from lunarsim.onboard.hazards.fusion.heights import Heights
+from lunarsim.onboard.hazards.fusion.heights import Heights, clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
 from lunarsim.onboard.hazards.gaussian_dem.pooled import pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
@@ -23,7 +25,7 @@ from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import SURE
 from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from tests.map_evidence import LANDER, evidence
-from tests.two_eyes import DOUBTED, GRID, SAMPLED, TERMS, eyes, raster, relief, tracks
+from tests.two_eyes import DOUBTED, GRID, SAMPLED, TERMS, clear, eyes, raster, relief, tracks
 
 
 def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_ground():
@@ -93,6 +95,38 @@ def test_rocks_that_hardly_are_any_or_lie_off_the_map_do_not_speak_for_an_eye(th
     found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
     heights = Heights(1.0, np.full(12, there), np.full(12, 0.3))
     assert believed(found, rocks, heights, LANDER.roughness_limit) == bool(counts)
+
+
+# --- tracked rocks -----------------------------------------------------------------------------
+
+
+def test_rocks_that_elevations_without_samples_do_not_show_are_less_likely():
+    own, rocks = relief(density=100.0), tracks((2.0, 2.0, 0.4, 0.8))
+    both = fused_map(own, eyes(1.0, rocks), TERMS)
+    there = existence_given_relief(rocks, own, LANDER)
+    assert there[0] < 0.2
+    expected = own.drawn.p_safe * clear(replace(rocks, existence=there))
+    assert both.p_safe == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", ["hemisphere", "cube", "ellipsoid"])
+def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected(shape):
+    expected = replace(TERMS.rocks, shape=shape, height_ratio=(0.4, 0.5))
+    ratio = {"hemisphere": 0.5, "cube": 1.0, "ellipsoid": 0.4}[shape]
+    places = np.array([(0.5, 0.5), (3.0, 1.0), (2.0, 3.0), (1.0, 2.5)])
+    rises = np.zeros(GRID.shape, np.float32)
+    row, col = GRID.cell(places + [0.5, 0.0])
+    rises[row, col] = 0.7 * ratio
+    rocks = tracks(*((x, y, 0.5, 0.9) for x, y in places))
+    rocks = replace(rocks, sigma=np.full(4, 0.4))
+    own = replace(relief(density=6.0), rises=rises)
+    told = rises, own.judged.density, GRID
+    # Before it is measured shadows are taken to tell radii too small.
+    placed = registered(rocks, *told, 1.2 * 2.0 * ratio, ratio)
+    assert np.abs(placed.xy - rocks.xy).max() > 0.1
+    free = clear_of(placed, heights_of(placed, *told, LANDER, ratio, shape), GRID, LANDER)
+    both = fused_map(own, eyes(1.0, rocks), replace(TERMS, rocks=expected))
+    assert both.p_safe == pytest.approx(own.drawn.p_safe * free, rel=1e-5)
 
 
 # --- a calibration of a scenario's own ---------------------------------------------------------
