@@ -129,20 +129,21 @@ def fused_map(
 
 
 def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
-    """Return the probability that ground that was not measured is within the limit of slopes.
+    """Return the probability that ground that was not measured is within slope and roughness.
 
     It is as likely to be so as what was measured about it, never likelier than the mission expects,
     whose expectation counts as one site more: sites whose footprints overlap are not many.
     """
     if relief.judged is None:
         return terms.relief_prior
-    slope = relief.judged.slope[relief.surface.observed]
-    slope = slope[np.isfinite(slope)]
+    seen = relief.surface.observed
+    worst = np.maximum(relief.judged.slope[seen], relief.judged.roughness[seen])
+    worst = worst[~np.isnan(worst)]
     lander = terms.lander
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     worth = min(relief.surface.grid.posting**2 / footprint, 1.0)
-    within = worth * float(np.count_nonzero(slope <= 1.0))
-    share = (within + terms.relief_prior) / (worth * len(slope) + 1.0)
+    within = worth * float(np.count_nonzero(worst <= 1.0))
+    share = (within + terms.relief_prior) / (worth * len(worst) + 1.0)
     return min(share, terms.relief_prior)
 
 

@@ -98,12 +98,13 @@ def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
 
 
 @pytest.mark.parametrize("steep", [0, 4, SIDE])
-def test_ground_that_was_not_measured_is_as_likely_steep_as_what_was(steep):
+@pytest.mark.parametrize("what", ["slope", "rough"])
+def test_ground_that_was_not_measured_is_as_likely_steep_or_rough_as_what_was(steep, what):
     seen = np.ones(GRID.shape, bool)
     seen[:, 6:] = False
-    slope = np.full(GRID.shape, 0.4, np.float32)
-    slope[:steep] = 1.3
-    both = fused_map(relief(seen=seen, slope=slope), eyes(0.1), TERMS)
+    share = np.full(GRID.shape, 0.4, np.float32)
+    share[:steep] = 1.3
+    both = fused_map(relief(seen=seen, **{what: share}), eyes(0.1), TERMS)
     worth = GRID.posting**2 / (np.pi * FOOTPRINT**2)
     prior = (worth * 6 * (SIDE - steep) + 0.9) / (worth * 6 * SIDE + 1.0)
     assert both.p_safe[:, 6:] == pytest.approx(min(prior, 0.9) * 0.97)
