@@ -168,7 +168,7 @@ class Clock:
 
     def __init__(self, mapper: HazardMapper) -> None:
         self.seconds = 0.0
-        for name in ("update", "refresh", "hazard_map", "scoreboard"):
+        for name in ("update", "refresh", "surface", "hazard_map", "scoreboard"):
             setattr(mapper, name, self._timed(getattr(mapper, name)))
 
     def _timed(self, method: Any) -> Any:

@@ -10,9 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion import FusedMapper
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain import Terrain
+from tests.made_mapper import TERMS, Made
 from tests.worlds import flat_terrain
 
 
@@ -110,6 +112,29 @@ def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(fi
             (found,) = figures.comparisons([flight(row, altitude, flights, **maps)], 400.0)
             assert found.left == gap
             assert ("worse than the eye that is left" in found.missed) == bool(gap)
+
+
+def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(flights, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(flights.time, "perf_counter", lambda: now[0])
+
+    class Slow(Made):
+        def surface(self):
+            now[0] += 3.0
+            return super().hazard_map()
+
+        def hazard_map(self):
+            now[0] += 4.0
+            return super().hazard_map()
+
+    own = Slow()
+    fused = FusedMapper({"own": own}, TERMS)
+    clock = flights.Clock({"own": own, "fused": fused})
+    own.update(0.7, None)
+    fused.hazard_map()
+    told = clock.mean_ms()
+    assert told["fused"] == 0.0
+    assert told["own"] == 1e3 * now[0] > 0.0
 
 
 def test_half_of_the_returns_are_lost_alike_for_all(flights):

@@ -25,6 +25,7 @@ from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 from lunarsim.world.truth import Truth
 from tests.conftest import SCENARIOS
+from tests.made_mapper import Made
 
 
 def first(module, **changes):
@@ -43,6 +44,22 @@ def test_every_part_of_the_matrix_has_its_turn(script):
         assert max(counts) - min(counts) <= 1, name
     assert deck == list(worlds.scenes(240, 3))
     assert len({s.seed for s in deck}) == 240
+
+
+def test_ground_that_the_computer_asks_for_is_the_work_of_the_mapper(script, monkeypatch):
+    flown = script("lidar_maps", "flown")
+    now = [0.0]
+    monkeypatch.setattr(flown.time, "perf_counter", lambda: now[0])
+
+    class Slow(Made):
+        def surface(self):
+            now[0] += 3.0
+            return super().hazard_map()
+
+    mapper = Slow()
+    clock = flown.Clock(mapper)
+    mapper.surface()
+    assert clock.seconds == 3.0
 
 
 @pytest.mark.parametrize("name", ["calibration", "quadtree_calibration"])

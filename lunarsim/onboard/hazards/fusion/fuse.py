@@ -108,7 +108,10 @@ def fused_map(
     prior = relief_prior_of(relief, terms)
     ground, alone = relief.surface, _of_rocks(rocks, relief.surface.grid, prior)
     clear, level = _clear(relief, rocks, terms)
-    p, known = _thinned(relief, thinning_of(rocks, ground.grid, terms))
+    thinning = thinning_of(rocks, ground.grid, terms)
+    p, known = _thinned(relief, thinning)
+    # What the eye for rocks has said nothing of is claimed as the elevations claim it.
+    whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
     seen = ground.observed
@@ -117,7 +120,7 @@ def fused_map(
     elevation = ground.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
-    known = seen & known & (level <= p) & ((p >= SURE) | surely_not)
+    known = seen & known & (level <= p) & ((p >= SURE) | surely_not | whole)
     p = np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32))
     observed = seen | alone.observed
     if isinstance(ground, HazardMap):
@@ -126,20 +129,21 @@ def fused_map(
 
 
 def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
-    """Return the probability that ground that was not measured is within the limit of slopes.
+    """Return the probability that ground that was not measured is within slope and roughness.
 
     It is as likely to be so as what was measured about it, never likelier than the mission expects,
     whose expectation counts as one site more: sites whose footprints overlap are not many.
     """
     if relief.judged is None:
         return terms.relief_prior
-    slope = relief.judged.slope[relief.surface.observed]
-    slope = slope[np.isfinite(slope)]
+    seen = relief.surface.observed
+    worst = np.maximum(relief.judged.slope[seen], relief.judged.roughness[seen])
+    worst = worst[~np.isnan(worst)]
     lander = terms.lander
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     worth = min(relief.surface.grid.posting**2 / footprint, 1.0)
-    within = worth * float(np.count_nonzero(slope <= 1.0))
-    share = (within + terms.relief_prior) / (worth * len(slope) + 1.0)
+    within = worth * float(np.count_nonzero(worst <= 1.0))
+    share = (within + terms.relief_prior) / (worth * len(worst) + 1.0)
     return min(share, terms.relief_prior)
 
 

@@ -47,7 +47,7 @@ INDEPENDENT = 0.5
 _SPREAD, _PLACE = 0.12, 0.2
 # Spread of how far the part of a rock reaches that is too high, as a share and m.
 _REACH_SPREAD, _LEAST_SPREAD = 0.15, 0.02
-# Heights that are tried, over the limit.
+# Heights that are tried, over the limit; rocks that are higher still are judged as the highest.
 _TRIED = np.geomspace(0.04, 16.0, 160)
 # No rock is taken to be smaller, m.
 LEAST_RADIUS = 0.05
@@ -111,7 +111,8 @@ def heights_of(
     limit = lander.roughness_limit
     tried = limit * _TRIED
     spread = np.hypot(_SPREAD, np.sqrt(tracks.radius_variance) / radius)
-    prior = np.exp(-0.5 * (np.log(tried / (scale * radius)[:, None]) / spread[:, None]) ** 2)
+    middle = np.minimum(scale * radius, tried[-1])
+    prior = np.exp(-0.5 * (np.log(tried / middle[:, None]) / spread[:, None]) ** 2)
     prior /= prior.sum(axis=1, keepdims=True)
     per_square = INDEPENDENT * dense * np.pi / (2.0 * height_ratio) ** 2
     above = np.maximum(tried**2 - np.maximum(top, 0.0)[:, None] ** 2, 0.0)
@@ -124,6 +125,7 @@ def heights_of(
     missed /= np.maximum(large * (there * left[:, ~high].sum(axis=1) + 1.0 - there), 1e-300)
     odds = there * large * (COMMON + (1.0 - COMMON) * np.minimum(missed, 1.0))
     mean = (prior[:, high] @ tried[high]) / np.maximum(large, 1e-300)
+    mean = np.where(scale * radius > middle, scale * radius, mean)
     wide = np.maximum(mean, limit) if shape not in _ROUNDED else _wide(mean, limit)
     return Heights(scale, odds / np.maximum(odds + harmless, 1e-300), wide / (2.0 * height_ratio))
 

@@ -209,7 +209,8 @@ class FusedMapper(HazardMapper):
         self._drawn: HazardMap | None = None
         self._from: tuple[Surface, ...] = ()
         self._interval = interval
-        self._time, self._due = 0.0, -np.inf
+        self._time, self._told = 0.0, False
+        self._due = -np.inf
 
     @property
     def sources(self) -> frozenset[str]:
@@ -233,7 +234,7 @@ class FusedMapper(HazardMapper):
 
     def hazard_map(self) -> HazardMap:
         """Return the map of what the others know as they have last drawn it, if it is due."""
-        if self._drawn is not None and self._time < self._due - 1e-9:
+        if self._drawn is not None and self._told and self._time < self._due - 1e-9:
             return self._drawn
         asked = (*self._mappers.values(), *self._feature.values())
         grounds = tuple(mapper.surface() for mapper in asked)
@@ -248,7 +249,7 @@ class FusedMapper(HazardMapper):
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
-        self._time = time
+        self._time, self._told = time, True
 
     def recentre(self, centre: Array) -> None:
         """Follow the others, who may have been laid about another point (3,), local frame, m."""

@@ -166,7 +166,8 @@ class GaussianDemMapper(HazardMapper):
         self._early = EarlyGround()
         self._drawn: HazardMap | DrawnDem = HazardMap.unobserved(grid)
         self._interval = interval
-        self._time, self._due, self._stale = 0.0, -np.inf, False
+        self._time, self._told = 0.0, False
+        self._due, self._stale = -np.inf, False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; a scan without returns changes nothing.
@@ -223,7 +224,7 @@ class GaussianDemMapper(HazardMapper):
         return self._due_drawing()
 
     def _due_drawing(self) -> HazardMap | DrawnDem:
-        if self._stale and self._time >= self._due - 1e-9:
+        if self._stale and (self._time >= self._due - 1e-9 or not self._told):
             self._drawn = self._draw(self.dem())
             self._stale, self._due = False, self._time + self._interval
         return self._drawn
@@ -249,7 +250,7 @@ class GaussianDemMapper(HazardMapper):
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
-        self._time = time
+        self._time, self._told = time, True
 
     def _draw(self, dem: PooledDem) -> HazardMap | DrawnDem:
         if not len(dem.sampling.rises):

@@ -14,61 +14,31 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
 from lunarsim.onboard.hazards.fusion.clear_ground import believed
-from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map, thinning_of
+from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
-from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.safety.calibration import calibrated_safety, measured
+from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import HOPELESS, SURE
+from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 from tests.reference import fusion as plain
-
-GRID = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
-TERMS = FusionTerms(LANDER, RockExpectation())
-DIAMETERS = np.array([0.5, 0.8])
-FOOTPRINT = LANDER.leg_radius + 0.5 * LANDER.pad_diameter
-
-
-def relief(bump=None, **said) -> ReliefEvidence:
-    """Return a calibrated map; `bump` is elevations (rows, cols) to be added to level ground."""
-    judged = evidence(**said)
-    p, known = calibrated_safety(judged)
-    z = np.zeros(GRID.shape, np.float32) if bump is None else bump.astype(np.float32)
-    return ReliefEvidence(HazardMap(GRID, p, judged.observed, z, in_domain=known), judged)
-
-
-def tracks(*rocks) -> RockTracks:
-    """Return rocks, each of (x, y, radius, existence)."""
-    table = np.array(rocks, np.float64).reshape(-1, 4)
-    n = len(table)
-    return RockTracks(table[:, :2], np.full(n, 0.05), table[:, 2], np.full(n, 0.01), table[:, 3])
-
-
-def clear(rocks: RockTracks) -> np.ndarray:
-    """Return the product over rocks whose discs reach into the footprint."""
-    out = np.ones(GRID.shape)
-    xy = GRID.centres()
-    for place, radius, there in zip(rocks.xy, rocks.radius, rocks.existence, strict=True):
-        far = np.hypot(*np.moveaxis(xy - place, -1, 0))
-        out *= 1.0 - there * (far < FOOTPRINT + radius)
-    return out
-
-
-def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID, **more) -> RockEvidence:
-    """Return what an eye for rocks knows: one ratio everywhere, or as the array (rows, cols)."""
-    whole = np.empty((len(DIAMETERS), *of.shape), np.float32)
-    whole[:] = ratio
-    drawn = HazardMap(
-        of,
-        np.full(of.shape, p, np.float32),
-        np.full(of.shape, seen),
-        np.zeros(of.shape, np.float32),
-    )
-    return RockEvidence(drawn, DIAMETERS, whole, found or tracks(), clear, **more)
-
+from tests.two_eyes import (
+    DIAMETERS,
+    DOUBTED,
+    FOOTPRINT,
+    GRID,
+    SAMPLED,
+    TERMS,
+    clear,
+    eyes,
+    raster,
+    relief,
+    tracks,
+)
 
 # --- one eye, or one that saw nothing ----------------------------------------------------------
 
@@ -80,6 +50,26 @@ def test_a_map_of_elevations_alone_is_its_own_bit_for_bit(density):
     blind = fused_map(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
         assert np.array_equal(getattr(blind, name), getattr(own.drawn, name)), name
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_nothing(told):
+    refit = ScenarioCalibration(
+        Stage(-3.0), Stage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        lander_figures(LANDER), measured().digest,
+    )  # fmt: skip
+    judged = evidence(slope=0.7, rough=0.5, density=5.0)
+    p, known = calibrated_safety(judged, refit=refit)
+    assert known.all()
+    assert ((p > HOPELESS) & (p < SURE)).any()
+    drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
+    own = ReliefEvidence(drawn, judged if told else None, refit, SAMPLED)
+    blind = fused_map(own, eyes(seen=False), TERMS)
+    assert np.array_equal(blind.p_safe, p)
+    assert np.array_equal(blind.in_domain, known)
+    # Where a rock is tracked none is claimed in between.
+    rock = fused_map(own, eyes(1.0, tracks((0.0, 0.0, 0.4, 0.3)), seen=False), TERMS)
+    assert not rock.in_domain[0, 0]
 
 
 def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
@@ -108,12 +98,13 @@ def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
 
 
 @pytest.mark.parametrize("steep", [0, 4, SIDE])
-def test_ground_that_was_not_measured_is_as_likely_steep_as_what_was(steep):
+@pytest.mark.parametrize("what", ["slope", "rough"])
+def test_ground_that_was_not_measured_is_as_likely_steep_or_rough_as_what_was(steep, what):
     seen = np.ones(GRID.shape, bool)
     seen[:, 6:] = False
-    slope = np.full(GRID.shape, 0.4, np.float32)
-    slope[:steep] = 1.3
-    both = fused_map(relief(seen=seen, slope=slope), eyes(0.1), TERMS)
+    share = np.full(GRID.shape, 0.4, np.float32)
+    share[:steep] = 1.3
+    both = fused_map(relief(seen=seen, **{what: share}), eyes(0.1), TERMS)
     worth = GRID.posting**2 / (np.pi * FOOTPRINT**2)
     prior = (worth * 6 * (SIDE - steep) + 0.9) / (worth * 6 * SIDE + 1.0)
     assert both.p_safe[:, 6:] == pytest.approx(min(prior, 0.9) * 0.97)
@@ -151,9 +142,6 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
             if np.hypot(x - east, y - north) < FOOTPRINT + r:
                 expected *= 1.0 - there
         assert both.p_safe[row, col] == pytest.approx(expected, rel=1e-5)
-
-
-SAMPLED = np.zeros(GRID.shape, np.float32)
 
 
 def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
@@ -197,14 +185,6 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
     assert (p(e=there + worse * (0.5 - there)) <= before + 1e-6).all()
     assert (p(d=density / (1.0 + worse)) <= before + 1e-6).all()
     assert (p(t=top + worse) <= before + 1e-6).all()
-
-
-# Samples so few on ground so rocky that elevations alone doubt all of it.
-DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -1.0}
-
-
-def raster(value: float) -> np.ndarray:
-    return np.full(GRID.shape, value, np.float32)
 
 
 @pytest.mark.parametrize(

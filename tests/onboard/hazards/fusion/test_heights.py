@@ -22,6 +22,7 @@ from lunarsim.onboard.hazards.fusion.heights import (
 )
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
+from lunarsim.onboard.hazards.shadows.probability import cover_probability
 from tests.reference import fusion as plain
 
 LANDER = Lander()
@@ -131,6 +132,21 @@ def test_worse_evidence_never_makes_a_rock_less_likely(radius, there, top, densi
     assert hazard(d=share * density) >= before - 1e-12
 
 
+def test_larger_rocks_are_no_less_likely_too_high_and_reach_no_less_far():
+    radius = np.geomspace(0.3, 1000.0, 60)
+    found = heights(tracks(*((40.0, 5.0, r, 0.8) for r in radius)))
+    assert (np.diff(found.hazard) >= -1e-9).all()
+    assert (np.diff(found.reach) >= 0.0).all()
+    # Far above the limit they are so all the way out.
+    large = radius > 3.0
+    assert found.hazard[large] == pytest.approx(0.8)
+    assert found.reach[large] == pytest.approx(radius[large], rel=0.15)
+    under = clear_of(
+        tracks((0.0, 5.0, 1000.0, 0.8)), heights(tracks((0.0, 5.0, 1000.0, 0.8))), GRID, LANDER
+    )
+    assert (under < 1.0).all()
+
+
 def test_off_the_map_samples_say_nothing():
     away = tracks((40.0, 5.0, 0.6, 0.8))
     assert heights(away, 0.0, 400.0).hazard[0] == pytest.approx(0.8, abs=1e-3)
@@ -149,6 +165,10 @@ def test_a_rock_counts_as_far_as_it_is_too_high():
     edge, soft = LANDER.leg_radius + reach, 3.0 * np.hypot(0.2 * 0.4, 0.15 * reach + 0.02)
     assert clear[far < edge - soft] == pytest.approx(0.4, abs=0.02)
     assert clear[far > edge + 1.4 * soft] == pytest.approx(1.0, abs=1e-3)
+    covered = cover_probability(
+        far.reshape(1, -1), [0.2 * 0.4], [edge], [0.15 * reach + 0.02]
+    ).reshape(far.shape)
+    assert clear == pytest.approx(1.0 - 0.6 * covered, abs=0.01)
     rare = clear_of(rock, Heights(1.0, np.array([1e-5]), np.array([reach])), wide, LANDER)
     assert (rare == 1.0).all()
 

@@ -11,7 +11,9 @@ from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
+from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
+from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapping
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.rocks.population import RockExpectation
 from tests.made_mapper import GRID, TERMS, Made
@@ -53,6 +55,78 @@ def test_it_draws_no_oftener_than_it_is_told_to():
             FusedMapper({"own": own}, TERMS, interval=wrong)
 
 
+def test_where_nobody_tells_the_time_it_draws_whenever_another_has():
+    own = Made()
+    fused = FusedMapper({"own": own}, TERMS, interval=1.0)
+    for p in (0.7, 0.4, 0.3):
+        own.update(p, None)
+        assert fused.hazard_map().p_safe[0, 0] == np.float32(p)
+    fused.refresh(0.5)
+    own.update(0.2, None)
+    assert fused.hazard_map().p_safe[0, 0] == np.float32(0.3)
+
+
+def test_what_its_part_says_of_drawing_counts(tmp_path):
+    c = FusedCalibration(0.2, 1.1, 0.4)
+    c.save(tmp_path / "c.json")
+    part = FusedMapping(calibration_path=tmp_path / "c.json", feature="tree", interval=3.0)
+    parts = {"dem": GaussianDemMapping(), "tree": QuadtreeMapping(), "all": part}
+    given = {"lander": Lander(), "rocks": RockExpectation()}
+    briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
+    own = Made()
+    made = part.build(briefing, None, {"dem": own, "tree": Made()})
+    assert made.sources == {"dem", "tree"}
+    assert made.calibration == c
+    own.update(0.7, None)
+    made.refresh(0.0)
+    first = made.hazard_map()
+    for time, same in ((0.0, True), (2.9, True), (3.0, False)):
+        own.update(0.4, None)
+        made.refresh(time)
+        assert (made.hazard_map() is first) == same, time
+
+
+def test_the_height_that_a_mapper_expects_of_ground_it_has_not_seen_is_none():
+    class Expects(Made):
+        def ground_height(self, xy):
+            return 5.0
+
+    own = Expects()
+    fused = FusedMapper({"own": own}, TERMS)
+    assert fused.ground_height(np.zeros(2)) is None
+    own.update(0.7, None)
+    assert fused.ground_height(np.zeros(2)) == 5.0
+
+
+class Lazy(Made):
+    """A mapper whose ground is there before it is judged."""
+
+    def __init__(self):
+        super().__init__()
+        self.drawn = None
+
+    def update(self, measurement, estimate):
+        super().update(measurement, estimate)
+        own = super().hazard_map()
+        self.drawn = SimpleNamespace(
+            grid=GRID, observed=own.observed, elevation=own.elevation, variance=None
+        )
+
+    def surface(self):
+        return self.drawn or super().surface()
+
+
+def test_ground_that_was_drawn_before_it_was_judged_is_another_when_it_is_drawn_anew():
+    own = Lazy()
+    fused = FusedMapper({"own": own}, TERMS)
+    for p in (0.7, 0.4):
+        own.update(p, None)
+        assert fused.hazard_map().p_safe[0, 0] == np.float32(p)
+        asked = own.asked
+        assert fused.hazard_map() is fused.hazard_map()
+        assert own.asked == asked
+
+
 def test_it_takes_no_measurement_and_is_made_of_something():
     with pytest.raises(InputError, match="measurement"):
         FusedMapper({"own": Made()}, TERMS).update(1.0, None)
@@ -76,5 +150,6 @@ def test_it_is_built_of_those_that_were_built_before():
     made = parts["all"].build(briefing, None, {"dem": Made(), "other": Made()})
     assert made.sources == {"dem"}
     assert made.terms.relief_prior == 0.7
+    assert made.calibration is None
     with pytest.raises(InputError, match="relief_prior"):
         FusedMapping(relief_prior=1.0)

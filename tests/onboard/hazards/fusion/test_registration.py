@@ -57,6 +57,9 @@ def test_rocks_are_moved_to_where_the_elevations_show_them():
     after = registered(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
     assert after.xy - before.xy == pytest.approx(np.broadcast_to(off, (30, 2)), abs=0.2)
     assert (after.sigma < 0.3).all()
+    # As well as the shift, and each as well as it lies among the others.
+    shift = shift_of(before, rises, np.full(WIDE.shape, 3.0), WIDE, 1.0, 0.5)
+    assert after.sigma == pytest.approx(np.hypot(shift.sigma, 0.15))
     assert np.array_equal(after.radius, before.radius)
 
 

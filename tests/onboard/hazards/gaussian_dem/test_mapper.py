@@ -18,6 +18,9 @@ from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety.calibration import calibrated_safety, measured
+from lunarsim.safety.domain import Domain
+from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from lunarsim.sensors.lidar import FlashLidar
 
 GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
@@ -52,14 +55,64 @@ def test_a_map_is_drawn_once_an_interval():
     assert mapper.hazard_map() is second, "nothing new"
 
 
+def test_where_nobody_tells_the_time_a_map_is_drawn_whenever_something_has_come_in():
+    mapper = GaussianDemMapper(GRID, Lander(), interval=1.0)
+    known = []
+    for east in (3.0, -3.0):
+        flash(mapper, east)
+        known.append(int(np.isfinite(mapper.hazard_map().elevation).sum()))
+    assert known[1] > known[0] > 0
+    mapper.refresh(0.5)
+    before = mapper.hazard_map()
+    flash(mapper)
+    assert mapper.hazard_map() is before
+
+
 def test_a_map_that_is_laid_elsewhere_is_due_at_once():
     mapper = GaussianDemMapper(GRID, Lander(), interval=10.0)
+    mapper.refresh(0.0)
     flash(mapper)
     assert mapper.hazard_map().observed.shape == GRID.shape
+    mapper.recentre(np.array([1.25, 0.0, 0.0]))
+    assert mapper.hazard_map().grid == mapper.grid != GRID
     mapper.recentre(np.array([20.0, 0.0, 0.0]))
     assert not np.isfinite(mapper.hazard_map().elevation_at(np.array([20.0, 0.0])))
     flash(mapper, east=20.0)
     assert mapper.hazard_map().elevation_at(np.array([20.0, 0.0])) == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_map_that_is_laid_off_all_samples_is_blank_again():
+    mapper = GaussianDemMapper(GRID, Lander())
+    flash(mapper)
+    assert mapper.hazard_map().observed.any()
+    assert mapper.evidence() is not None
+    mapper.recentre(np.array([100.0, 0.0, 0.0]))
+    assert mapper.blank
+    assert mapper.evidence() is None
+    for drawn in (mapper.hazard_map(), mapper.surface()):
+        assert drawn.grid == mapper.grid != GRID
+        assert not drawn.observed.any()
+
+
+def test_it_publishes_what_its_map_follows_from():
+    refit = ScenarioCalibration(
+        Stage(-3.0), Stage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        lander_figures(Lander()), measured().digest,
+    )  # fmt: skip
+    mapper = GaussianDemMapper(GRID, Lander(), refit=refit)
+    flash(mapper)
+    told = mapper.evidence()
+    assert told.refit is refit
+    assert np.array_equal(told.rises, mapper.dem().sampling.of_cells, equal_nan=True)
+    assert told.surface is mapper.surface()
+    assert told.drawn is mapper.hazard_map()
+    p, known = calibrated_safety(told.judged, refit=refit)
+    assert np.array_equal(told.drawn.p_safe, p)
+    assert np.array_equal(told.drawn.in_domain, known)
+    # What was told stays as it was told.
+    flash(mapper, east=1.0)
+    assert mapper.hazard_map() is not told.drawn
+    assert told.drawn.elevation is told.surface.elevation
 
 
 def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
@@ -157,9 +210,11 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
         for one in (mapper, right):
             one.recentre(np.array([0.5, 0.0, 0.0]))
     expected = right.dem().mean
-    off = np.abs(mapper.dem().mean - expected)
+    drawn = mapper.hazard_map()
+    off = np.abs(drawn.elevation - expected)
     assert np.nanmax(off) > 0.2 * wrong
     mapper.level(turn, np.zeros(3), sure)
+    assert mapper.hazard_map() is not drawn
     off = np.abs(mapper.dem().mean - expected)
     assert np.nanmedian(off) < 0.003
     assert np.nanquantile(off, 0.99) < 0.02
