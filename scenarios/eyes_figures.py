@@ -173,15 +173,18 @@ _COLUMNS = {
 def show(flights: list[Flight], dead_below: float, console: Console) -> None:
     """Print the figures of each row, altitude and map, and the fused map against others."""
     for row, mine in by_row(flights).items():
-        table = Table(title=f"{row}: {len(mine)} fields")
+        caption = f"of the fields pooled; by field: mean recall at {PRECISION}"
+        table = Table(title=f"{row}: {len(mine)} fields", caption=caption)
         table.add_column("altitude", justify="right")
         table.add_column("map")
-        for heading in _COLUMNS.values():
+        for heading in (*_COLUMNS.values(), "by field"):
             table.add_column(heading, justify="right")
         for altitude in common(mine):
             for name, words in MAPS.items():
-                f = figures_of([one["maps"][altitude][name] for one in mine])
-                table.add_row(altitude, words, *(f"{f[key]:.3f}" for key in _COLUMNS))
+                maps = [one["maps"][altitude][name] for one in mine]
+                f, each = figures_of(maps), np.mean([recall_of([one]) for one in maps])
+                cells = (f"{f[key]:.3f}" for key in _COLUMNS)
+                table.add_row(altitude, words, *cells, f"{each:.3f}")
         console.print(table)
         spent = {n: float(np.median([one["ms"][n] for one in mine])) for n in MAPS}
         words = ", ".join(f"{MAPS[n]} {ms:.0f}" for n, ms in spent.items())

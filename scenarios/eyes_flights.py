@@ -141,6 +141,8 @@ def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
                 "kind": "quadtree", "sensor": "flash", "size_m": SIZE, "posting_m": POSTING,
                 "sites": {"zone_m": ZONE * half, "roughness_limit_m": lander.roughness_limit},
             },
+            # Judged as it is at the altitude, not as it was for the last decision.
+            "fused": {"interval_s": 0.0},
         },
     )  # fmt: skip
 

@@ -21,6 +21,7 @@ class Made(HazardMapper):
 
     def __init__(self):
         self.p, self.seen, self.asked = np.zeros(GRID.shape, np.float32), False, 0
+        self.grid = GRID
 
     def update(self, measurement, estimate):
         self.p = np.full(GRID.shape, measurement, np.float32)
@@ -28,7 +29,7 @@ class Made(HazardMapper):
 
     def hazard_map(self):
         level = np.full(GRID.shape, 3.0, np.float32)
-        return HazardMap(GRID, self.p, np.full(GRID.shape, self.seen), level)
+        return HazardMap(self.grid, self.p, np.full(GRID.shape, self.seen), level)
 
     def evidence(self):
         self.asked += 1

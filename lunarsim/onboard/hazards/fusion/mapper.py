@@ -181,7 +181,7 @@ class FusedMapper(HazardMapper):
         By its name, a second mapper that the calibration looks at.
     interval
         Least time between two drawings of the map, s; where nobody tells the time it is drawn
-        whenever another has drawn anew.
+        whenever another has drawn anew. What others take back is not waited with.
 
     Raises
     ------
@@ -233,27 +233,30 @@ class FusedMapper(HazardMapper):
         raise InputError("measurement", type(measurement).__name__, "none: it maps no sensor's")
 
     def hazard_map(self) -> HazardMap:
-        """Return the map of what the others know as they have last drawn it, if it is due."""
-        if self._drawn is not None and self._told and self._time < self._due - 1e-9:
-            return self._drawn
+        """Return the map of what the others know as they have last drawn it, if it is due.
+
+        Where one of them has taken back what it had seen, or was laid elsewhere, it is due at once.
+        """
         asked = (*self._mappers.values(), *self._feature.values())
         grounds = tuple(mapper.surface() for mapper in asked)
-        same = len(grounds) == len(self._from) and all(
-            _same(new, old) for new, old in zip(grounds, self._from, strict=True)
-        )
-        if self._drawn is None or not same:
+        if self._drawn is None or self._must_draw(grounds):
             self._drawn = self._draw(grounds[0].grid)
             self._from = grounds
             self._due = -np.inf if self.blank else self._time + self._interval
         return self._drawn
 
+    def _must_draw(self, grounds: tuple[Surface, ...]) -> bool:
+        anew = [(n, o) for n, o in zip(grounds, self._from, strict=True) if not _same(n, o)]
+        if not self._told or self._time >= self._due - 1e-9:
+            return bool(anew)
+        return any(
+            new.grid != old.grid or (old.observed.any() and not new.observed.any())
+            for new, old in anew
+        )
+
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
         self._time, self._told = time, True
-
-    def recentre(self, centre: Array) -> None:
-        """Follow the others, who may have been laid about another point (3,), local frame, m."""
-        self._due = -np.inf
 
     def _draw(self, grid: Grid) -> HazardMap:
         """Return the map, on the given cells while nothing is known."""

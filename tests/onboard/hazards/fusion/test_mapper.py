@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
@@ -48,8 +49,13 @@ def test_it_draws_no_oftener_than_it_is_told_to():
         told.append(float(fused.hazard_map().p_safe[0, 0]))
     # Of nothing it draws at once.
     assert told == pytest.approx([0.0, 0.7, 0.7, 0.3, 0.3])
-    fused.recentre(np.zeros(3))
+    # What is taken back, or laid elsewhere, is not waited with.
+    own.grid = Grid.centred((1.0, 0.0), 8.0, 0.5)
+    assert fused.hazard_map().grid == own.grid
+    own.update(0.1, None)
     assert fused.hazard_map().p_safe[0, 0] == np.float32(0.2)
+    own.p, own.seen = np.zeros_like(own.p), False
+    assert not fused.hazard_map().observed.any()
     for wrong in (-0.1, float("nan"), float("inf")):
         with pytest.raises(InputError, match="interval"):
             FusedMapper({"own": own}, TERMS, interval=wrong)
