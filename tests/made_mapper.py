@@ -21,15 +21,16 @@ class Made(HazardMapper):
 
     def __init__(self):
         self.p, self.seen, self.asked = np.zeros(GRID.shape, np.float32), False, 0
-        self.grid = GRID
+        self.grid, self.observed = GRID, None
 
     def update(self, measurement, estimate):
         self.p = np.full(GRID.shape, measurement, np.float32)
         self.seen = True
 
     def hazard_map(self):
-        level = np.full(GRID.shape, 3.0, np.float32)
-        return HazardMap(self.grid, self.p, np.full(GRID.shape, self.seen), level)
+        shape = self.grid.shape
+        seen = np.full(shape, self.seen) if self.observed is None else self.observed
+        return HazardMap(self.grid, self.p, seen, np.full(shape, 3.0, np.float32))
 
     def evidence(self):
         self.asked += 1

@@ -92,6 +92,26 @@ def test_what_its_part_says_of_drawing_counts(tmp_path):
         assert (made.hazard_map() is first) == same, time
 
 
+def test_the_worst_of_a_second_map_near_by_is_what_the_calibration_looks_at():
+    own, second, c = Made(), Made(), FusedCalibration(0.2, 1.1, 0.4)
+    own.update(0.7, None)
+    second.grid, second.seen = Grid.centred((0.0, 0.0), 8.0, 0.25), True
+    second.p = np.full(second.grid.shape, 0.9, np.float32)
+    second.p[:, ::2] = 0.2
+    second.observed = np.ones(second.grid.shape, bool)
+    second.observed[:4] = False
+    fused = FusedMapper({"own": own}, TERMS, c, {"tree": second})
+    mine = np.full(1, 0.7, np.float32)
+    seen, unseen = (
+        c.probability(mine, np.array([q], np.float32), np.array([known]))[0]
+        for q, known in ((0.2, True), (0.0, False))
+    )
+    assert seen != unseen
+    told = fused.hazard_map().p_safe
+    assert told[4:] == pytest.approx(seen)
+    assert told[:2] == pytest.approx(unseen)
+
+
 def test_the_height_that_a_mapper_expects_of_ground_it_has_not_seen_is_none():
     class Expects(Made):
         def ground_height(self, xy):
