@@ -39,3 +39,19 @@ class Made(HazardMapper):
     @property
     def blank(self):
         return not self.seen
+
+
+class Slow(Made):
+    """One whose ground takes 3 s to draw by a clock of one entry, s, and its judgement 4 s."""
+
+    def __init__(self, clock):
+        super().__init__()
+        self.clock = clock
+
+    def surface(self):
+        self.clock[0] += 3.0
+        return super().hazard_map()
+
+    def hazard_map(self):
+        self.clock[0] += 4.0
+        return super().hazard_map()

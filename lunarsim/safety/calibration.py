@@ -308,7 +308,6 @@ def calibrated_safety(
     evidence: Evidence,
     model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
-    where: BoolMap | None = None,
 ) -> tuple[FloatMap, BoolMap]:
     """Return the probability that a site is safe (rows, cols), and where it is a frequency.
 
@@ -323,8 +322,6 @@ def calibrated_safety(
         Left out: the packaged one.
     refit
         Last stage and domain of a scenario's own; left out: those of the packaged regression.
-    where
-        Sites to judge (rows, cols), the others are given 0; left out: all.
 
     Raises
     ------
@@ -335,8 +332,6 @@ def calibrated_safety(
     if refit is not None:
         refit.check(evidence.lander, model)
     seen, known = evidence.observed, in_domain(evidence)
-    if where is not None:
-        seen, known = seen & where, known & where
     covered = known if refit is None else in_domain(evidence, refit.domain) & seen
     p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():

@@ -126,18 +126,6 @@ def test_fewer_unseen_rocks_make_sites_safer_and_more_less_safe(slope):
     assert np.array_equal(fewer.sinking(), plainly.sinking())
 
 
-def test_only_the_sites_asked_for_are_judged():
-    whole = evidence()
-    where = np.zeros((SIDE, SIDE), np.bool_)
-    where[2, 3:5] = True
-    p, known = calibrated_safety(whole, where=where)
-    everywhere = calibrated_safety(whole)
-    assert np.array_equal(p[where], everywhere[0][where])
-    assert np.array_equal(known[where], everywhere[1][where])
-    assert not p[~where].any()
-    assert not known[~where].any()
-
-
 def test_bad_figures_are_refused():
     good = thinning()
     for field, changes in {

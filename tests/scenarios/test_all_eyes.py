@@ -14,7 +14,7 @@ from lunarsim.onboard.hazards.fusion import FusedMapper
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain import Terrain
-from tests.made_mapper import TERMS, Made
+from tests.made_mapper import TERMS, Slow
 from tests.worlds import flat_terrain
 
 
@@ -118,16 +118,7 @@ def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(fl
     now = [0.0]
     monkeypatch.setattr(flights.time, "perf_counter", lambda: now[0])
 
-    class Slow(Made):
-        def surface(self):
-            now[0] += 3.0
-            return super().hazard_map()
-
-        def hazard_map(self):
-            now[0] += 4.0
-            return super().hazard_map()
-
-    own = Slow()
+    own = Slow(now)
     fused = FusedMapper({"own": own}, TERMS)
     clock = flights.Clock({"own": own, "fused": fused})
     own.update(0.7, None)

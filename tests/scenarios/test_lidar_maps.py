@@ -25,7 +25,7 @@ from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 from lunarsim.world.truth import Truth
 from tests.conftest import SCENARIOS
-from tests.made_mapper import Made
+from tests.made_mapper import Slow
 
 
 def first(module, **changes):
@@ -51,12 +51,7 @@ def test_ground_that_the_computer_asks_for_is_the_work_of_the_mapper(script, mon
     now = [0.0]
     monkeypatch.setattr(flown.time, "perf_counter", lambda: now[0])
 
-    class Slow(Made):
-        def surface(self):
-            now[0] += 3.0
-            return super().hazard_map()
-
-    mapper = Slow()
+    mapper = Slow(now)
     clock = flown.Clock(mapper)
     mapper.surface()
     assert clock.seconds == 3.0

@@ -218,7 +218,7 @@ def within(
     halves_of(separation, posting, halves)
     n = 0
     while n < count:
-        row = np.int64(0)
+        row = np.int64(0)  # a plain zero is a type of its own
         for r in range(1, rows):
             if most[r] > most[row]:
                 row = r

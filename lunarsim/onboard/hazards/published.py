@@ -74,7 +74,7 @@ class ReliefEvidence:
     rises
         How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
         where there are none. None: it does not tell.
-    judge
+    draw
         Gives the mapper's own map; None: `surface` is it.
 
     Raises
@@ -87,11 +87,11 @@ class ReliefEvidence:
     judged: Evidence | None = None
     refit: ScenarioCalibration | None = None
     rises: NDArray[np.float32] | None = None
-    judge: Callable[[], HazardMap] | None = None
+    draw: Callable[[], HazardMap] | None = None
 
     def __post_init__(self) -> None:
-        if self.judge is None and not isinstance(self.surface, HazardMap):
-            raise InputError("evidence.surface", type(self.surface), "a hazard map, or judge")
+        if self.draw is None and not isinstance(self.surface, HazardMap):
+            raise InputError("evidence.surface", type(self.surface), "a hazard map, or draw")
         wanted = self.surface.grid.shape
         if self.rises is not None and self.rises.shape != wanted:
             raise InputError("evidence.rises", self.rises.shape, f"a raster {wanted}")
@@ -99,8 +99,8 @@ class ReliefEvidence:
     @cached_property
     def drawn(self) -> HazardMap:
         """The mapper's own map."""
-        if self.judge is not None:
-            return self.judge()
+        if self.draw is not None:
+            return self.draw()
         assert isinstance(self.surface, HazardMap)
         return self.surface
 

@@ -203,8 +203,7 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
 
 def _thinned(relief: ReliefEvidence, thinning: Thinning) -> tuple[FloatMap, BoolMap]:
     """Return the elevations' probability with fewer unseen rocks, and where it is a frequency."""
-    where = thinning.touched & relief.surface.observed
-    if relief.judged is None or not where.any():
+    if relief.judged is None or not (thinning.touched & relief.surface.observed).any():
         drawn = relief.drawn
         known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
         return drawn.p_safe, known

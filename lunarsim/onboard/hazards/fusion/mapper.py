@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.hazards.drawing_times import DrawingTimes
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
@@ -200,17 +201,13 @@ class FusedMapper(HazardMapper):
     ) -> None:
         if not mappers:
             raise InputError("of", (), "at least one other mapper")
-        if not 0.0 <= interval < np.inf:
-            raise InputError("interval", interval, "0 or a positive number of seconds")
         self._mappers = dict(mappers)
         self._feature = dict(feature or {})
         self.terms = terms
         self.calibration = calibration
         self._drawn: HazardMap | None = None
         self._from: tuple[Surface, ...] = ()
-        self._interval = interval
-        self._time, self._told = 0.0, False
-        self._due = -np.inf
+        self._times = DrawingTimes(interval)
 
     @property
     def sources(self) -> frozenset[str]:
@@ -242,12 +239,16 @@ class FusedMapper(HazardMapper):
         if self._drawn is None or self._must_draw(grounds):
             self._drawn = self._draw(grounds[0].grid)
             self._from = grounds
-            self._due = -np.inf if self.blank else self._time + self._interval
+            if self.blank:
+                # It is drawn again as soon as there is something.
+                self._times.at_once()
+            else:
+                self._times.drawn()
         return self._drawn
 
     def _must_draw(self, grounds: tuple[Surface, ...]) -> bool:
         anew = [(n, o) for n, o in zip(grounds, self._from, strict=True) if not _same(n, o)]
-        if not self._told or self._time >= self._due - 1e-9:
+        if self._times.due:
             return bool(anew)
         return any(
             new.grid != old.grid or (old.observed.any() and not new.observed.any())
@@ -256,7 +257,7 @@ class FusedMapper(HazardMapper):
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
-        self._time, self._told = time, True
+        self._times.tell(time)
 
     def _draw(self, grid: Grid) -> HazardMap:
         """Return the map, on the given cells while nothing is known."""

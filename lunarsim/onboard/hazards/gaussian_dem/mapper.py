@@ -14,6 +14,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.drawing_times import DrawingTimes
 from lunarsim.onboard.hazards.early_ground import EarlyGround
 from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
@@ -155,8 +156,6 @@ class GaussianDemMapper(HazardMapper):
             if safety != "calibrated":
                 raise InputError("safety", safety, "calibrated: the others know no calibration")
             refit.check(lander, measured())
-        if not 0.0 <= interval < np.inf:
-            raise InputError("interval", interval, "0 or a positive number of seconds")
         self.grid = grid
         self.lander = lander
         self.refit = refit
@@ -165,9 +164,7 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._turning = SamplePool(grid), SamplePool(grid)
         self._early = EarlyGround()
         self._drawn: HazardMap | DrawnDem = HazardMap.unobserved(grid)
-        self._interval = interval
-        self._time, self._told = 0.0, False
-        self._due, self._stale = -np.inf, False
+        self._times, self._stale = DrawingTimes(interval), False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; a scan without returns changes nothing.
@@ -224,9 +221,9 @@ class GaussianDemMapper(HazardMapper):
         return self._due_drawing()
 
     def _due_drawing(self) -> HazardMap | DrawnDem:
-        if self._stale and (self._time >= self._due - 1e-9 or not self._told):
-            self._drawn = self._draw(self.dem())
-            self._stale, self._due = False, self._time + self._interval
+        if self._stale and self._times.due:
+            self._drawn, self._stale = self._draw(self.dem()), False
+            self._times.drawn()
         return self._drawn
 
     def hazard_map(self) -> HazardMap:
@@ -245,12 +242,12 @@ class GaussianDemMapper(HazardMapper):
         if isinstance(drawn, HazardMap):
             return ReliefEvidence(drawn)
         return ReliefEvidence(
-            drawn, drawn.judged, self.refit, drawn.rises, lambda: drawn.hazard_map
+            drawn, drawn.judged, self.refit, drawn.rises, draw=lambda: drawn.hazard_map
         )
 
     def refresh(self, time: float) -> None:
         """Note the time (s)."""
-        self._time, self._told = time, True
+        self._times.tell(time)
 
     def _draw(self, dem: PooledDem) -> HazardMap | DrawnDem:
         if not len(dem.sampling.rises):
@@ -274,7 +271,7 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._turning = self._about(centre)
         self.grid = self._samples.grid
         self._drawn, self._stale = HazardMap.unobserved(self.grid), not self.blank
-        self._due = -np.inf
+        self._times.at_once()
 
     def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
         """Return both pools over one grid about another point (3,)."""

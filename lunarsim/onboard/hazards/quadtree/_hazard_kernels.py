@@ -233,7 +233,7 @@ def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
     """
     changed = np.zeros(nodes.size, np.bool_)
     for i in prange(nodes.size):
-        node = np.int64(nodes[i])
+        node = np.int64(nodes[i])  # one type for all that take a node: compiled once
         normal = np.empty(3)
         wide = ratios.shape[0] >> tree.depth[node]
         ratio, relief = np.zeros((wide, wide)), np.zeros((wide, wide))

@@ -227,7 +227,7 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
     top = 1
     while top > 0:
         top -= 1
-        m = np.int64(stack[top])
+        m = np.int64(stack[top])  # one type for all that take a node: compiled once
         if tree.depth[m] == depths:
             if tree.count[m] >= MANY:
                 tree.slot[m] = slots

@@ -186,7 +186,7 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
     square = 2 << (tree.depths - smallest)
     out = np.empty(1024, np.int32)
     none = np.empty(64, np.int64)
-    n, m = np.int64(0), np.int64(0)
+    n, m = np.int64(0), np.int64(0)  # plain zeros are a type of their own
     for row in range(wide):
         for col in range(wide):
             if not marked[row, col]:
@@ -425,7 +425,7 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
     least_cosine, exception, zone, footprint, margin = limits
     per_square = 2.0 * tree.half / ratios.shape[0]
     for i in prange(nodes.size):
-        node = np.int64(nodes[i])
+        node = np.int64(nodes[i])  # one type for all that take a node: compiled once
         place = place_of(tree, node, smallest)
         normal = np.empty(3)
         stack = np.empty(STACK, np.int32)

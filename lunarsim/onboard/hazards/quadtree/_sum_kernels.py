@@ -120,7 +120,7 @@ def _loose(tree, node, found):
 
     The points of a leaf, or of the leaves among a node's children that have no sums.
     """
-    n = np.int64(0)
+    n = np.int64(0)  # a plain zero is a type of its own
     own = tree.child[node] < 0
     for q in range(1 if own else 4):
         leaf = node if own else tree.child[node] + q

@@ -102,7 +102,7 @@ def band(tree, smallest, largest, since):
 def points_in(tree, west, east, south, north):
     """Return the pool indices of the points in a closed rectangle, relative to the centre."""
     found = np.empty(1024, np.int64)
-    n = np.int64(0)
+    n = np.int64(0)  # a plain zero is a type of its own
     stack = np.empty(STACK, np.int32)
     stack[0] = 0
     top = 1

@@ -220,7 +220,7 @@ def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_b
     assert np.array_equal(both.p_safe[rest], own.drawn.p_safe[rest])
     assert (both.p_safe[touched] > own.drawn.p_safe[touched]).any()
     # The map of the elevations alone is not asked for.
-    asked = replace(own, judge=lambda: pytest.fail("judged"))
+    asked = replace(own, draw=lambda: pytest.fail("judged"))
     assert np.array_equal(fused_map(asked, rocks, TERMS).p_safe, both.p_safe)
 
 

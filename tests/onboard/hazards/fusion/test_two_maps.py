@@ -63,7 +63,7 @@ def test_elevations_are_those_measured_and_else_the_other_eyes():
     # So too of ground that its mapper has not judged.
     z = own.surface.elevation
     bare = SimpleNamespace(grid=GRID, observed=seen, elevation=z, variance=spread)
-    unjudged = fused_map(replace(own, surface=bare, judge=lambda: own.drawn), eyes(0.1), TERMS)
+    unjudged = fused_map(replace(own, surface=bare, draw=lambda: own.drawn), eyes(0.1), TERMS)
     for f in fields(HazardMap):
         one, other = (getattr(drawn, f.name) for drawn in (unjudged, both))
         assert np.array_equal(one, other), f.name
