@@ -34,7 +34,7 @@ from lunarsim.simulation import Simulation
 
 ALTITUDE = 50.0
 CLEAR_BELOW = 0.0025
-# What the issue asks of every cell, and of those within the goal's bounds.
+# Goals of every cell; recall of those within the bounds of `Cell.within_goal`.
 MOST_FALSE, MOST_OBJECTS, LEAST_RECALL = 0.0025, 0.02, 0.6
 
 
