@@ -96,7 +96,8 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     apart = np.maximum(spacing, grid.posting)
     longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)
     squares = Squares.of(grid, longest[usable])
-    middles = vertices[triangles].mean(axis=1)
+    first, second, third = _corners(vertices[:, :2], triangles)
+    middles = (first + second + third) / 3.0
     planes = squares.planes(vertices)
     gradient = squares.at(planes[..., 1:], middles)
     grown = np.empty((len(triangles), 2))
@@ -108,9 +109,12 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
         float(growth.max()) * _FAR, mean, variance, observed,
     )  # fmt: skip
     if len(triangles) and not observed.all():
-        own = grown[:, 0] - (_SIGNIFICANT - 1.0) * _edge_noise(noise, triangles)
+        noises = _corners(noise, triangles)
+        # To the squared difference along each of three edges noise adds that of both its ends.
+        added = 2.0 * (noises[0] + noises[1] + noises[2])
+        own = grown[:, 0] - (_SIGNIFICANT - 1.0) * added
         rate = np.maximum(_WITHIN * squares.at(growth, middles), _BETWEEN * own / grown[:, 1])
-        prior = _WIDE * (noise[triangles].max(axis=1) + rate * grown[:, 1])
+        prior = _WIDE * (np.maximum.reduce(noises) + rate * grown[:, 1])
         k.regress(
             vertices, noise, triangles, usable, gradient, grid.x0, grid.y0, grid.posting,
             prior, prior / rate, weight, np.float32(DENSE), mean, variance, observed,
@@ -153,9 +157,9 @@ def _sampling(
     )
 
 
-def _edge_noise(noise: Array, triangles: IntArray) -> Array:
-    """Return what noise adds to the three squared differences of each triangle (m,), m^2."""
-    return np.asarray(2.0 * noise[triangles].sum(axis=1))
+def _corners(values: Array, triangles: IntArray) -> list[Array]:
+    """Return the values (n, ...) of the first, second and third corners of triangles (m, ...)."""
+    return [values[corner] for corner in triangles.T]
 
 
 def _growth(squares: Squares, points: Array, grown: Array) -> Array:
@@ -166,7 +170,7 @@ def _growth(squares: Squares, points: Array, grown: Array) -> Array:
     squares
         In which it is measured.
     points
-        Middles of triangles (m, 2 or more).
+        Middles of triangles (m, 2).
     grown
         See `triangle_growth` (m, 2).
     """
