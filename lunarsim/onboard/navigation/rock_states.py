@@ -119,6 +119,24 @@ class RockStates:
         cross = np.moveaxis(p[np.arange(AXES)[:, None, None], self.places()[None]], 0, 1)
         return np.asarray(own + p[:AXES, :AXES] - cross - np.swapaxes(cross, 1, 2))
 
+    def rise_variance(self, near: Index) -> Array:
+        """Return the variance of the difference in height of rocks and others (n, k), m^2.
+
+        Parameters
+        ----------
+        near
+            Numbers of the others (n, k).
+        """
+        p, height = self.state.p, self.places()[:, 2]
+        own = p[height, height]
+        between = p[height[:, None], height[near]]
+        return np.asarray(own[:, None] + own[near] - 2.0 * between)
+
+    @property
+    def relief_growth(self) -> float:
+        """How much the mission takes the variance of heights to grow with a metre, m^2/m."""
+        return self._level.growth
+
     @property
     def ground(self) -> float:
         """Height of the ground under the lander, m."""

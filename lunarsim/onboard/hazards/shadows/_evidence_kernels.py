@@ -8,7 +8,9 @@ from lunarsim._jit import kernel, prange
 from lunarsim.models._pinhole_kernels import to_pixel
 
 # Columns of a node of the coarse grid before those of the core's points.
-SHARPNESS, EAST, NORTH, HEIGHT, POINTS = 0, 1, 2, 3, 4
+SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
+# Ground whose place is less well known than so many radii of a rock is not searched for it.
+_MOST_STEPS = 16
 
 
 @kernel(inline=True)
@@ -21,9 +23,9 @@ def _between(coarse, i, j, u, v, k):
 
 @kernel(inline=True)
 def _along_sensor(core, coarse, i, j, u, v, position, axes):
-    """Return a place along the sensor's axes; write the points of the core there (points, 3).
+    """Return a place along the sensor's axes, and by how much it shows nearer if a metre lower.
 
-    They are those of a shadow's core for a radius of 1.
+    Write the points of the core there (points, 3): those of a shadow's core for a radius of 1.
     """
     for k in range(core.shape[0]):
         e = _between(coarse, i, j, u, v, POINTS + 2 * k)
@@ -37,6 +39,7 @@ def _along_sensor(core, coarse, i, j, u, v, position, axes):
         axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * h,
         axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * h,
         axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * h,
+        np.sqrt(e * e + n * n) / max(-h, 1e-9),
     )
 
 
@@ -66,12 +69,39 @@ def _dark_points(core, x0, y0, z0, radius, fx, fy, cx, cy, labels, largest):
     return dark, explained
 
 
+@kernel()
+def _dark_elsewhere(core, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, labels, largest):
+    """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
+
+    By up to `reach` (m), which moves the place by up to `lateral` (m) on level ground; `up` is the
+    vertical along the sensor's axes. Steps are of a rock's radius. What is the shadow of a rock
+    that is tracked is that of none that stands here.
+    """
+    steps = int(lateral / radius + 0.5)
+    if steps > _MOST_STEPS:
+        return True
+    for n in range(-steps, steps + 1):
+        if n == 0:
+            continue
+        by = reach * n / steps
+        count, tracked = _dark_points(
+            core, x + by * up[0], y + by * up[1], z + by * up[2], radius, fx, fy, cx, cy,
+            labels, largest,
+        )  # fmt: skip
+        if count < 0 or count > tracked:
+            return True
+    return False
+
+
 @kernel(parallel=True)
 def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
     least, gain,
 ):  # fmt: skip
     """Note for every place and size of rock whether its shadow would fall on lit ground.
+
+    On lit ground it falls if it does so however high the ground may be; what is dark then alone
+    says nothing.
 
     Parameters
     ----------
@@ -84,8 +114,8 @@ def look(
         Of the rocks (sizes,), m.
     coarse
         At every `every`-th place, in between it is linear: sharpness of this look, east and north
-        of the place, elevation of the ground, and east and north of the points of the core for a
-        rock of radius 1.
+        of the place, elevation of the ground and by how much it may be higher or lower, and east
+        and north of the points of the core for a rock of radius 1.
     position, axes, fx, fy, cx, cy
         Of the camera, as `View` has them.
     labels
@@ -112,12 +142,13 @@ def look(
                 continue
             # Before any size asks for them nothing is worked out.
             known = False
-            x = y = z = 0.0
+            x = y = z = cotangent = 0.0
+            reach = _between(coarse, vi, uj, u, v, REACH)
             for s in range(sizes):
                 if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
                     continue
                 if not known:
-                    x, y, z = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
+                    x, y, z, cotangent = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
                     known = True
                 count, tracked = _dark_points(
                     core, x, y, z, radii[s], fx, fy, cx, cy, labels, largest
@@ -125,5 +156,8 @@ def look(
                 if count >= least:
                     dark[s, i, j] = sharpness
                     explained[s, i, j] = 2 * tracked > count
-                elif count >= 0:
+                elif count >= 0 and not _dark_elsewhere(
+                    core, x, y, z, reach, reach * cotangent, radii[s], axes[2], fx, fy, cx, cy,
+                    labels, largest,
+                ):  # fmt: skip
                     lit[s, i, j] = sharpness

@@ -46,6 +46,8 @@ _DARK = 4
 # A look counts if it is sharper than those before by this factor, and takes back what a dark one
 # said if it is sharper by that.
 _SHARPER, _SURER = 1.03, 1.15
+# The ground is taken to be higher or lower by so many standard deviations; at most by so much, m.
+_REACH, _FAR = 2.0, 1e3
 # Rocks of a size cannot be crowded into less than this many of their own areas.
 _CROWD = 2.0
 # A place is seen if the least rock there would be missed no more often than this.
@@ -144,6 +146,7 @@ class ClearEvidence:
         explained: NDArray[np.bool_] | None = None,
         place_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
+        height_sigma: Heights | None = None,
     ) -> None:
         """Take in a picture.
 
@@ -167,6 +170,9 @@ class ClearEvidence:
             nothing is taken in. Left out: places are known.
         plane
             Along which shadows fall at every place; left out: level ground.
+        height_sigma
+            Gives what `heights` errs by at points (n, 2), 1 sigma (n,), m: what is lit must be so
+            twice that higher and lower too. Left out: by nothing.
         """
         if len(seen) == 0:
             return
@@ -188,8 +194,11 @@ class ClearEvidence:
             shown &= sigma <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
+        reach = np.zeros(height.shape)
+        if height_sigma is not None:
+            reach = np.minimum(_REACH * height_sigma(xy.reshape(-1, 2)), _FAR).reshape(reach.shape)
         core = _core(model, low, azimuth, depression, sun)
-        coarse = np.dstack((sharpness, place, *core))
+        coarse = np.dstack((sharpness, place, reach, *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,

@@ -19,6 +19,7 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
 from lunarsim.onboard.hazards.published import RockEvidence
+from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
 from lunarsim.onboard.hazards.shadows.plausible import too_few
 from lunarsim.onboard.hazards.shadows.probability_map import (
     ProbabilityMap,
@@ -128,6 +129,8 @@ class ShadowMapper(HazardMapper):
         self.refused: Counter[Fault] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
+        # Of rocks that are not tracked, as the map was drawn; None: something was noted since.
+        self._residual: Array | None = None
         self._shown: tuple[HazardMap, np.float32, HazardMap] | None = None
         self._mapped = -np.inf
         self._time = -np.inf
@@ -188,7 +191,7 @@ class ShadowMapper(HazardMapper):
 
     def _take(self, seen: Detections, picture: Picture, sun: Array) -> None:
         """Take in what a picture that counts shows."""
-        self.seen = seen
+        self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
         plane = self._relief.plane() or LEVEL
@@ -201,6 +204,7 @@ class ShadowMapper(HazardMapper):
         self.probability.see(
             picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
             self.tracker.explained, self.tracker.place_sigma, plane,
+            partial(height_sigma, rocks, plane=plane),
         )  # fmt: skip
 
     def _forget_lost_rocks(self) -> None:
@@ -208,6 +212,7 @@ class ShadowMapper(HazardMapper):
         if self.tracker.renewals > self._renewals:
             self._renewals = self.tracker.renewals
             self.probability.forget()
+            self._residual = None
 
     def _by_shadows(
         self, seen: Detections, picture: Picture, pose: Pose, sun: Array, before: Health
@@ -277,8 +282,9 @@ class ShadowMapper(HazardMapper):
         self._forget_lost_rocks()
         if not self.blank and self._time >= self._mapped + self.interval - 1e-9:
             self.probability.follow(*self.tracker.moved())
-            self._map = self._plausible(self.probability.hazard_map(self.tracker, self.footprint))
-            self._mapped = self._time
+            self._residual = self.probability.residual(self.footprint)
+            drawn = self.probability.hazard_map(self.tracker, self.footprint, self._residual)
+            self._map, self._mapped = self._plausible(drawn), self._time
         return self._level(self._map)
 
     def evidence(self) -> RockEvidence | None:
@@ -292,10 +298,13 @@ class ShadowMapper(HazardMapper):
         ratio = self.probability.ratios()
         if drawn.in_domain is not None and not drawn.in_domain.any():
             ratio = np.maximum(ratio, np.float32(1.0))
+        residual = self._residual
+        if residual is None:
+            residual = self.probability.residual(self.footprint)
         return RockEvidence(
             drawn, self.probability.evidence.tested, ratio, rocks_of(self.tracker),
             partial(self.probability.clear_of, footprint=self.footprint),
-            self.probability.unseen(self.footprint), self.probability.expected_rocks(),
+            residual.astype(np.float32), self.probability.expected_rocks(),
         )  # fmt: skip
 
     def _plausible(self, drawn: HazardMap) -> HazardMap:
@@ -330,7 +339,7 @@ class ShadowMapper(HazardMapper):
         if not (self.blank or is_aside(self.grid, centre)):
             return
         self.probability.recentre(centre)
-        self.grid = self.probability.grid
+        self.grid, self._residual = self.probability.grid, None
         tracker = self.tracker
         tracker.settings = replace(tracker.settings, region=tracked_region(self.grid))
         self._map, self._mapped = HazardMap.unobserved(self.grid), -np.inf

@@ -140,12 +140,14 @@ class ProbabilityMap:
         explained: NDArray[np.bool_] | None = None,
         place_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
+        height_sigma: Heights | None = None,
     ) -> None:
         """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
         `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
         tells which of the rocks seen are tracked, `place_sigma` how well places are known (n,), m;
-        left out: exactly. Shadows fall along `plane`; left out: level ground. Under a Sun that
+        left out: exactly. Shadows fall along `plane`; left out: level ground. `height_sigma` gives
+        what `heights` errs by (n,), m; left out: nothing. Under a Sun that
         throws no shadows to see rocks by (`throws_shadows`) nothing is seen.
 
         Raises
@@ -156,14 +158,19 @@ class ProbabilityMap:
         if not throws_shadows(unit_vector(sun)):
             return
         level = heights or (lambda xy: np.full(len(xy), self.ground))
-        self.evidence.see(view, sun, seen, level, explained, place_sigma, plane)
+        self.evidence.see(view, sun, seen, level, explained, place_sigma, plane, height_sigma)
 
-    def _residual(self, footprint: float) -> Array:
-        """Return the probability that a rock not tracked is there (rows, cols).
+    def residual(self, footprint: float) -> Array:
+        """Return the probability that a rock that is not tracked reaches in (rows, cols).
 
         Eqs. 13-15 in one: each size by the rocks of it that are expected and by the rate at which
         they are missed, which is 1 below the resolution. For a footprint of a given radius (m)
         those count whose outline reaches into it.
+
+        Parameters
+        ----------
+        footprint
+            As for `probability`.
         """
         unseen = self.evidence.unseen(footprint)
         expected = self._fine(self.evidence.expected(footprint), unseen).astype(np.float64)
@@ -210,7 +217,9 @@ class ProbabilityMap:
 
     # --- the map --------------------------------------------------------------------------
 
-    def probability(self, tracker: RockTracker, footprint: float = 0.0) -> NDArray[np.float32]:
+    def probability(
+        self, tracker: RockTracker, footprint: float = 0.0, residual: Array | None = None
+    ) -> NDArray[np.float32]:
         """Return the probability of hazard (rows, cols).
 
         Where nothing was seen it is that of the rock law, which says nothing of the place: ground
@@ -223,8 +232,10 @@ class ProbabilityMap:
         footprint
             0 for that of a point to be under a rock (the paper's); else the radius, m, of a disc
             into which a rock must not reach.
+        residual
+            What `residual` is for this footprint (rows, cols); left out: it is worked out.
         """
-        clear = 1.0 - self._residual(footprint)
+        clear = 1.0 - (self.residual(footprint) if residual is None else residual)
         self._paint(clear, footprint, rocks_of(tracker))
         return (1.0 - clear).astype(np.float32)
 
@@ -270,23 +281,18 @@ class ProbabilityMap:
             (rocks.existence * large)[at],
         )  # fmt: skip
 
-    def unseen(self, footprint: float) -> NDArray[np.float32]:
-        """Return the probability that a rock that is not tracked reaches in (rows, cols).
-
-        Parameters
-        ----------
-        footprint
-            As for `probability`.
-        """
-        return self._residual(footprint).astype(np.float32)
-
     def ratios(self) -> NDArray[np.float32]:
         """Return `ClearEvidence.ratios` on the map's cells (sizes, rows, cols)."""
         return np.stack([self._fine(of_size, 1.0) for of_size in self.evidence.ratios()])
 
-    def hazard_map(self, tracker: RockTracker, footprint: float) -> HazardMap:
-        """Return the map for a lander whose footprint has the given radius (m)."""
-        p = self.probability(tracker, footprint)
+    def hazard_map(
+        self, tracker: RockTracker, footprint: float, residual: Array | None = None
+    ) -> HazardMap:
+        """Return the map for a lander whose footprint has the given radius (m).
+
+        See `probability`.
+        """
+        p = self.probability(tracker, footprint, residual)
         observed = footprint_seen(self.observed, footprint / self.grid.posting)
         return HazardMap(
             self.grid,

@@ -36,17 +36,18 @@ def seen_from(terrain, place):
 
 def test_look_does_as_a_plain_loop():
     rng = np.random.default_rng(5)
-    coarse = rng.normal(0.0, 1.5, (5, 7, 4 + 2 * 3))
+    coarse = rng.normal(0.0, 1.5, (5, 7, 5 + 2 * 3))
     coarse[..., 0] = rng.uniform(-0.3, 2.0, coarse.shape[:2])
     # Places that were moved and turned since they were noted.
     col, row = np.meshgrid(2.8 * np.arange(7), 2.8 * np.arange(5))
     coarse[..., 1] = -6.0 + col - 0.1 * row
     coarse[..., 2] = -7.0 + row + 0.1 * col
     coarse[..., 3] *= 0.3
+    coarse[..., 4] = rng.uniform(0.0, 1.0, (5, 7)) * (col > 6.0) + 40.0 * (row > 10.0)
     radii = np.array([0.3, 0.8])
-    lit, dark = (rng.uniform(0.0, 1.2, (2, 15, 22)).astype(np.float32) for _ in range(2))
+    lit, dark_ = (rng.uniform(0.0, 1.2, (2, 15, 22)).astype(np.float32) for _ in range(2))
     known = np.zeros(lit.shape, np.bool_)
-    before = lit.copy(), dark.copy()
+    before = lit.copy(), dark_.copy()
     forward = np.array([0.1, 0.25, -1.0]) / np.linalg.norm([0.1, 0.25, -1.0])
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
@@ -55,38 +56,51 @@ def test_look_does_as_a_plain_loop():
     labels = rng.integers(0, 4, (30, 40)).astype(np.int32)
     largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
     kernels.look(
-        lit, dark, known, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0, labels, largest,
-        2, 1.1,
+        lit, dark_, known, radii, coarse, 4, position, axes, 70.0, 60.0, 19.0, 15.0, labels,
+        largest, 2, 1.1,
     )  # fmt: skip
-    changed = named = 0
+    changed = named = passed = 0
     for s, i, j in product(range(2), range(15), range(22)):
         node = [
-            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(10))
+            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(11))
         ]
-        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 10))[:, k]) for k in range(10)]
+        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 11))[:, k]) for k in range(11)]
         want = [before[0][s, i, j], before[1][s, i, j]]
         if at[0] > 0.0 and at[0] > 1.1 * max(want):
-            count = tracked = 0
-            for k in (4, 6, 8):
-                place = np.array([-6.0 + 0.7 * j - 0.07 * i, -7.0 + 0.7 * i + 0.07 * j, at[3]])
-                place[:2] += radii[s] * np.array(at[k : k + 2])
-                x, y, z = axes.T @ (place - position)
-                u, v = 70.0 * x / z + 19.0, 60.0 * y / z + 15.0
-                if not (0.0 <= u <= 39.0 and 0.0 <= v <= 29.0):
-                    count = -99
-                    break
-                of = labels[int(v + 0.5), int(u + 0.5)]
-                count += abs(largest[of]) >= radii[s]
-                tracked += of == 3 and radii[s] <= 0.9
-            if count >= 0:
-                want[int(count >= 2)] = at[0]
-                changed += 1
-            if count >= 2:
-                named += known[s, i, j]
-                assert known[s, i, j] == (tracked > 0.5 * count)
-        assert [lit[s, i, j], dark[s, i, j]] == pytest.approx(want, rel=1e-6)
+            place = np.array([-6.0 + 0.7 * j - 0.07 * i, -7.0 + 0.7 * i + 0.07 * j, at[3]])
+            core = radii[s] * np.reshape(at[5:], (3, 2))
+
+            def dark(higher, place=place, core=core, radius=radii[s]):
+                """Return how many points are dark, and of these how many are tracked; or None."""
+                count = tracked = 0
+                for off in core:
+                    x, y, z = axes.T @ (place + [*off, higher] - position)
+                    u, v = 70.0 * x / z + 19.0, 60.0 * y / z + 15.0
+                    if not (0.0 <= u <= 39.0 and 0.0 <= v <= 29.0):
+                        return None
+                    of = labels[int(v + 0.5), int(u + 0.5)]
+                    count += abs(largest[of]) >= radius
+                    tracked += of == 3 and radius <= 0.9
+                return count, tracked
+
+            found = dark(0.0)
+            if found is not None and found[0] >= 2:
+                want[1] = at[0]
+                changed, named = changed + 1, named + known[s, i, j]
+                assert known[s, i, j] == (found[1] > 0.5 * found[0])
+            elif found is not None:
+                aside = at[4] * np.hypot(*(place - position)[:2]) / (position[2] - place[2])
+                steps = int(aside / radii[s] + 0.5)
+                far = [dark(at[4] * n / steps) for n in range(-steps, steps + 1) if n]
+                if steps <= 16 and all(f is not None and f[0] == f[1] for f in far):
+                    want[0] = at[0]
+                    changed += 1
+                else:
+                    passed += 1
+        assert [lit[s, i, j], dark_[s, i, j]] == pytest.approx(want, rel=1e-6)
     assert 25 < changed < 600
     assert named > 2
+    assert passed > 4
 
 
 def test_unseen_rocks_are_integrated_over_the_disc():
@@ -201,6 +215,45 @@ def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
     assert evidence.seen()[:, :50].mean() > 0.8
     assert not evidence.seen()[:, 80:].any()
     assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())
+
+
+@pytest.mark.parametrize("lower", [-3.0, 3.0])
+def test_a_rock_on_ground_taken_for_lower_or_higher_is_not_cleared(lower):
+    """Its shadow shows beside where it is looked for, and no farther than the ground may be off."""
+    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
+    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
+    view, seen = seen_from(terrain, (-25.0, 0.0, 30.0))
+    cleared = {}
+    for sigma in (0.0, 0.5, 2.0):
+        evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+        evidence.see(
+            view, SUN, seen, level(-lower),
+            height_sigma=lambda xy, sigma=sigma: np.full(len(xy), sigma),
+        )  # fmt: skip
+        row, col = GRID.cell(np.zeros((1, 2)))
+        cleared[sigma] = bool(evidence.seen()[row[0], col[0]])
+        # Away from it the ground is clear, however high it is.
+        assert evidence.seen()[20:40, 20:40].all()
+        # Of a rock that is tracked the shadow is its own.
+        own = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+        own.see(
+            view, SUN, seen, level(-lower), np.ones(len(seen), bool),
+            height_sigma=lambda xy, sigma=sigma: np.full(len(xy), sigma),
+        )  # fmt: skip
+        assert own.seen()[row[0], col[0]]
+    assert cleared == {0.0: True, 0.5: True, 2.0: False}
+
+
+def test_ground_of_which_next_to_nothing_is_known_is_not_seen():
+    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
+    view, seen = seen_from(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (-25.0, 0.0, 30.0))
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    evidence.see(
+        view, SUN, seen, level(),
+        height_sigma=lambda xy: np.where(xy[:, 1] > 2.0, np.inf, 0.0),
+    )  # fmt: skip
+    assert evidence.seen()[10:40, 10:110].mean() > 0.9
+    assert not evidence.lit[0, 90:].any()
 
 
 def test_ratios_are_what_looks_say_of_rocks_that_are_expected():

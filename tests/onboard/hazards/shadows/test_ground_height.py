@@ -1,0 +1,75 @@
+"""How well the ground is known between rocks, against plain loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lunarsim.onboard.hazards.shadows.ground_height import height_sigma, relief_growth
+from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
+
+BEFORE = 10.0 * np.tan(np.radians(3.0)) ** 2
+
+
+def tracked(count, seed=0):
+    """Return rocks at random with errors that agree with each other and with the lander's."""
+    rng = np.random.default_rng(seed)
+    inertial = StrapdownState(
+        np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
+    )
+    rocks = RockFilter.of(inertial, ground=LevelGround(0.0, None, float(np.tan(np.radians(3.0)))))
+    points = rng.normal(0.0, [12.0, 12.0, 0.8], (count, 3))
+    rocks.append(points, np.full(count, 0.3), np.full(count, 0.01))
+    root = rng.normal(0.0, 0.1, (rocks.state.size, rocks.state.size))
+    rocks.state.p[: rocks.state.size, : rocks.state.size] = root @ root.T
+    return rocks
+
+
+def plain_growth(rocks, plane):
+    way = rise = 0.0
+    for i in range(rocks.count):
+        others = sorted(range(rocks.count), key=lambda j: np.hypot(*(rocks.xy[j] - rocks.xy[i])))
+        for j in others[1:4]:
+            step = np.zeros(len(rocks.state.p))
+            step[rocks.places()[i, 2]], step[rocks.places()[j, 2]] = 1.0, -1.0
+            dx, dy, dz = rocks.xyz[i] - rocks.xyz[j]
+            dz -= plane.gradient[0] * dx + plane.gradient[1] * dy
+            rise += dz**2 + step @ rocks.state.p @ step
+            way += np.hypot(dx, dy)
+    return (10.0 * BEFORE + rise) / (10.0 + way)
+
+
+@pytest.mark.parametrize("count", [2, 3, 40])
+def test_relief_is_told_by_neighbours_and_what_they_err_by(count):
+    rocks, plane = tracked(count), GroundPlane(2.0, (0.05, -0.1))
+    for ground in (LEVEL, plane):
+        assert relief_growth(rocks, ground) == pytest.approx(plain_growth(rocks, ground))
+
+
+def test_a_rock_alone_tells_of_no_relief():
+    assert relief_growth(tracked(1)) == relief_growth(tracked(0)) == pytest.approx(BEFORE)
+    assert np.isposinf(height_sigma(tracked(0), np.zeros((2, 2)))).all()
+
+
+@pytest.mark.parametrize("count", [1, 4, 40])
+def test_ground_is_as_well_known_as_the_best_rock_near_by_tells(count):
+    rocks = tracked(count, seed=2)
+    at = np.random.default_rng(3).uniform(-30.0, 30.0, (50, 2))
+    growth, p = plain_growth(rocks, LEVEL), rocks.state.p
+    for point, sigma in zip(at, height_sigma(rocks, at), strict=True):
+        away = np.hypot(*(rocks.xy - point).T)
+        told = []
+        for j in np.argsort(away)[:5]:
+            h = rocks.places()[j, 2]
+            told.append(p[h, h] + p[2, 2] - 2.0 * p[2, h] + growth * away[j])
+        assert sigma == pytest.approx(np.sqrt(min(told)))
+
+
+def test_rocks_on_a_slope_that_was_measured_tell_of_no_relief():
+    rocks, plane = tracked(40), GroundPlane(1.0, (0.15, 0.05))
+    rocks.state.p[:] = 0.0
+    rocks.xyz[:, 2] = plane.heights(rocks.xy)
+    assert relief_growth(rocks, plane) < 0.02 * relief_growth(rocks)
