@@ -133,9 +133,12 @@ class RockStates:
         return np.asarray(own[:, None] + own[near] - 2.0 * between)
 
     @property
-    def relief_growth(self) -> float:
-        """How much the mission takes the variance of heights to grow with a metre, m^2/m."""
-        return self._level.growth
+    def level_growth(self) -> float:
+        """How much the mission takes the variance of heights to grow with a metre, m^2/m.
+
+        0 where the ground is taken to lie at one height everywhere.
+        """
+        return self._level.growth if self.state.has(GROUND) else 0.0
 
     @property
     def ground(self) -> float:
@@ -151,13 +154,24 @@ class RockStates:
         parts = ((GROUND, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
 
-    def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
+    def ground_at(self, xy: ArrayLike, gradient: ArrayLike = (0.0, 0.0)) -> Array:
+        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m.
+
+        Parameters
+        ----------
+        xy
+            The points, m.
+        gradient
+            By how much the ground was measured to rise to the east and to the north (2,), tangents:
+            between rocks it does so too.
+        """
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.count == 0 or not self.state.has(GROUND):
             return np.full(len(at), self.ground)
         places = np.vstack((self.state.inertial.position[:2], self.xy))
-        return heights(places, np.append(self.ground, self.xyz[:, 2]), at, self._level.growth)
+        rise = np.asarray(gradient, np.float64)
+        known = np.append(self.ground, self.xyz[:, 2]) - places @ rise
+        return heights(places, known, at, self._level.growth) + at @ rise
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0

@@ -9,7 +9,7 @@ from lunarsim.models._pinhole_kernels import to_pixel
 
 # Columns of a node of the coarse grid before those of the core's points.
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
-# Ground whose place is less well known than so many radii of a rock is not searched for it.
+# Ground that may show farther aside than so many radii of a rock is not searched for it.
 _MOST_STEPS = 16
 
 
@@ -74,12 +74,13 @@ def _dark_elsewhere(core, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, l
     """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
 
     By up to `reach` (m), which moves the place by up to `lateral` (m) on level ground; `up` is the
-    vertical along the sensor's axes. Steps are of a rock's radius. What is the shadow of a rock
+    vertical along the sensor's axes. Steps are about a rock's radius. What is the shadow of a rock
     that is tracked is that of none that stands here.
     """
-    steps = int(lateral / radius + 0.5)
-    if steps > _MOST_STEPS:
+    # So too if it is no number.
+    if not lateral < (_MOST_STEPS + 0.5) * radius:
         return True
+    steps = int(lateral / radius + 0.5)
     for n in range(-steps, steps + 1):
         if n == 0:
             continue
@@ -100,8 +101,8 @@ def look(
 ):  # fmt: skip
     """Note for every place and size of rock whether its shadow would fall on lit ground.
 
-    On lit ground it falls if it does so however high the ground may be; what is dark then alone
-    says nothing.
+    On lit ground it falls if it does so however high the ground may be; what is dark only at
+    another height is noted neither as lit nor as dark.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """How well the height of the ground is known between the rocks that are tracked.
 
 Rocks hold the map to the ground: their own places are known. Ground between them is as high as they
-tell, and by how much it may be higher or lower grows with the way to them and with how far the
-heights of neighbours differ. Seen from the side, a place whose height is off by a metre shows a
-metre and more beside itself.
+tell, along a plane where one was measured, and by how much it may be higher or lower grows with the
+way to them and with how far the heights of neighbours differ besides. Seen from the side, a place
+whose height is off by a metre shows a metre and more beside itself.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def relief_growth(rocks: RockFilter, plane: GroundPlane = LEVEL) -> float:
     with what it errs by: rocks of which no picture has told the height yet say what was known
     before. Of no more than one rock that is all.
     """
-    before = rocks.relief_growth
+    before = rocks.level_growth
     if rocks.count < 2:
         return before
     others = np.arange(2, min(_PAIRS, rocks.count - 1) + 2)
@@ -44,8 +44,8 @@ def relief_growth(rocks: RockFilter, plane: GroundPlane = LEVEL) -> float:
 def height_sigma(rocks: RockFilter, xy: Array, plane: GroundPlane = LEVEL) -> Array:
     """Return how well the ground's height below the lander is known at points (n, 2).
 
-    As the best of the nearest rocks tells: by what its own height errs and what the ground may rise
-    on the way from it.
+    That of `RockStates.ground_at` with the plane's gradient. As the best of the nearest rocks
+    tells: by what its own height errs and what the ground may rise on the way from it.
 
     Returns
     -------

@@ -129,7 +129,7 @@ class ShadowMapper(HazardMapper):
         self.refused: Counter[Fault] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
-        # Of rocks that are not tracked, as the map was drawn; None: something was noted since.
+        # Of rocks that are not tracked; None: something was noted since it was worked out.
         self._residual: Array | None = None
         self._shown: tuple[HazardMap, np.float32, HazardMap] | None = None
         self._mapped = -np.inf
@@ -202,7 +202,8 @@ class ShadowMapper(HazardMapper):
         # From where the lander stands by what the rocks told: they moved with it.
         rocks = self.tracker.filter
         self.probability.see(
-            picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
+            picture.camera.view(rocks.inertial), sun, seen,
+            partial(rocks.ground_at, gradient=plane.gradient),
             self.tracker.explained, self.tracker.place_sigma, plane,
             partial(height_sigma, rocks, plane=plane),
         )  # fmt: skip
@@ -298,13 +299,12 @@ class ShadowMapper(HazardMapper):
         ratio = self.probability.ratios()
         if drawn.in_domain is not None and not drawn.in_domain.any():
             ratio = np.maximum(ratio, np.float32(1.0))
-        residual = self._residual
-        if residual is None:
-            residual = self.probability.residual(self.footprint)
+        if self._residual is None:
+            self._residual = self.probability.residual(self.footprint)
         return RockEvidence(
             drawn, self.probability.evidence.tested, ratio, rocks_of(self.tracker),
             partial(self.probability.clear_of, footprint=self.footprint),
-            residual.astype(np.float32), self.probability.expected_rocks(),
+            self._residual.astype(np.float32), self.probability.expected_rocks(),
         )  # fmt: skip
 
     def _plausible(self, drawn: HazardMap) -> HazardMap:

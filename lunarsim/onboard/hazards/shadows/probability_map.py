@@ -147,8 +147,8 @@ class ProbabilityMap:
         `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
         tells which of the rocks seen are tracked, `place_sigma` how well places are known (n,), m;
         left out: exactly. Shadows fall along `plane`; left out: level ground. `height_sigma` gives
-        what `heights` errs by (n,), m; left out: nothing. Under a Sun that
-        throws no shadows to see rocks by (`throws_shadows`) nothing is seen.
+        what `heights` errs by (n,), m; left out: nothing. Under a Sun that throws no shadows to see
+        rocks by (`throws_shadows`) nothing is seen.
 
         Raises
         ------

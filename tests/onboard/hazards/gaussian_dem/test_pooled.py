@@ -12,6 +12,7 @@ from lunarsim.evaluation.consistency import Consistency
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, _kernels, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
+from lunarsim.onboard.hazards.planes import Squares
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 from tests.reference import dem as reference
@@ -225,3 +226,24 @@ def test_samples_of_a_bird_or_a_planet_away_are_refused():
     # One at all, or all in a line, is no map of what lies between.
     pool.add([[0.0, 0.0, 1.0]], 0.1, 0.5)
     assert pooled_dem(pool).observed.mean() < 0.05
+
+
+def test_triangles_are_taken_by_all_of_their_corners(monkeypatch):
+    """Middles, and what is known beforehand of ground between samples, to the bit."""
+    pool, given, middles, at = SamplePool(GRID), [], [], Squares.at
+    points, sigma = samples(3, 25)
+    pool.add(points, sigma, 0.5)
+    monkeypatch.setattr(_kernels, "regress", lambda *args: given.append(args))
+    monkeypatch.setattr(Squares, "at", lambda *args: middles.append(args[2]) or at(*args))
+    pooled_dem(pool)
+    vertices, noise, triangles, _, gradient, _, _, _, prior, length, *_ = given[0]
+    assert np.ptp(noise) > 0.0
+    # The third time it is asked for the samples themselves.
+    for points in middles[:2]:
+        np.testing.assert_array_equal(points, vertices[triangles].mean(axis=1)[:, :2])
+    grown = np.empty((len(triangles), 2))
+    sk.triangle_growth(vertices, noise, triangles, gradient, grown)
+    corners = noise[triangles]
+    # Of it so many times the noisiest corner and what the ground rises by on the way.
+    times = prior / (corners.max(axis=1) + prior / length * grown[:, 1])
+    np.testing.assert_allclose(times, times[0], rtol=1e-12)

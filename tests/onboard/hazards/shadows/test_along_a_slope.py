@@ -80,7 +80,8 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
     assert mapper.tracker.filter.count > 0
     probability.see(
-        camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.ground_at,
+        camera.model.view(tracker.filter.inertial), SUN, seen,
+        lambda xy: tracker.filter.ground_at(xy, plane.gradient),
         tracker.explained, tracker.place_sigma, plane,
         lambda xy: height_sigma(tracker.filter, xy, plane),
     )  # fmt: skip

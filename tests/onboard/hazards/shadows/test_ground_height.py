@@ -20,7 +20,7 @@ def tracked(count, seed=0):
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    rocks = RockFilter.of(inertial, ground=LevelGround(0.0, None, float(np.tan(np.radians(3.0)))))
+    rocks = RockFilter.of(inertial, ground=LevelGround(0.0, 1.0, float(np.tan(np.radians(3.0)))))
     points = rng.normal(0.0, [12.0, 12.0, 0.8], (count, 3))
     rocks.append(points, np.full(count, 0.3), np.full(count, 0.01))
     root = rng.normal(0.0, 0.1, (rocks.state.size, rocks.state.size))
@@ -73,3 +73,58 @@ def test_rocks_on_a_slope_that_was_measured_tell_of_no_relief():
     rocks.state.p[:] = 0.0
     rocks.xyz[:, 2] = plane.heights(rocks.xy)
     assert relief_growth(rocks, plane) < 0.02 * relief_growth(rocks)
+
+
+def test_on_a_slope_that_was_measured_ground_is_known_by_what_it_does_besides():
+    rocks, plane = tracked(40), GroundPlane(1.0, (0.15, 0.05))
+    rocks.state.p[:] = 0.0
+    rocks.xyz[:, 2] = plane.heights(rocks.xy)
+    at = np.random.default_rng(3).uniform(-30.0, 30.0, (20, 2))
+    way = np.hypot(*np.moveaxis(at[:, None] - rocks.xy, -1, 0)).min(axis=1)
+    expected = np.sqrt(relief_growth(rocks, plane) * way)
+    assert height_sigma(rocks, at, plane) == pytest.approx(expected)
+    assert (height_sigma(rocks, at, plane) < 0.2 * height_sigma(rocks, at)).all()
+
+
+def test_no_more_than_the_five_nearest_rocks_tell():
+    rocks = tracked(6)
+    rocks.xyz[:] = np.column_stack((0.5 + 0.01 * np.arange(6), np.zeros(6), np.zeros(6)))
+    rocks.state.p[:] = 0.0
+    h = rocks.places()[:, 2]
+    for best in (5, 4):
+        rocks.state.p[h, h] = 9.0
+        rocks.state.p[h[best], h[best]] = 0.01
+        growth = relief_growth(rocks)
+        told = np.diag(rocks.state.p)[h] + growth * rocks.xyz[:, 0]
+        assert (told[best] < told[:4].min()) and (told.argmin() == best)
+        expected = np.sqrt(told[:5].min())
+        assert height_sigma(rocks, np.zeros((1, 2)))[0] == pytest.approx(expected)
+
+
+def test_on_a_slope_that_was_measured_heights_err_by_no_more_than_is_claimed():
+    """Without the plane's gradient a third of the places lie beyond two sigma."""
+    plane, beyond = GroundPlane(0.0, (0.15, 0.0)), []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        inertial = StrapdownState(
+            np.array([-30.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
+        )
+        ground = LevelGround(-4.5, 1.0, float(np.tan(np.radians(3.0))))
+        rocks = RockFilter.of(inertial, ground=ground)
+        xy = rng.uniform(-20.0, 20.0, (15, 2))
+        points = np.column_stack((xy, plane.heights(xy) + rng.normal(0.0, 0.05, 15)))
+        rocks.append(points, np.full(15, 0.3), np.full(15, 0.01))
+        h = rocks.places()[:, 2]
+        rocks.state.p[2], rocks.state.p[:, 2] = 0.0, 0.0
+        rocks.state.p[h, h] = 0.05**2
+        at = rng.uniform(-20.0, 20.0, (200, 2))
+        off = np.abs(rocks.ground_at(at, plane.gradient) - plane.heights(at))
+        beyond.append(np.mean(off > 2.0 * height_sigma(rocks, at, plane)))
+    assert np.mean(beyond) < 0.05
+
+
+def test_ground_at_one_height_everywhere_rises_nowhere():
+    inertial = StrapdownState(
+        np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
+    )
+    assert RockFilter.of(inertial, ground=LevelGround(2.0, None)).level_growth == 0.0

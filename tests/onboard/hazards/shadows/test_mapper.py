@@ -251,3 +251,39 @@ def test_a_plane_in_its_own_shadow_shows_nothing():
     see(mapper, camera.model, counts, 0.0)
     assert mapper.refused == {Fault.NO_SHADOWS: 1}
     assert not mapper.hazard_map().observed.any()
+
+
+def told(mapper):
+    """Return `unseen` of what is published, which is what would be worked out anew."""
+    unseen = mapper.evidence().unseen
+    anew = mapper.probability.residual(mapper.footprint).astype(np.float32)
+    np.testing.assert_array_equal(unseen, anew)
+    np.testing.assert_array_equal(unseen, mapper.evidence().unseen)
+    return unseen.copy()
+
+
+def test_rocks_that_are_not_tracked_are_told_as_they_would_be_anew(scene):
+    camera, honest = scene
+    mapper = look(scene, [0.0])
+    first = told(mapper)
+    assert first.min() < 0.5 * first.max()
+    # Rocks that are tracked are none of them.
+    assert mapper.tracker.filter.count > 10
+    # Sharper looks were taken since, two at the same time, and the map is not due yet.
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    for height, time in ((40.0, 0.3), (32.0, 0.3)):
+        _, eye, counts = picture(terrain, (0.0, 0.0, height))
+        mapper.tracker.filter.inertial.position[:] = [0.0, 0.0, height]
+        see(mapper, eye.model, counts, time)
+        assert not np.array_equal(told(mapper), first)
+        first = told(mapper)
+    # The map is due; rocks were moved since the picture, and what was seen goes with them.
+    mapper.tracker.filter.inertial.position[:] = [0.0, 0.0, 50.0]
+    see(mapper, camera, honest[3], 1.5)
+    mapper.tracker.filter.xyz[:, :2] += [3.0, -2.0]
+    told(mapper)
+    mapper.recentre(np.array([15.0, 0.0, 0.0]))
+    assert not np.array_equal(told(mapper), first)
+    # Rocks were let go, and with them what was seen; the map is not due yet.
+    mapper.tracker.renew()
+    assert np.ptp(told(mapper)) == 0.0
