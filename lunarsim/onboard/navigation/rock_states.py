@@ -154,24 +154,13 @@ class RockStates:
         parts = ((GROUND, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
 
-    def ground_at(self, xy: ArrayLike, gradient: ArrayLike = (0.0, 0.0)) -> Array:
-        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m.
-
-        Parameters
-        ----------
-        xy
-            The points, m.
-        gradient
-            By how much the ground was measured to rise to the east and to the north (2,), tangents:
-            between rocks it does so too.
-        """
+    def ground_at(self, xy: ArrayLike) -> Array:
+        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.count == 0 or not self.state.has(GROUND):
             return np.full(len(at), self.ground)
         places = np.vstack((self.state.inertial.position[:2], self.xy))
-        rise = np.asarray(gradient, np.float64)
-        known = np.append(self.ground, self.xyz[:, 2]) - places @ rise
-        return heights(places, known, at, self._level.growth) + at @ rise
+        return heights(places, np.append(self.ground, self.xyz[:, 2]), at, self._level.growth)
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0

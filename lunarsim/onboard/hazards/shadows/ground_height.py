@@ -1,9 +1,9 @@
 """How well the height of the ground is known between the rocks that are tracked.
 
 Rocks hold the map to the ground: their own places are known. Ground between them is as high as they
-tell, along a plane where one was measured, and by how much it may be higher or lower grows with the
-way to them and with how far the heights of neighbours differ besides. Seen from the side, a place
-whose height is off by a metre shows a metre and more beside itself.
+tell, and by how much it may be higher or lower grows with the way to them and with how far the
+heights of neighbours differ. Seen from the side, a place whose height is off by a metre shows a
+metre and more beside itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS
-from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 
 Array = NDArray[np.float64]
 
@@ -24,28 +23,28 @@ _PAIRS = 3
 _BEFORE = 10.0
 
 
-def relief_growth(rocks: RockFilter, plane: GroundPlane = LEVEL) -> float:
+def relief_growth(rocks: RockFilter) -> float:
     """Return by how much the variance of heights grows with a metre between them, m^2/m.
 
-    The mean over neighbours of the squared difference of their heights above a plane, each taken
-    with what it errs by: rocks of which no picture has told the height yet say what was known
-    before. Of no more than one rock that is all.
+    The mean over neighbours of the squared difference of their heights, each taken with what it
+    errs by: rocks of which no picture has told the height yet say what was known before. Of no more
+    than one rock that is all.
     """
     before = rocks.level_growth
     if rocks.count < 2:
         return before
     others = np.arange(2, min(_PAIRS, rocks.count - 1) + 2)
     way, near = cKDTree(rocks.xy).query(rocks.xy, k=others)
-    height = rocks.xyz[:, 2] - plane.heights(rocks.xy)
+    height = rocks.xyz[:, 2]
     rise = np.square(height[:, None] - height[near]) + rocks.rise_variance(near)
     return float((before * _BEFORE + rise.sum()) / (_BEFORE + way.sum()))
 
 
-def height_sigma(rocks: RockFilter, xy: Array, plane: GroundPlane = LEVEL) -> Array:
+def height_sigma(rocks: RockFilter, xy: Array) -> Array:
     """Return how well the ground's height below the lander is known at points (n, 2).
 
-    That of `RockStates.ground_at` with the plane's gradient. As the best of the nearest rocks
-    tells: by what its own height errs and what the ground may rise on the way from it.
+    As the best of the nearest rocks tells: by what its own height errs and what the ground may rise
+    on the way from it.
 
     Returns
     -------
@@ -57,4 +56,4 @@ def height_sigma(rocks: RockFilter, xy: Array, plane: GroundPlane = LEVEL) -> Ar
     nearest = np.arange(1, min(NEIGHBOURS, rocks.count) + 1)
     way, near = cKDTree(rocks.xy).query(xy, k=nearest)
     own = rocks.relative_covariance()[:, 2, 2]
-    return np.asarray(np.sqrt((own[near] + relief_growth(rocks, plane) * way).min(axis=1)))
+    return np.asarray(np.sqrt((own[near] + relief_growth(rocks) * way).min(axis=1)))

@@ -194,7 +194,8 @@ class ShadowMapper(HazardMapper):
         self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
-        plane = self._relief.plane() or LEVEL
+        measured = self._relief.plane()
+        plane = measured or LEVEL
         self.tracker.update(seen, picture.camera, sun, picture.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
@@ -202,10 +203,9 @@ class ShadowMapper(HazardMapper):
         # From where the lander stands by what the rocks told: they moved with it.
         rocks = self.tracker.filter
         self.probability.see(
-            picture.camera.view(rocks.inertial), sun, seen,
-            partial(rocks.ground_at, gradient=plane.gradient),
+            picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
             self.tracker.explained, self.tracker.place_sigma, plane,
-            partial(height_sigma, rocks, plane=plane),
+            partial(height_sigma, rocks) if measured is None else None,
         )  # fmt: skip
 
     def _forget_lost_rocks(self) -> None:

@@ -15,7 +15,6 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.aspect import aspect
-from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
@@ -80,10 +79,8 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
     assert mapper.tracker.filter.count > 0
     probability.see(
-        camera.model.view(tracker.filter.inertial), SUN, seen,
-        lambda xy: tracker.filter.ground_at(xy, plane.gradient),
+        camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.ground_at,
         tracker.explained, tracker.place_sigma, plane,
-        lambda xy: height_sigma(tracker.filter, xy, plane),
     )  # fmt: skip
     np.testing.assert_array_equal(mapper.probability.evidence.lit, probability.evidence.lit)
     assert probability.evidence.lit.any()

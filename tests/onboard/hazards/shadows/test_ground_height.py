@@ -9,7 +9,6 @@ from lunarsim.onboard.hazards.shadows.ground_height import height_sigma, relief_
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 
 BEFORE = 10.0 * np.tan(np.radians(3.0)) ** 2
 
@@ -28,7 +27,7 @@ def tracked(count, seed=0):
     return rocks
 
 
-def plain_growth(rocks, plane):
+def plain_growth(rocks):
     way = rise = 0.0
     for i in range(rocks.count):
         others = sorted(range(rocks.count), key=lambda j: np.hypot(*(rocks.xy[j] - rocks.xy[i])))
@@ -36,7 +35,6 @@ def plain_growth(rocks, plane):
             step = np.zeros(len(rocks.state.p))
             step[rocks.places()[i, 2]], step[rocks.places()[j, 2]] = 1.0, -1.0
             dx, dy, dz = rocks.xyz[i] - rocks.xyz[j]
-            dz -= plane.gradient[0] * dx + plane.gradient[1] * dy
             rise += dz**2 + step @ rocks.state.p @ step
             way += np.hypot(dx, dy)
     return (10.0 * BEFORE + rise) / (10.0 + way)
@@ -44,9 +42,8 @@ def plain_growth(rocks, plane):
 
 @pytest.mark.parametrize("count", [2, 3, 40])
 def test_relief_is_told_by_neighbours_and_what_they_err_by(count):
-    rocks, plane = tracked(count), GroundPlane(2.0, (0.05, -0.1))
-    for ground in (LEVEL, plane):
-        assert relief_growth(rocks, ground) == pytest.approx(plain_growth(rocks, ground))
+    rocks = tracked(count)
+    assert relief_growth(rocks) == pytest.approx(plain_growth(rocks))
 
 
 def test_a_rock_alone_tells_of_no_relief():
@@ -58,7 +55,7 @@ def test_a_rock_alone_tells_of_no_relief():
 def test_ground_is_as_well_known_as_the_best_rock_near_by_tells(count):
     rocks = tracked(count, seed=2)
     at = np.random.default_rng(3).uniform(-30.0, 30.0, (50, 2))
-    growth, p = plain_growth(rocks, LEVEL), rocks.state.p
+    growth, p = plain_growth(rocks), rocks.state.p
     for point, sigma in zip(at, height_sigma(rocks, at), strict=True):
         away = np.hypot(*(rocks.xy - point).T)
         told = []
@@ -66,24 +63,6 @@ def test_ground_is_as_well_known_as_the_best_rock_near_by_tells(count):
             h = rocks.places()[j, 2]
             told.append(p[h, h] + p[2, 2] - 2.0 * p[2, h] + growth * away[j])
         assert sigma == pytest.approx(np.sqrt(min(told)))
-
-
-def test_rocks_on_a_slope_that_was_measured_tell_of_no_relief():
-    rocks, plane = tracked(40), GroundPlane(1.0, (0.15, 0.05))
-    rocks.state.p[:] = 0.0
-    rocks.xyz[:, 2] = plane.heights(rocks.xy)
-    assert relief_growth(rocks, plane) < 0.02 * relief_growth(rocks)
-
-
-def test_on_a_slope_that_was_measured_ground_is_known_by_what_it_does_besides():
-    rocks, plane = tracked(40), GroundPlane(1.0, (0.15, 0.05))
-    rocks.state.p[:] = 0.0
-    rocks.xyz[:, 2] = plane.heights(rocks.xy)
-    at = np.random.default_rng(3).uniform(-30.0, 30.0, (20, 2))
-    way = np.hypot(*np.moveaxis(at[:, None] - rocks.xy, -1, 0)).min(axis=1)
-    expected = np.sqrt(relief_growth(rocks, plane) * way)
-    assert height_sigma(rocks, at, plane) == pytest.approx(expected)
-    assert (height_sigma(rocks, at, plane) < 0.2 * height_sigma(rocks, at)).all()
 
 
 def test_no_more_than_the_five_nearest_rocks_tell():
@@ -99,28 +78,6 @@ def test_no_more_than_the_five_nearest_rocks_tell():
         assert (told[best] < told[:4].min()) and (told.argmin() == best)
         expected = np.sqrt(told[:5].min())
         assert height_sigma(rocks, np.zeros((1, 2)))[0] == pytest.approx(expected)
-
-
-def test_on_a_slope_that_was_measured_heights_err_by_no_more_than_is_claimed():
-    """Without the plane's gradient a third of the places lie beyond two sigma."""
-    plane, beyond = GroundPlane(0.0, (0.15, 0.0)), []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        inertial = StrapdownState(
-            np.array([-30.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
-        )
-        ground = LevelGround(-4.5, 1.0, float(np.tan(np.radians(3.0))))
-        rocks = RockFilter.of(inertial, ground=ground)
-        xy = rng.uniform(-20.0, 20.0, (15, 2))
-        points = np.column_stack((xy, plane.heights(xy) + rng.normal(0.0, 0.05, 15)))
-        rocks.append(points, np.full(15, 0.3), np.full(15, 0.01))
-        h = rocks.places()[:, 2]
-        rocks.state.p[2], rocks.state.p[:, 2] = 0.0, 0.0
-        rocks.state.p[h, h] = 0.05**2
-        at = rng.uniform(-20.0, 20.0, (200, 2))
-        off = np.abs(rocks.ground_at(at, plane.gradient) - plane.heights(at))
-        beyond.append(np.mean(off > 2.0 * height_sigma(rocks, at, plane)))
-    assert np.mean(beyond) < 0.05
 
 
 def test_ground_at_one_height_everywhere_rises_nowhere():

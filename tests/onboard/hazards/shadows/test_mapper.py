@@ -287,3 +287,22 @@ def test_rocks_that_are_not_tracked_are_told_as_they_would_be_anew(scene):
     # Rocks were let go, and with them what was seen; the map is not due yet.
     mapper.tracker.renew()
     assert np.ptp(told(mapper)) == 0.0
+
+
+def test_rocks_are_asked_for_the_height_of_the_ground_unless_it_was_measured(scene, monkeypatch):
+    camera, honest = scene
+    asked = []
+
+    def nothing_is_known(rocks, xy):
+        asked.append(rocks)
+        return np.full(len(xy), np.inf)
+
+    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.height_sigma", nothing_is_known)
+    alone = look(scene, [0.0])
+    assert asked == [alone.tracker.filter]
+    assert not alone.probability.evidence.lit.any()
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
+    told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, relief=Slope((0.0, 0.0)))
+    see(told, camera, honest[0], 0.0)
+    assert len(asked) == 1
+    assert told.probability.evidence.lit.any()
