@@ -200,7 +200,8 @@ class ShadowMapper(HazardMapper):
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
         self.probability.ground = self._height_in_view(picture.camera)
-        # From where the lander stands by what the rocks told: they moved with it.
+        # From where the lander stands by what the rocks told: they moved with it. How well they
+        # tell the height of the ground matters where nobody else has measured it.
         rocks = self.tracker.filter
         self.probability.see(
             picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
