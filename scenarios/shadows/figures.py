@@ -141,7 +141,8 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
         ax.set_title(name)
         ax.set_xlabel("east of the site (m)")
     axes[0].set_ylabel("probability of hazard")
-    axes[1].legend(title="altitude", loc="lower right")
+    # In the panel that has room.
+    axes[0].legend(*axes[1].get_legend_handles_labels(), title="altitude", loc="upper right")
     save(figure, path)
 
 
