@@ -94,6 +94,44 @@ def _dark_elsewhere(core, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, l
     return False
 
 
+@kernel()
+def _look_along(
+    i, lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
+    least, gain,
+):  # fmt: skip
+    """Note row i of the places, see `look`."""
+    sizes, _, cols = lit.shape
+    points = (coarse.shape[2] - POINTS) // 2
+    core = np.empty((points, 3))
+    vi = min(i // every, coarse.shape[0] - 2)
+    v = i / every - vi
+    for j in range(cols):
+        uj = min(j // every, coarse.shape[1] - 2)
+        u = j / every - uj
+        sharpness = _between(coarse, vi, uj, u, v, SHARPNESS)
+        if not sharpness > 0.0:
+            continue
+        # Before any size asks for them nothing is worked out.
+        known = False
+        x = y = z = cotangent = 0.0
+        reach = _between(coarse, vi, uj, u, v, REACH)
+        for s in range(sizes):
+            if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
+                continue
+            if not known:
+                x, y, z, cotangent = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
+                known = True
+            count, tracked = _dark_points(core, x, y, z, radii[s], fx, fy, cx, cy, labels, largest)
+            if count >= least:
+                dark[s, i, j] = sharpness
+                explained[s, i, j] = 2 * tracked > count
+            elif count >= 0 and not _dark_elsewhere(
+                core, x, y, z, reach, reach * cotangent, radii[s], axes[2], fx, fy, cx, cy,
+                labels, largest,
+            ):  # fmt: skip
+                lit[s, i, j] = sharpness
+
+
 @kernel(parallel=True)
 def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
@@ -129,36 +167,8 @@ def look(
     gain
         Factor by which a look must be sharper than those before to be taken.
     """
-    sizes, rows, cols = lit.shape
-    points = (coarse.shape[2] - POINTS) // 2
-    for i in prange(rows):
-        core = np.empty((points, 3))
-        vi = min(i // every, coarse.shape[0] - 2)
-        v = i / every - vi
-        for j in range(cols):
-            uj = min(j // every, coarse.shape[1] - 2)
-            u = j / every - uj
-            sharpness = _between(coarse, vi, uj, u, v, SHARPNESS)
-            if not sharpness > 0.0:
-                continue
-            # Before any size asks for them nothing is worked out.
-            known = False
-            x = y = z = cotangent = 0.0
-            reach = _between(coarse, vi, uj, u, v, REACH)
-            for s in range(sizes):
-                if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
-                    continue
-                if not known:
-                    x, y, z, cotangent = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
-                    known = True
-                count, tracked = _dark_points(
-                    core, x, y, z, radii[s], fx, fy, cx, cy, labels, largest
-                )
-                if count >= least:
-                    dark[s, i, j] = sharpness
-                    explained[s, i, j] = 2 * tracked > count
-                elif count >= 0 and not _dark_elsewhere(
-                    core, x, y, z, reach, reach * cotangent, radii[s], axes[2], fx, fy, cx, cy,
-                    labels, largest,
-                ):  # fmt: skip
-                    lit[s, i, j] = sharpness
+    for i in prange(lit.shape[1]):
+        _look_along(
+            i, lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels,
+            largest, least, gain,
+        )  # fmt: skip

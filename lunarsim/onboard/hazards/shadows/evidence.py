@@ -176,12 +176,8 @@ class ClearEvidence:
         """
         if len(seen) == 0:
             return
-        g = self.grid
-        every = max(1, round(_COARSE / g.posting))
-        x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
-        y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
-        xy = self.slide.now(np.stack(np.meshgrid(x, y), -1))
-        height = heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])
+        every, xy = self._nodes()
+        height = _asked(heights, xy)
         place = np.dstack((xy, height))
         focal = float(np.sqrt(view.fx * view.fy))
         azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
@@ -190,20 +186,25 @@ class ClearEvidence:
         view, place = plane.view(view), plane.points(place)
         shown = view.position[2] > place[..., 2]
         if place_sigma is not None:
-            sigma = place_sigma(xy.reshape(-1, 2)).reshape(height.shape)
-            shown &= sigma <= self._radius[0]
+            shown &= _asked(place_sigma, xy) <= self._radius[0]
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
-        reach = np.zeros(height.shape)
-        if height_sigma is not None:
-            reach = np.minimum(_REACH * height_sigma(xy.reshape(-1, 2)), _FAR).reshape(reach.shape)
+        reach = np.zeros(height.shape) if height_sigma is None else _asked(height_sigma, xy)
         core = _core(model, low, azimuth, depression, sun)
-        coarse = np.dstack((sharpness, place, reach, *core))
+        coarse = np.dstack((sharpness, place, np.minimum(_REACH * reach, _FAR), *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
             largest, _DARK, _SHARPER,
         )  # fmt: skip
+
+    def _nodes(self) -> tuple[int, Array]:
+        """Return of how many places one is a node, and where nodes lie now (rows, cols, 2), m."""
+        g = self.grid
+        every = max(1, round(_COARSE / g.posting))
+        x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
+        y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
+        return every, self.slide.now(np.stack(np.meshgrid(x, y), -1))
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""
@@ -317,6 +318,11 @@ class ClearEvidence:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < _MISSED) & ~self._possible(0))
+
+
+def _asked(given: Heights, xy: Array) -> Array:
+    """Return what a function gives for points (rows, cols, 2)."""
+    return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
 def _core(
