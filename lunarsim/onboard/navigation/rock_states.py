@@ -133,8 +133,8 @@ class RockStates:
         return np.asarray(own[:, None] + own[near] - 2.0 * between)
 
     @property
-    def level_growth(self) -> float:
-        """How much the mission takes the variance of heights to grow with a metre, m^2/m.
+    def expected_growth(self) -> float:
+        """By how much the mission expects the variance of heights to grow with a metre, m^2/m.
 
         0 where the ground is taken to lie at one height everywhere.
         """

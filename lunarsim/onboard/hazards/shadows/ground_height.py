@@ -30,7 +30,7 @@ def relief_growth(rocks: RockFilter) -> float:
     errs by: rocks of which no picture has told the height yet say what was known before. Of no more
     than one rock that is all.
     """
-    before = rocks.level_growth
+    before = rocks.expected_growth
     if rocks.count < 2:
         return before
     others = np.arange(2, min(_PAIRS, rocks.count - 1) + 2)

@@ -217,45 +217,6 @@ def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
     assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())
 
 
-@pytest.mark.parametrize("lower", [-3.0, 3.0])
-def test_a_rock_on_ground_taken_for_lower_or_higher_is_not_cleared(lower):
-    """Its shadow shows beside where it is looked for, and no farther than the ground may be off."""
-    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
-    terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
-    view, seen = seen_from(terrain, (-25.0, 0.0, 30.0))
-    cleared = {}
-    for sigma in (0.0, 0.5, 2.0):
-        evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-        evidence.see(
-            view, SUN, seen, level(-lower),
-            height_sigma=lambda xy, sigma=sigma: np.full(len(xy), sigma),
-        )  # fmt: skip
-        row, col = GRID.cell(np.zeros((1, 2)))
-        cleared[sigma] = bool(evidence.seen()[row[0], col[0]])
-        # Away from it the ground is clear, however high it is.
-        assert evidence.seen()[20:40, 20:40].all()
-        # Of a rock that is tracked the shadow is its own.
-        own = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-        own.see(
-            view, SUN, seen, level(-lower), np.ones(len(seen), bool),
-            height_sigma=lambda xy, sigma=sigma: np.full(len(xy), sigma),
-        )  # fmt: skip
-        assert own.seen()[row[0], col[0]]
-    assert cleared == {0.0: True, 0.5: True, 2.0: False}
-
-
-def test_ground_of_which_next_to_nothing_is_known_is_not_seen():
-    rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
-    view, seen = seen_from(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (-25.0, 0.0, 30.0))
-    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-    evidence.see(
-        view, SUN, seen, level(),
-        height_sigma=lambda xy: np.where(xy[:, 1] > 2.0, np.inf, 0.0),
-    )  # fmt: skip
-    assert evidence.seen()[10:40, 10:110].mean() > 0.9
-    assert not evidence.lit[0, 90:].any()
-
-
 def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     assert (evidence.ratios() == 1.0).all()

@@ -84,4 +84,4 @@ def test_ground_at_one_height_everywhere_rises_nowhere():
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    assert RockFilter.of(inertial, ground=LevelGround(2.0, None)).level_growth == 0.0
+    assert RockFilter.of(inertial, ground=LevelGround(2.0, None)).expected_growth == 0.0

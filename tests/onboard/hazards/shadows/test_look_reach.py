@@ -103,25 +103,42 @@ def test_the_ground_is_searched_by_twice_what_its_height_errs_where_places_lie_n
     assert place[0, 0] == pytest.approx([GRID.x0 + 2.0, GRID.y0 - 1.0])
 
 
+@pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.1, -0.12)])
 @pytest.mark.parametrize("lower", [-3.0, 3.0])
-def test_on_a_slope_the_vertical_is_searched_too(lower):
-    """As on level ground: the shadow of a rock shows where the slope is lower or higher."""
-    plane = GroundPlane(0.0, (0.1, -0.12))
+def test_a_rock_on_ground_taken_for_lower_or_higher_is_not_cleared(lower, gradient):
+    """Its shadow shows beside where it is looked for, and no farther than the ground may be off."""
+    plane = GroundPlane(0.0, gradient)
     view, seen = one_rock(plane)
     row, col = (int(v[0]) for v in GRID.cell(np.zeros((1, 2))))
 
-    def look(off, sigma):
+    def look(off, sigma, tracked=None):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
         evidence.see(
-            view, SUN, seen, lambda xy: plane.heights(xy) + off, plane=plane,
+            view, SUN, seen, lambda xy: plane.heights(xy) + off, tracked, plane=plane,
             height_sigma=lambda xy: np.full(len(xy), sigma),
         )  # fmt: skip
+        # Away from it the ground is clear, however high it is.
         assert evidence.seen()[20:40, 20:40].all()
         return evidence
 
     assert look(0.0, 0.0).dark[0, row, col] > 0.0
-    cleared = {sigma: bool(look(-lower, sigma).seen()[row, col]) for sigma in (0.0, 0.5, 2.0)}
+    cleared = {}
+    for sigma in (0.0, 0.5, 2.0):
+        cleared[sigma] = bool(look(-lower, sigma).seen()[row, col])
+        # Of a rock that is tracked the shadow is its own.
+        assert look(-lower, sigma, np.ones(len(seen), bool)).seen()[row, col]
     assert cleared == {0.0: True, 0.5: True, 2.0: False}
+
+
+def test_ground_of_which_next_to_nothing_is_known_is_not_seen():
+    view, seen = one_rock()
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    evidence.see(
+        view, SUN, seen, lambda xy: 0.0 * xy[:, 0],
+        height_sigma=lambda xy: np.where(xy[:, 1] > 2.0, np.inf, 0.0),
+    )  # fmt: skip
+    assert evidence.seen()[10:40, 10:110].mean() > 0.9
+    assert not evidence.lit[0, 90:].any()
 
 
 def test_a_map_hands_on_what_the_height_of_the_ground_errs_by():
