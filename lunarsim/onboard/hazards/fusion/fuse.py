@@ -7,11 +7,11 @@ so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so
 regression judges what is left. Rocks that are tracked are multiplied up, each with the
 odds that the elevations leave it (`existence_given_relief`).
 
-Where they leave a doubt that the eye for rocks settles, what both have seen of the ground itself
-counts instead, if it is more (`clear_ground`): both forms fall with worse evidence of either eye,
-and so does the greater of them.
+Where the regression knows no frequency it is far too low, and the form itself counts instead, if it
+is more (`level_ground`): both fall with worse evidence of either eye, and so does the greater of
+them.
 
-So the map is that of the elevations, bit for bit, where the other eye saw nothing; where no
+So the map is nowhere less than that of the elevations where the other eye saw nothing; where no
 elevation was measured it is the other eye's, times what the mission expects of the ground.
 """
 
@@ -26,15 +26,15 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.clear_ground import believed, clear_ground
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.safety.calibration import Evidence, calibrated_safety
 from lunarsim.safety.ensemble import HOPELESS, SURE
 from lunarsim.safety.thinning import Thinning
 
@@ -104,12 +104,14 @@ def fused_map(
             raise InputError("fused_map", None, "evidence of at least one mapper")
         return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
     if rocks is None:
-        return relief.drawn
+        return _of_relief(relief, terms)
     prior = relief_prior_of(relief, terms)
     ground, alone = relief.surface, _of_rocks(rocks, relief.surface.grid, prior)
-    clear, level = _clear(relief, rocks, terms)
+    clear, none_missed = _clear(relief, rocks, terms)
     thinning = thinning_of(rocks, ground.grid, terms)
-    p, known = _thinned(relief, thinning)
+    judged = _thinned(relief, thinning)
+    p, known = _said(relief, judged)
+    level = _level(judged, ground.grid, terms, clear, none_missed)
     # What the eye for rocks has said nothing of is claimed as the elevations claim it.
     whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
@@ -126,6 +128,22 @@ def fused_map(
     if isinstance(ground, HazardMap):
         return replace(ground, p_safe=p, observed=observed, elevation=elevation, in_domain=known)
     return HazardMap(ground.grid, p, observed, elevation, ground.variance, in_domain=known)
+
+
+def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
+    """Return the map of an eye for the ground while the other says nothing."""
+    p, known = _said(relief, relief.judged)
+    level = _level(relief.judged, relief.surface.grid, terms)
+    return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
+
+
+def _level(
+    judged: Evidence | None, grid: Grid, terms: FusionTerms, *rocks: Array
+) -> FloatMap:
+    """Return `level_ground` (rows, cols), given what is known of rocks; 0 where it is not told."""
+    if judged is None:
+        return np.zeros(grid.shape, np.float32)
+    return level_ground(judged, terms.relief_prior, *rocks)
 
 
 def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
@@ -149,26 +167,24 @@ def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
 
 def _clear(
     relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
-) -> tuple[Array, FloatMap]:
-    """Return the probability that no tracked rock matters, and `clear_ground` (rows, cols).
+) -> tuple[Array, Array]:
+    """Return the probability that no tracked rock matters, and that none is missed (rows, cols).
 
     Where the samples are told, rocks are where they lie in the elevations (`registered`) and as
     high as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks
     gives them, and count by what rises the elevations show.
     """
     tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
-    nothing = np.zeros(grid.shape, np.float32)
     if relief.rises is None or relief.judged is None:
         there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
-        return on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least"), nothing
+        clear = on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least")
+        return clear, np.zeros(grid.shape)
     seen = relief.rises, relief.judged.density, grid
     ratio = terms.height_ratio
     placed = registered(tracks, *seen, _USUAL * 2.0 * ratio, ratio)
     heights = heights_of(placed, *seen, lander, ratio, terms.rocks.shape)
-    clear = clear_of(placed, heights, grid, lander)
-    if not believed(rocks, placed, heights, lander.roughness_limit):
-        return clear, nothing
-    return clear, clear_ground(relief, rocks, clear, terms.relief_prior)
+    none_missed = none_missed_by(rocks, placed, heights, grid, lander.roughness_limit)
+    return clear_of(placed, heights, grid, lander), none_missed
 
 
 def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
@@ -201,14 +217,26 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
     return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
 
 
-def _thinned(relief: ReliefEvidence, thinning: Thinning) -> tuple[FloatMap, BoolMap]:
-    """Return the elevations' probability with fewer unseen rocks, and where it is a frequency."""
+def _thinned(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
+    """Return what elevations are judged by once unseen rocks are thinned out, its own if none is.
+
+    None where they do not tell it.
+    """
     if relief.judged is None or not (thinning.touched & relief.surface.observed).any():
-        drawn = relief.drawn
-        known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
-        return drawn.p_safe, known
-    # Where nothing is thinned out that is the elevations' own.
-    return calibrated_safety(replace(relief.judged, thinning=thinning), refit=relief.refit)
+        return relief.judged
+    return replace(relief.judged, thinning=thinning)
+
+
+def _said(relief: ReliefEvidence, judged: Evidence | None) -> tuple[FloatMap, BoolMap]:
+    """Return the elevations' probability (rows, cols), and where it is a frequency.
+
+    By their own evidence that is their own map, bit for bit; it is asked for only then.
+    """
+    if judged is not None and judged is not relief.judged:
+        return calibrated_safety(judged, refit=relief.refit)
+    drawn = relief.drawn
+    known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
+    return drawn.p_safe, known
 
 
 def _of_rocks(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:

@@ -17,6 +17,8 @@ shadow.
   or none, and by no less than `COMMON`. A rise as high as the limit leaves the odds as they are:
   the elevations count it already. For a given scale the ratio rises with m and falls with the
   density: fewer samples, or higher ones, never make a rock less likely.
+- **Tracks that are no rocks.** Those told to be higher than the limit exist by the share of them
+  that samples find to be rocks (`genuine_share`): hollows throw shadows too.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import _height_kernels as kernels
 from lunarsim.onboard.hazards.fusion.association import COMMON
+from lunarsim.onboard.hazards.fusion.genuine import genuine_share
+from lunarsim.onboard.hazards.fusion.rises import INDEPENDENT
 from lunarsim.onboard.hazards.published import RockTracks
 from lunarsim.onboard.hazards.shadows._probability_kernels import paint
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
@@ -41,8 +45,6 @@ Array = NDArray[np.float64]
 _RADII, _ASIDE, _FARTHEST = 1.4, 0.1, 0.3
 # Rocks tell the scale from so many samples on; each counts by this share of the mission's word.
 _LEAST_SAMPLES, _WORTH = 1.5, 0.5
-# Samples of one cell are averaged, and neighbours share errors: so many of them count.
-INDEPENDENT = 0.5
 # What no look averages out: spread of a height, as a share, and of a place, an axis, in radii.
 _SPREAD, _PLACE = 0.12, 0.2
 # Spread of how far the part of a rock reaches that is too high, as a share and m.
@@ -66,6 +68,8 @@ class Heights:
     ----------
     scale
         Height over radius as the first eye tells it.
+    genuine
+        Share of tracks told to be too high that are rocks, over what is expected; 1 at most.
     hazard
         Probability that each is a rock, and higher than the lander's limit (n,).
     reach
@@ -73,6 +77,7 @@ class Heights:
     """
 
     scale: float
+    genuine: float
     hazard: Array
     reach: Array
 
@@ -118,7 +123,12 @@ def heights_of(
     above = np.maximum(tried**2 - np.maximum(top, 0.0)[:, None] ** 2, 0.0)
     left = prior * np.exp(-per_square[:, None] * above)
     high = tried > limit
-    there = np.clip(tracks.existence, 0.0, 1.0)
+    large_tracks = scale * radius >= limit
+    known = large_tracks & (tracks.existence > 0.5)
+    genuine = genuine_share(
+        tracks.xy[known], scale * radius[known], rises, density, grid, height_ratio
+    )
+    there = np.clip(tracks.existence, 0.0, 1.0) * np.where(large_tracks, genuine, 1.0)
     large, low = prior[:, high].sum(axis=1), prior[:, ~high].sum(axis=1)
     harmless = there * low + 1.0 - there
     missed = left[:, high].sum(axis=1) * harmless
@@ -127,7 +137,7 @@ def heights_of(
     mean = (prior[:, high] @ tried[high]) / np.maximum(large, 1e-300)
     mean = np.where(scale * radius > middle, scale * radius, mean)
     wide = np.maximum(mean, limit) if shape not in _ROUNDED else _wide(mean, limit)
-    return Heights(scale, odds / np.maximum(odds + harmless, 1e-300), wide / (2.0 * height_ratio))
+    return Heights(scale, genuine, odds / np.maximum(odds + harmless, 1e-300), wide / (2.0 * height_ratio))
 
 
 def height_scale(

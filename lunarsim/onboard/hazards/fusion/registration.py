@@ -2,9 +2,9 @@
 
 From far a camera's rocks are all off by one and the same: a mrad of its direction is 1.5 m of
 ground from 1500 m. Each of them is known no better than that, though they lie within decimetres of
-their places among each other. So the one shift is sought at which rises are where the rocks are. A
-rock that so many samples have met shows a rise of half its height with a probability h; by chance
-one lies there with that of any place, f. A rock with a rise speaks for a shift by
+their places among each other. So the one shift is sought at which rises are where the rocks are.
+With h the probability that samples show a rock, and f that any place looks like one
+(`lunarsim.onboard.hazards.fusion.rises`), a rock with a rise speaks for a shift by
 ``log((h + (1 - h) f) / f)``, one without against it by ``log(1 - h)``. With the shift's own spread
 that gives its mean and its covariance: where the elevations tell nothing, both are what they were.
 """
@@ -15,26 +15,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.heights import INDEPENDENT, LEAST_RADIUS
+from lunarsim.onboard.hazards.fusion.heights import LEAST_RADIUS
+from lunarsim.onboard.hazards.fusion.rises import highest_near, showing
 from lunarsim.onboard.hazards.published import RockTracks
 
 Array = NDArray[np.float64]
 
-# Rocks are compared with the highest rise so near, m, of half their height or more; a half
-# ellipsoid is that high over three quarters of its area.
-_NEAR, _SHOWS, _TOP = 0.35, 0.5, 0.75
-# So many rocks are where they seem to be.
-_TRUE = 0.8
 # Shifts are tried to so many deviations, but not beyond, m.
 _DEVIATIONS, _FARTHEST = 3.0, 4.0
 # A shift is no better known than that, nor is a rock among the others, m.
 _LEAST, _APART = 0.1, 0.15
 # Fewer rocks tell no shift.
 _FEWEST = 3
-_RAREST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -108,16 +102,14 @@ def shift_of(
     row, col = (np.asarray(v) for v in grid.cell(tracks.xy[inside]))
     height = scale * np.maximum(tracks.radius[inside], LEAST_RADIUS)
     common = float(np.median(tracks.sigma[inside]))
-    top = _highest_near(rises, grid.posting)
-    chance = 1.0 - np.searchsorted(np.sort(top, axis=None), _SHOWS * height) / top.size
-    chance = np.clip(chance, _RAREST, 1.0 - _RAREST)
-    area = _TOP * np.pi * (height / (2.0 * height_ratio)) ** 2
-    shows = _TRUE * -np.expm1(-INDEPENDENT * density[row, col] * area)
-    hit, miss = np.log((shows + (1.0 - shows) * chance) / chance), np.log1p(-shows)
+    top = highest_near(rises, grid.posting)
+    rock = showing(height, density[row, col], top, height_ratio)
+    hit = np.log((rock.shows + (1.0 - rock.shows) * rock.chance) / rock.chance)
+    miss = np.log1p(-rock.shows)
     steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
     far = grid.posting * steps
     log = -0.5 * (far[:, None] ** 2 + far**2) / max(common, _LEAST) ** 2
-    for r, c, h, yes, no in zip(row, col, _SHOWS * height, hit, miss, strict=True):
+    for r, c, h, yes, no in zip(row, col, rock.least, hit, miss, strict=True):
         # Beyond the edge lies what lies at it.
         near = top[
             np.clip(r + steps, 0, grid.rows - 1)[:, None], np.clip(c + steps, 0, grid.cols - 1)
@@ -131,18 +123,6 @@ def shift_of(
         by.append(float(along @ far))
         variance.append(float(along @ (far - by[-1]) ** 2))
     return Shift(np.array(by), max(float(np.sqrt(np.mean(variance))), _LEAST), common)
-
-
-def _highest_near(rises: NDArray[np.float32], posting: float) -> NDArray[np.float32]:
-    """Return the highest rise about each cell (rows, cols), m; far below where there is none."""
-    half = max(round(_NEAR / posting), 1)
-    y, x = np.mgrid[-half : half + 1, -half : half + 1]
-    known = np.where(np.isfinite(rises), rises, np.float32(-1e6))
-    return np.asarray(
-        ndimage.maximum_filter(
-            known, footprint=np.hypot(x, y) * posting <= _NEAR, mode="constant", cval=-1e6
-        )
-    )
 
 
 def _steps(far: float, posting: float) -> NDArray[np.int64]:

@@ -1,0 +1,106 @@
+"""Ground that was measured to be level, on which few unseen rocks and none of those seen can stand.
+
+Where a calibrated map of elevations knows no frequency it is far too low on purpose, and then its
+numbers hardly order the sites: on cratered ground those of a few per million and of one half are
+safe alike. There the form itself counts, if it gives more:
+
+    p = prior x level x exp(-Lambda) x P(no tracked rock reaches in)
+
+`level` falls from 1 where slope and roughness, as measured, are well within the limits to 0 at
+either limit. Lambda are the rocks under the lander that are too high and that nobody has seen, by
+the less of two bounds:
+
+- what is expected by the samples, of which the other eye leaves fewer or more, ten times over: the
+  share of them that stand high is little known where they are few;
+- where an eye for rocks has looked, those that it misses of what the mission expects.
+
+As for ground that was not measured the prior counts, which is less than surely safe, and no
+frequency is claimed. p falls with each of its factors, wherever either eye has looked: where one
+has and the other has not, sites are still told by one measure.
+
+An eye that finds far fewer rocks than it should is not believed (`lunarsim.onboard.hazards.
+shadows.plausible`), unless that is because it reads them too small: here they count by the scale
+that the samples tell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion.heights import Heights
+from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.published import RockEvidence, RockTracks
+from lunarsim.onboard.hazards.shadows.plausible import too_few
+from lunarsim.safety.calibration import Evidence
+
+Array = NDArray[np.float64]
+
+# Slope and roughness are well within their limits up to these shares of them short of 1.
+_SLOPE, _ROUGHNESS = 0.2, 0.7
+# As many unseen rocks may be there as samples let expect, times this.
+_MISCOUNTED = 10.0
+
+
+def level_ground(
+    judged: Evidence, prior: float, clear: Array | float = 1.0, none_missed: Array | float = 0.0
+) -> NDArray[np.float32]:
+    """Return the probability of safe ground (rows, cols); 0 where it was not measured.
+
+    Parameters
+    ----------
+    judged
+        What was measured, with what an eye for rocks leaves of those that were not.
+    prior
+        That slope and relief of ground that was not measured are within the limits.
+    clear
+        Probability that no tracked rock matters (rows, cols).
+    none_missed
+        See `none_missed_by` (rows, cols).
+    """
+    with np.errstate(invalid="ignore"):
+        level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
+        level *= np.clip((1.0 - judged.roughness) / _ROUGHNESS, 0.0, 1.0)
+    none_unseen = np.maximum(np.exp(-_MISCOUNTED * judged.hazards()), none_missed)
+    p = prior * level * none_unseen * clear
+    return np.where(judged.observed, p, 0.0).astype(np.float32)
+
+
+def none_missed_by(
+    rocks: RockEvidence, placed: RockTracks, heights: Heights, grid: Grid, limit: float
+) -> Array:
+    """Return the probability that an eye for rocks misses none that reaches in (rows, cols).
+
+    0 where it has not looked, does not tell, or is not believed.
+
+    Parameters
+    ----------
+    rocks
+        Its evidence.
+    placed, heights
+        Its rocks, as both eyes have them.
+    grid
+        The sites.
+    limit
+        Height from which on a rock matters, m.
+    """
+    if rocks.unseen is None or not believed(rocks, placed, heights, limit):
+        return np.zeros(grid.shape)
+    own = rocks.drawn
+    seen = on_grid(own.observed, own.grid, grid, False, "least")
+    unseen = on_grid(rocks.unseen, own.grid, grid, 1.0, "greatest")
+    return np.where(seen, 1.0 - unseen, 0.0)
+
+
+def believed(rocks: RockEvidence, placed: RockTracks, heights: Heights, limit: float) -> bool:
+    """Return whether an eye for rocks finds as many as it should, by their heights.
+
+    Parameters are those of `none_missed_by`.
+    """
+    domain = rocks.drawn.in_domain
+    if domain is None or domain.any():
+        return True
+    inside = np.asarray(rocks.drawn.grid.contains(placed.xy)) & (placed.existence > 0.5)
+    high = heights.scale * placed.radius >= limit
+    return not too_few(int(np.count_nonzero(inside & high)), rocks.expected)
