@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eyes_flights import LARGE, MAPS, ROWS
+from eyes_flights import LARGE, MAPS, ROWS, SINGLE
 from rich.console import Console
 from rich.table import Table
 
@@ -24,7 +24,10 @@ PRECISION = 0.99
 # left when the other fails; at 1000 m it may call so much of the LiDAR's share of large hazards
 # safe.
 LESS_THAN_BEST, LESS_THAN_LEFT, OF_LARGE, FROM = 0.01, 0.02, 0.5, "1000"
-COLOURS = {"dem": "tab:blue", "quadtree": "tab:cyan", "rocks": "tab:orange", "fused": "black"}
+COLOURS = {
+    "dem": "tab:blue", "quadtree": "tab:cyan", "rocks": "tab:orange", "alone": "tab:blue",
+    "fused": "black",
+}  # fmt: skip
 
 
 def recall_of(judged: list[Counts]) -> float:
@@ -80,8 +83,8 @@ def large_share(judged: list[Counts], recall: float) -> float:
 
 
 def best_single(flights: list[Flight], altitude: str) -> str:
-    """Return the map other than the fused one with the greatest pooled recall at the precision."""
-    of = {n: recall_of([f["maps"][altitude][n] for f in flights]) for n in MAPS if n != "fused"}
+    """Return the map of one mapper with the greatest pooled recall at the precision."""
+    of = {n: recall_of([f["maps"][altitude][n] for f in flights]) for n in SINGLE}
     return max(of, key=lambda name: of[name])
 
 
@@ -101,6 +104,8 @@ class Comparison:
         Where.
     best, gain
         The best single map, and the differences of recall to it, field by field.
+    over_form
+        The same against the map made like it of the Gaussian DEM alone.
     left
         The same against the map of the eye that is left; empty: none has failed, or not yet.
     large_dem, large_fused
@@ -112,6 +117,7 @@ class Comparison:
     altitude: str
     best: str
     gain: list[float]
+    over_form: list[float]
     left: list[float]
     large_dem: float
     large_fused: float
@@ -141,7 +147,7 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
             recall = curve_of(dem).at_half().recall
             out.append(
                 Comparison(
-                    row, altitude, best, gained(mine, altitude, best),
+                    row, altitude, best, gained(mine, altitude, best), gained(mine, altitude, "alone"),
                     gained(mine, altitude, left) if failed else [],
                     large_share(dem, recall), large_share(fused, recall),
                 )
@@ -200,21 +206,24 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
 
 def _show_comparison(found: list[Comparison], console: Console) -> None:
     table = Table(title=f"Fused less others, recall at {PRECISION}, by field")
-    for heading in ("row", "altitude", "best single", "fused less it", "less the eye left",
+    for heading in ("row", "altitude", "best single", "fused less it", "less DEM alone", "less the eye left",
                     f"{LARGE} m, DEM", "fused", "misses"):  # fmt: skip
         table.add_column(heading)
     for c in found:
         table.add_row(
-            c.row, c.altitude, MAPS[c.best], mean_interval(c.gain).text(3),
+            c.row, c.altitude, MAPS[c.best], mean_interval(c.gain).text(3), mean_interval(c.over_form).text(3),
             mean_interval(c.left).text(3) if c.left else "",
             f"{c.large_dem:.4f}", f"{c.large_fused:.4f}", ", ".join(c.missed),
         )  # fmt: skip
     console.print(table)
-    means = [float(np.mean(c.gain)) for c in found]
-    console.print(
-        f"mean over rows and altitudes of fused less the best single: {np.mean(means):+.3f}; "
-        f"least {min(means):+.3f}"
-    )
+    for words, gains in (
+        ("the best single", [c.gain for c in found]), (MAPS["alone"], [c.over_form for c in found])
+    ):  # fmt: skip
+        means = [float(np.mean(gain)) for gain in gains]
+        console.print(
+            f"mean over rows and altitudes of fused less {words}: {np.mean(means):+.3f}; "
+            f"least {min(means):+.3f}"
+        )
 
 
 def draw(flights: list[Flight], path: Path) -> None:
@@ -234,7 +243,8 @@ def draw(flights: list[Flight], path: Path) -> None:
         for name, words in MAPS.items():
             found = [recall_of([f["maps"][a][name] for f in mine]) for a in altitudes]
             axis.plot(
-                range(len(altitudes)), found, "o-", color=COLOURS[name], label=words,
+                range(len(altitudes)), found, "o--" if name == "alone" else "o-",
+                color=COLOURS[name], label=words,
                 lw=2.6 if name == "fused" else 1.4, zorder=3 if name == "fused" else 2,
             )  # fmt: skip
         axis.set_xticks(range(len(altitudes)), altitudes)

@@ -42,7 +42,13 @@ DEAD_BELOW = 400.0
 LARGE = 0.7
 # Log odds between which sites are counted by two maps.
 ODDS = np.linspace(-8.0, 8.0, 33)
-MAPS = {"dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "fused": "fused"}
+# The last but one is made like the fused map, of the Gaussian DEM alone: what the form is worth
+# without the camera.
+MAPS = {
+    "dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "alone": "fused, DEM alone",
+    "fused": "fused",
+}  # fmt: skip
+SINGLE = ("dem", "quadtree", "rocks")
 
 _TILTED = {
     "kind": "dtm", "posting_m": 0.5, "detail": False, "mirrored_to_m": 500.0,
@@ -143,6 +149,7 @@ def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
             },
             # Judged as it is at the altitude, not as it was for the last decision.
             "fused": {"interval_s": 0.0},
+            "alone": {"kind": "fused", "of": ["dem"], "interval_s": 0.0},
         },
     )  # fmt: skip
 

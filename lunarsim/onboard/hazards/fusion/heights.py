@@ -17,8 +17,8 @@ shadow.
   or none, and by no less than `COMMON`. A rise as high as the limit leaves the odds as they are:
   the elevations count it already. For a given scale the ratio rises with m and falls with the
   density: fewer samples, or higher ones, never make a rock less likely.
-- **Tracks that are no rocks.** Those told to be higher than the limit exist by the share of them
-  that samples find to be rocks (`genuine_share`): hollows throw shadows too.
+- **Tracks that are no rocks.** Those told to be higher than the limit are rocks by the share of
+  them that samples find to be some (`genuine`): hollows throw shadows too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import _height_kernels as kernels
 from lunarsim.onboard.hazards.fusion.association import COMMON
-from lunarsim.onboard.hazards.fusion.genuine import genuine_share
+from lunarsim.onboard.hazards.fusion.genuine import genuine
 from lunarsim.onboard.hazards.fusion.rises import INDEPENDENT
 from lunarsim.onboard.hazards.published import RockTracks
 from lunarsim.onboard.hazards.shadows._probability_kernels import paint
@@ -68,8 +68,6 @@ class Heights:
     ----------
     scale
         Height over radius as the first eye tells it.
-    genuine
-        Share of tracks told to be too high that are rocks, over what is expected; 1 at most.
     hazard
         Probability that each is a rock, and higher than the lander's limit (n,).
     reach
@@ -77,7 +75,6 @@ class Heights:
     """
 
     scale: float
-    genuine: float
     hazard: Array
     reach: Array
 
@@ -123,12 +120,11 @@ def heights_of(
     above = np.maximum(tried**2 - np.maximum(top, 0.0)[:, None] ** 2, 0.0)
     left = prior * np.exp(-per_square[:, None] * above)
     high = tried > limit
-    large_tracks = scale * radius >= limit
-    known = large_tracks & (tracks.existence > 0.5)
-    genuine = genuine_share(
-        tracks.xy[known], scale * radius[known], rises, density, grid, height_ratio
-    )
-    there = np.clip(tracks.existence, 0.0, 1.0) * np.where(large_tracks, genuine, 1.0)
+    there = np.clip(tracks.existence, 0.0, 1.0)
+    told = scale * radius >= limit
+    tells = told & (tracks.existence > 0.5)
+    share = genuine(tracks.xy, scale * radius, tells, rises, density, grid, height_ratio)
+    there = np.where(told, there * share, there)
     large, low = prior[:, high].sum(axis=1), prior[:, ~high].sum(axis=1)
     harmless = there * low + 1.0 - there
     missed = left[:, high].sum(axis=1) * harmless
@@ -137,7 +133,7 @@ def heights_of(
     mean = (prior[:, high] @ tried[high]) / np.maximum(large, 1e-300)
     mean = np.where(scale * radius > middle, scale * radius, mean)
     wide = np.maximum(mean, limit) if shape not in _ROUNDED else _wide(mean, limit)
-    return Heights(scale, genuine, odds / np.maximum(odds + harmless, 1e-300), wide / (2.0 * height_ratio))
+    return Heights(scale, odds / np.maximum(odds + harmless, 1e-300), wide / (2.0 * height_ratio))
 
 
 def height_scale(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.clear_ground import believed
+from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.registration import registered
