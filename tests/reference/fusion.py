@@ -176,3 +176,60 @@ def shift(rocks: list, rises, x0: float, y0: float, posting: float, density: flo
     for log, right, down in weights:
         squares += math.exp(log - highest_log) * ((right - east) ** 2 + (down - north) ** 2)
     return east, north, max(math.sqrt(0.5 * squares / total), 0.1)
+
+
+def level_ground(
+    slope: float, rough: float, unseen: float, missed: float, clear: float, prior: float
+) -> float:
+    """Probability of one site: shares of the limits, unseen rocks by samples, and by an eye."""
+    level = 1.0
+    for share, well in ((slope, 0.8), (rough, 0.3)):
+        if share >= 1.0:
+            return 0.0
+        if share > well:
+            level *= (1.0 - share) / (1.0 - well)
+    return prior * level * max(math.exp(-10.0 * unseen), 1.0 - missed) * clear
+
+
+def genuine(tracks: list, rises, x0: float, y0: float, posting: float, density, ratio: float):
+    """Share of rocks among the others of each track (x, y, height, tells), over that expected."""
+    rows, cols = len(rises), len(rises[0])
+
+    def near(row: int, col: int) -> float:
+        return max(
+            (
+                rises[r][c]
+                for r in range(rows)
+                for c in range(cols)
+                if math.hypot(r - row, c - col) * posting <= 0.35 and not math.isnan(rises[r][c])
+            ),
+            default=-1e6,
+        )
+
+    every = [near(r, c) for r in range(rows) for c in range(cols)]
+    if_rock, if_not = {}, {}
+    for k, (x, y, height, tells) in enumerate(tracks):
+        row, col = round((y - y0) / posting), round((x - x0) / posting)
+        if not tells or not (0 <= row < rows and 0 <= col < cols):
+            continue
+        chance = sum(z >= 0.5 * height for z in every) / len(every)
+        chance = min(max(chance, 1e-3), 1.0 - 1e-3)
+        area = 0.75 * math.pi * (height / (2.0 * ratio)) ** 2
+        shows = 0.8 * (1.0 - math.exp(-0.5 * density[row][col] * area))
+        if near(row, col) >= 0.5 * height:
+            if_rock[k], if_not[k] = shows + (1.0 - shows) * chance, chance
+        else:
+            if_rock[k], if_not[k] = (1.0 - shows) * (1.0 - chance), 1.0 - chance
+    found = []
+    for own in range(len(tracks)):
+        total = mean = 0.0
+        for n in range(4000):
+            s = (n + 0.5) / 4000.0
+            weight = s**3
+            for k in if_rock:
+                if k != own:
+                    weight *= s * if_rock[k] + (1.0 - s) * if_not[k]
+            total += weight
+            mean += s * weight
+        found.append(min(mean / total / 0.8, 1.0))
+    return found

@@ -5,7 +5,7 @@ exist as any, and reads as a large rock. Samples tell them apart, all tracks tog
 show so often, and any other place by chance. So of the tracks that are told to be too high for the
 lander a share s is taken for rocks, with
 
-    L(s) = s^(a-1) (1 - s)^(b-1) prod_i (s P(i shows, or not | rock) + (1 - s) P(the same | any place))
+    L(s) = s^3 prod_i (s P(i shows, or not | rock) + (1 - s) P(the same | any place))
 
 For each track the product is over the others: what its own samples say of it counts by itself
 (`lunarsim.onboard.hazards.fusion.heights`). The mean of s over what is expected of it counts, if it
@@ -22,9 +22,10 @@ from lunarsim.onboard.hazards.fusion.rises import highest_near, showing
 
 Array = NDArray[np.float64]
 
-# Before any sample: four rocks in five, as if by five tracks.
-_ROCKS, _OTHERS = 4.0, 1.0
+# Shares that are tried. Before any sample four tracks in five are rocks, as if by five tracks.
 _SHARES = (np.arange(200) + 0.5) / 200.0
+_BEFORE = _SHARES ** (4.0 - 1.0)
+_EXPECTED = float(_BEFORE @ _SHARES / _BEFORE.sum())
 
 
 def genuine(
@@ -67,7 +68,6 @@ def genuine(
     own = np.zeros((len(height), len(_SHARES)))
     own[tells] = np.log(_SHARES * if_rock[:, None] + (1.0 - _SHARES) * if_not[:, None])
     log = own.sum(axis=0) - own
-    log += (_ROCKS - 1.0) * np.log(_SHARES) + (_OTHERS - 1.0) * np.log1p(-_SHARES)
-    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    weight = _BEFORE * np.exp(log - log.max(axis=1, keepdims=True))
     share = weight @ _SHARES / weight.sum(axis=1)
-    return np.asarray(np.minimum(share * (_ROCKS + _OTHERS) / _ROCKS, 1.0))
+    return np.asarray(np.minimum(share / _EXPECTED, 1.0))

@@ -44,12 +44,31 @@ from tests.two_eyes import (
 
 
 @pytest.mark.parametrize("density", [2.0, 30.0])
-def test_a_map_of_elevations_alone_is_its_own_bit_for_bit(density):
-    own = relief(rough=0.2, density=density)
-    assert fused_map(own, None, TERMS) is own.drawn
+def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is_more(density):
+    rough = np.full(GRID.shape, 0.2)
+    rough[:4] = 0.9
+    own = relief(rough=rough, **DOUBTED | {"density": density, "curve": rocky(0.1)})
+    alone = fused_map(own, None, TERMS)
+    level = [
+        [plain.level_ground(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
+        for pairs in (zip(*rows, strict=True) for rows in zip(rough, own.judged.hazards()))
+    ]
+    assert alone.p_safe == pytest.approx(np.maximum(own.drawn.p_safe, level), rel=1e-5)
+    raised = alone.p_safe > own.drawn.p_safe
+    assert raised.any()
+    assert np.array_equal(alone.in_domain, own.drawn.in_domain & ~raised)
+    # An eye that saw nothing changes nothing.
     blind = fused_map(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
-        assert np.array_equal(getattr(blind, name), getattr(own.drawn, name)), name
+        assert np.array_equal(getattr(blind, name), getattr(alone, name)), name
+
+
+def test_a_map_of_elevations_that_do_not_tell_how_they_were_judged_is_its_own():
+    own = replace(relief(rough=0.2), judged=None)
+    for rocks in (None, eyes(seen=False)):
+        both = fused_map(own, rocks, TERMS)
+        for name in ("p_safe", "observed", "in_domain"):
+            assert np.array_equal(getattr(both, name), getattr(own.drawn, name)), name
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -188,24 +207,31 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
 
 
 @pytest.mark.parametrize(
-    ("slope", "rough", "level"), [(0.5, 0.5, 1.0), (0.85, 0.2, 0.5), (0.2, 0.9, 0.2), (1.1, 0, 0)]
+    ("slope", "rough"), [(0.5, 0.2), (0.9, 0.2), (0.2, 0.65), (0.85, 0.9), (1.1, 0.0), (0.2, 1.0)]
 )
-def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, level):
-    own = replace(relief(slope=slope, rough=rough, **DOUBTED), rises=SAMPLED)
+@pytest.mark.parametrize("rocks", [20.0, 0.05])
+def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, rocks):
+    own = relief(slope=slope, rough=rough, **DOUBTED | {"curve": rocky(rocks)})
+    own = replace(own, rises=SAMPLED)
     rock = tracks((0.1, 0.2, 0.5, 0.7))
-    told = eyes(1.0, rock, unseen=raster(0.2))
-    both, without = (fused_map(own, e, TERMS) for e in (told, replace(told, unseen=None)))
+    told = eyes(0.5, rock, unseen=raster(0.2))
+    judged = replace(own.judged, thinning=thinning_of(told, GRID, TERMS))
     heights = heights_of(rock, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
     clear = clear_of(rock, heights, GRID, LANDER)
-    expected = np.maximum(0.9 * 0.8 * clear * level, without.p_safe)
-    assert both.p_safe == pytest.approx(expected, rel=1e-5)
-    if level > 0.1:
-        assert (both.p_safe > without.p_safe).any()
-    raised = both.p_safe > without.p_safe
-    assert not both.in_domain[raised].any()
-    # Where the camera has not looked it says nothing of the ground.
+    p = calibrated_safety(judged)[0] * clear
+    # Where the camera has not looked, or is not believed, only what samples let expect counts.
     blind = replace(told, drawn=replace(told.drawn, observed=np.zeros(GRID.shape, bool)))
-    assert np.array_equal(fused_map(own, blind, TERMS).p_safe, without.p_safe)
+    raised = 0
+    for eye, missed in ((told, 0.2), (replace(told, unseen=None), 1.0), (blind, 1.0)):
+        both = fused_map(own, eye, TERMS)
+        level = np.array([
+            [plain.level_ground(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
+            for cells in (zip(*row, strict=True) for row in zip(judged.hazards(), clear))
+        ])  # fmt: skip
+        assert both.p_safe == pytest.approx(np.maximum(level, p), rel=1e-5, abs=1e-9)
+        assert not both.in_domain[level > p * (1.0 + 1e-5)].any()
+        raised += np.count_nonzero(level > 2.0 * p)
+    assert bool(raised) == (max(slope, rough) < 1.0)
 
 
 def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_bit():
@@ -248,7 +274,7 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
 
 
 def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts():
-    own = relief(slope=0.5, rough=0.5)
+    own = relief(slope=0.5, rough=0.3, density=0.5, curve=rocky(20.0))
     low = replace(own.drawn, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
     own = replace(own, surface=low, rises=SAMPLED)
     both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)

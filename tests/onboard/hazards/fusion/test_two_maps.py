@@ -31,7 +31,7 @@ from tests.two_eyes import DOUBTED, GRID, SAMPLED, TERMS, clear, eyes, raster, r
 def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_ground():
     slope = np.full(GRID.shape, 0.4, np.float32)
     slope[:6] = 1.3
-    own = replace(relief(slope=slope, **DOUBTED), rises=SAMPLED)
+    own = replace(relief(slope=slope, rough=0.3, **DOUBTED), rises=SAMPLED)
     both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)
     assert both.p_safe[6:] == pytest.approx(0.9 * 0.8)
     assert (both.p_safe[:6] < 0.01).all()
